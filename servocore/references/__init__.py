@@ -1,0 +1,25 @@
+"""Reference paths gamma(t): immutable, with exact derivatives of the orders they promise."""
+
+from servocore.references.base import Reference
+from servocore.references.profiles import (
+    DEGREE3,
+    DEGREE5,
+    DEGREE7,
+    DEGREE9,
+    DEGREE13,
+    Profile,
+    three_phase,
+)
+from servocore.references.rest_to_rest import rest_to_rest
+
+__all__ = [
+    "DEGREE3",
+    "DEGREE5",
+    "DEGREE7",
+    "DEGREE9",
+    "DEGREE13",
+    "Profile",
+    "Reference",
+    "rest_to_rest",
+    "three_phase",
+]

@@ -1,0 +1,139 @@
+"""What every reference path gamma(t) can do: answer with its exact derivatives at any times.
+
+A reference is a value: nothing about it changes after it was made, and asking twice gives the same answer.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidReference
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FloatArray = npt.NDArray[np.float64]
+
+ANALYTIC_ORDER = 99
+"""`Reference.max_order` of paths whose pieces are known in closed form: every order a solver could want."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reference(ABC):
+    """A path gamma(t) that the servo output shall follow, eq. (1): c(q, t) = Phi(q) - gamma(t) = 0.
+
+    Attributes
+    ----------
+    start_time, end_time : float
+        The path moves between these times (s). What it does outside, each class says.
+    dimension : int
+        Number of components of gamma.
+    max_order : int
+        Highest derivative that `jet` answers. Up to it, every derivative exists at all times but finitely
+        many junctions (start, end, knots); there, an order above `smoothness` may jump, and the value just
+        after the junction is given.
+    smoothness : int
+        The k of C^k over *all* time, before the start and after the end included.
+    fit_error : float or None
+        None for paths that are exact by definition; for fits, their own estimate of the largest deviation
+        in position (m).
+    """
+
+    start_time: float
+    end_time: float
+    dimension: int
+    max_order: int
+    smoothness: int
+    fit_error: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.start_time) and np.isfinite(self.end_time)):
+            raise InvalidReference(f"path times must be finite, not {self.start_time} to {self.end_time} s")
+        if not self.end_time > self.start_time:
+            raise InvalidReference(
+                f"the path must end after it starts, but it runs from {self.start_time} to {self.end_time} s"
+            )
+
+    @property
+    def duration(self) -> float:
+        """Time between start and end, in s."""
+        return self.end_time - self.start_time
+
+    def jet(self, t: npt.ArrayLike, order: int) -> FloatArray:
+        """Path and plain derivatives gamma, gamma', ..., gamma^(order) at the times `t`.
+
+        Parameters
+        ----------
+        t : array_like, shape (N,) or ()
+            Times in s, anywhere: also before the start and after the end.
+        order : int
+            Highest derivative wanted.
+
+        Returns
+        -------
+        ndarray, shape (N, order+1, dimension) or (order+1, dimension)
+            Entry k of the middle axis is the k-th derivative, in m/s^k for a path in m.
+
+        Raises
+        ------
+        InvalidReference
+            If the path has no derivative of that order, or a time is not finite.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        if times.ndim > 1:
+            raise InvalidReference(f"times must be one number or one row of numbers, not shape {times.shape}")
+        if not 0 <= order <= self.max_order:
+            raise InvalidReference(
+                f"derivatives of order {order} were asked for, but this path has orders 0 to {self.max_order}"
+            )
+        bad = np.flatnonzero(~np.isfinite(times))
+        if bad.size:
+            raise InvalidReference(f"time number {bad[0]} is {times.flat[bad[0]]}, not a finite number")
+        values = self._derivatives(np.atleast_1d(times), order)
+        return values if times.ndim else values[0]
+
+    @abstractmethod
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        """Answer `jet` for checked arguments: times (N,) to derivatives (N, order+1, dimension)."""
+
+
+def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> FloatArray:
+    """Check a table of positions, one point a row.
+
+    Parameters
+    ----------
+    values : array_like, shape (n, dimension)
+        Positions in m.
+    what : str
+        Name of one row in the error sentence, such as "waypoint".
+
+    Returns
+    -------
+    ndarray, shape (n, dimension)
+        A copy in double precision.
+
+    Raises
+    ------
+    InvalidReference
+        If the table is not rectangular, empty or not finite.
+    """
+    try:
+        table = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidReference(f"each {what} must hold the same number of finite numbers: {error}") from None
+    if table.ndim != 2 or not table.size:
+        raise InvalidReference(
+            f"a table with one {what} a row is needed, not an array of shape {table.shape}"
+        )
+    bad = np.argwhere(~np.isfinite(table))
+    if bad.size:
+        row, column = bad[0]
+        raise InvalidReference(
+            f"{what} {row}, component {column} is {table[row, column]}, not a finite number"
+        )
+    return table

@@ -1,0 +1,282 @@
+"""Time laws s(t) that rise from 0 to 1: how far along its line a rest-to-rest path has come.
+
+Near the end of a motion 1 - s is tiny, and a polynomial summed in powers of T = t/duration leaves noise of
+1e-12 there, which the inputs of a crane amplify by 1/h^2 or more. So every formula here takes *both* the time
+elapsed and the time remaining, and is written in products and sums of positive terms of the two.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from math import comb, factorial, isfinite
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servocore.errors import InvalidReference
+
+if TYPE_CHECKING:
+    from servocore.references.base import FloatArray
+
+DEFAULT_RAMP = 0.25
+"""Part of the duration that `three_phase` accelerates when no ramp is given."""
+
+
+@dataclass(frozen=True)
+class Profile(ABC):
+    """A time law from s = 0 to s = 1 with s(t) + s(duration - t) = 1.
+
+    Attributes
+    ----------
+    name : str
+        What a command line or a chart calls it.
+    """
+
+    name: str
+
+    @property
+    @abstractmethod
+    def smoothness(self) -> int:
+        """The k of C^k, with rest before and after: the highest derivative that starts and ends at zero."""
+
+    @property
+    def shortest_duration(self) -> float:
+        """Time in s that the law needs at least; 0 for one that stretches to any duration."""
+        return 0.0
+
+    @abstractmethod
+    def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
+        """Evaluate s, s', ..., s^(order), derivatives by time.
+
+        Parameters
+        ----------
+        elapsed, remaining : ndarray, shape (N,)
+            Times since the start and until the end in s, in [0, duration]; each exact where it is small.
+        duration : float
+            Their sum, in s.
+        order : int
+            Highest derivative.
+
+        Returns
+        -------
+        ndarray, shape (N, order+1)
+            s^(k) in 1/s^k.
+        """
+
+
+@dataclass(frozen=True)
+class PolynomialProfile(Profile):
+    """The polynomial of degree 2k+1 with k vanishing derivatives at both ends.
+
+    With T = elapsed/duration and R = 1 - T it is the regularised incomplete beta function I_T(k+1, k+1):
+
+        s  = T^(k+1) sum_i binom(k+i, i) R^i        (all terms positive)
+        s' = c (T R)^k,   c = (2k+1)!/(k!)^2
+
+    and with w = T R, v = R - T the higher derivatives are s^(j+1) = c w^(k-j) G_j(v), where
+    G_0 = 1, G_(j+1) = (k-j) v G_j - (1 - v^2)/2 G_j'.
+
+    Attributes
+    ----------
+    degree : int
+        2k+1, odd and at least 1.
+
+    Raises
+    ------
+    InvalidReference
+        If the degree is even or less than 1.
+    """
+
+    degree: int
+
+    def __post_init__(self) -> None:
+        if self.degree < 1 or self.degree % 2 == 0:
+            raise InvalidReference(
+                f"a rest-to-rest polynomial has an odd degree of 1 or more, not {self.degree}"
+            )
+
+    @property
+    def smoothness(self) -> int:
+        """The k of degree 2k+1."""
+        return (self.degree - 1) // 2
+
+    @property
+    def coefficients(self) -> tuple[int, ...]:
+        """Integer coefficients of T^0 ... T^degree, for formulas and for code generation.
+
+        Do not sum them near T = 1: see the head of this module.
+        """
+        k = self.smoothness
+        scale = factorial(2 * k + 1) // factorial(k) ** 2
+        tail = [Fraction((-1) ** i * scale * comb(k, i), k + 1 + i) for i in range(k + 1)]
+        return (0,) * (k + 1) + tuple(int(value) for value in tail)
+
+    def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
+        """Evaluate as `Profile.jet` says."""
+        k = self.smoothness
+        T, R = elapsed / duration, remaining / duration
+        w, v = T * R, R - T
+        s = np.empty((T.size, order + 1))
+        s[:, 0] = _smoothstep(T, R, k)
+        for m in range(1, order + 1):
+            power = max(k + 1 - m, 0)
+            s[:, m] = w**power * _horner(_slope_factor(k, m), v) / duration**m
+        return s
+
+
+@dataclass(frozen=True)
+class ThreePhaseProfile(Profile):
+    """Accelerate for `ramp` seconds, cruise, decelerate for `ramp` seconds (theory.md, section 3).
+
+    With x = t/ramp the speed in the first phase is that of the degree-7 polynomial S_7(x):
+
+        s' = S_7(x)/(duration - ramp),
+        s  = ramp x^5 (7 - 14 x + 10 x^2 - 5/2 x^3)/(duration - ramp)
+           = ramp x^5 (1 + 3 y + 5 y^2 + 5 y^3)/(2 (duration - ramp)),   y = 1 - x,
+
+    then s = (t - ramp/2)/(duration - ramp), then the first phase mirrored. Hence C^4.
+
+    Attributes
+    ----------
+    ramp : float or None
+        Length of the first and of the last phase in s; None means a quarter of the duration.
+
+    Raises
+    ------
+    InvalidReference
+        If the ramp is not a positive number.
+    """
+
+    ramp: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.ramp is not None and not (isfinite(self.ramp) and self.ramp > 0.0):
+            raise InvalidReference(
+                f"the ramp of a three-phase profile must be a positive time, not {self.ramp} s"
+            )
+
+    @property
+    def smoothness(self) -> int:
+        """Four: s' has the three vanishing derivatives of the degree-7 polynomial."""
+        return 4
+
+    @property
+    def shortest_duration(self) -> float:
+        """Two ramps, in s."""
+        return 0.0 if self.ramp is None else 2.0 * self.ramp
+
+    def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
+        """Evaluate as `Profile.jet` says."""
+        ramp = DEFAULT_RAMP * duration if self.ramp is None else self.ramp
+        cruise_time = duration - ramp
+        near = np.minimum(elapsed, remaining)
+        ramping = (elapsed < ramp) | (remaining <= ramp)
+        s = np.zeros((near.size, order + 1))
+        s[:, 0] = (near - ramp / 2.0) / cruise_time
+        s[:, 1:2] = 1.0 / cruise_time
+
+        on, off = near[ramping], ramp - near[ramping]
+        x, y = on / ramp, off / ramp
+        s[ramping, 0] = ramp * x**5 * (1.0 + y * (3.0 + y * (5.0 + y * 5.0))) / (2.0 * cruise_time)
+        if order:
+            s[ramping, 1:] = DEGREE7.jet(on, off, ramp, order - 1) / cruise_time
+
+        second_half = elapsed > remaining  # s(t) = 1 - s(duration - t)
+        s[second_half] *= (-1.0) ** np.arange(1, order + 2)
+        s[second_half, 0] += 1.0
+        return s
+
+
+def three_phase(ramp: float | None = None) -> ThreePhaseProfile:
+    """Accelerate, cruise, decelerate.
+
+    Parameters
+    ----------
+    ramp : float, optional
+        Time to accelerate and time to decelerate in s, 0 < ramp <= duration/2; a quarter of the duration if
+        not given.
+
+    Returns
+    -------
+    ThreePhaseProfile
+        To be handed to `rest_to_rest`.
+
+    Raises
+    ------
+    InvalidReference
+        If the ramp is not a positive number.
+    """
+    return ThreePhaseProfile("three-phase", ramp)
+
+
+def polynomial(degree: int) -> PolynomialProfile:
+    """Rest-to-rest polynomial of an odd degree 2k+1, C^k.
+
+    Parameters
+    ----------
+    degree : int
+        Odd, at least 1.
+
+    Returns
+    -------
+    PolynomialProfile
+        To be handed to `rest_to_rest`.
+
+    Raises
+    ------
+    InvalidReference
+        If the degree is even or less than 1.
+    """
+    return PolynomialProfile(f"degree-{degree}", degree)
+
+
+def _smoothstep(T: FloatArray, R: FloatArray, k: int) -> FloatArray:
+    """I_T(k+1, k+1) for T + R = 1, about the nearer end."""
+    small, large = np.minimum(T, R), np.maximum(T, R)
+    weights = tuple(float(comb(k + i, i)) for i in range(k + 1))
+    near: FloatArray = small ** (k + 1) * _horner(weights, large)
+    return np.where(T <= R, near, 1.0 - near)
+
+
+@cache
+def _slope_factor(k: int, m: int) -> tuple[float, ...]:
+    """Coefficients in v of c G_(m-1), or of the derivatives of c G_k by T once the power of w is used up."""
+    factor = [Fraction(factorial(2 * k + 1), factorial(k) ** 2)]
+    for j in range(min(m - 1, k)):
+        slope = _slope(factor)
+        following = [Fraction(0), *((k - j) * value for value in factor)]
+        for i, value in enumerate(slope):
+            following[i] -= value / 2
+            following[i + 2] += value / 2
+        factor = following
+    for _ in range(max(m - 1 - k, 0)):
+        factor = [-2 * value for value in _slope(factor)]
+    return tuple(float(value) for value in factor)
+
+
+def _slope(coefficients: list[Fraction]) -> list[Fraction]:
+    """Coefficients of the derivative of a polynomial."""
+    return [i * value for i, value in enumerate(coefficients)][1:]
+
+
+def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
+    """Value of a polynomial, lowest coefficient first; the empty one is zero."""
+    value = np.zeros_like(x)
+    for coefficient in reversed(coefficients):
+        value = value * x + coefficient
+    return value
+
+
+DEGREE3 = polynomial(3)
+"""C^1: the inputs of a crane would need its fourth derivative. Kept to show why it fails."""
+DEGREE5 = polynomial(5)
+"""C^2; kept to show why it fails."""
+DEGREE7 = polynomial(7)
+"""C^3: the inputs of a crane jump at start and end. Kept to show why it fails."""
+DEGREE9 = polynomial(9)
+"""126 T^5 - 420 T^6 + 540 T^7 - 315 T^8 + 70 T^9, C^4: the default."""
+DEGREE13 = polynomial(13)
+"""1716 T^7 - 9009 T^8 + 20020 T^9 - 24024 T^10 + 16380 T^11 - 6006 T^12 + 924 T^13, C^6."""

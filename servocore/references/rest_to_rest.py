@@ -1,0 +1,103 @@
+"""The straight line from one point to another, eq. (32), starting and ending at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servocore.errors import InvalidReference
+from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points
+from servocore.references.profiles import DEGREE9, Profile
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestToRest(Reference):
+    """Eq. (32): gamma(t) = start + s(t) (end - start), evaluated about the nearer end.
+
+    Before `start_time` it rests at `start`, after `end_time` at `end`, all derivatives exactly zero. At the
+    two times themselves a derivative above `smoothness` has its value just after.
+
+    Attributes
+    ----------
+    start, end : tuple of float
+        End points in m.
+    profile : Profile
+        The time law s.
+    """
+
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    profile: Profile
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        duration = self.duration
+        elapsed = np.clip(t - self.start_time, 0.0, duration)
+        remaining = np.clip(self.end_time - t, 0.0, duration)
+        s = self.profile.jet(elapsed, remaining, duration, order)
+        s[(t < self.start_time) | (t >= self.end_time), 1:] = 0.0
+
+        first, last = np.array(self.start), np.array(self.end)
+        way = last - first
+        gamma: FloatArray = s[:, :, None] * way + 0.0  # + 0.0 turns -0.0 into 0.0
+        late = s[:, 0] > 0.5
+        gamma[~late, 0] += first
+        gamma[late, 0] = last - (1.0 - s[late, :1]) * way
+        return gamma
+
+
+def rest_to_rest(
+    start: Sequence[float],
+    end: Sequence[float],
+    duration: float,
+    profile: Profile = DEGREE9,
+    start_time: float = 0.0,
+) -> RestToRest:
+    """Straight line from `start` to `end`, at rest at both.
+
+    Parameters
+    ----------
+    start, end : sequence of float, shape (dimension,)
+        End points in m, any dimension.
+    duration : float
+        Time of the motion in s, positive.
+    profile : Profile
+        Time law; degree 9 suffices for a crane, whose inputs need four derivatives.
+    start_time : float
+        When the motion starts, in s.
+
+    Returns
+    -------
+    RestToRest
+        The path; its jets are exact at every order.
+
+    Raises
+    ------
+    InvalidReference
+        If the points are not finite or differ in dimension, the duration is not positive, or the profile
+        does not fit into it.
+    """
+    if len(start) != len(end):
+        raise InvalidReference(f"start has {len(start)} components and end has {len(end)}: they must agree")
+    first, last = points([start], "start point")[0], points([end], "end point")[0]
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    if duration < profile.shortest_duration:
+        raise InvalidReference(
+            f"a {profile.name} path with these settings takes at least {profile.shortest_duration} s, "
+            f"but its duration is {duration} s"
+        )
+    return RestToRest(
+        start_time=float(start_time),
+        end_time=float(start_time + duration),
+        dimension=first.size,
+        max_order=ANALYTIC_ORDER,
+        smoothness=profile.smoothness,
+        start=tuple(first.tolist()),
+        end=tuple(last.tolist()),
+        profile=profile,
+    )
