@@ -1,0 +1,211 @@
+"""Jets: a function of time together with its first derivatives, computed with as one number.
+
+Jet (truncated Taylor) arithmetic differentiates a formula exactly, to any order and without differences: the
+formula is written once, for the value, and run on jets. theory.md section 4 differentiates the crane's closed
+form this way. The recurrences are those of Griewank and Walther, *Evaluating Derivatives*, 2nd ed. (2008),
+section 13.2.
+
+>>> t = Jet.from_derivatives([3.0, 1.0, 0.0])  # the time itself, at t = 3
+>>> (1 / t).derivatives()  # 1/t, -1/t^2, 2/t^3
+array([ 0.33333333, -0.11111111,  0.07407407])
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Jet:
+    """Truncated Taylor series of a function of time, at one instant or at many.
+
+    The result of an operation on two jets has the lower of their orders. Numbers and arrays count as
+    constant in time. Where a function is not smooth (division by zero, root of zero, angle at the origin)
+    NumPy's floating-point rules hold: infinities, nan and a RuntimeWarning.
+
+    Attributes
+    ----------
+    coefficients : ndarray, shape (order+1, *shape)
+        Normalised Taylor coefficients f^(k)/k!.
+    """
+
+    coefficients: FloatArray
+
+    __array_ufunc__ = None  # so that `array * jet` is left to `Jet.__rmul__`
+
+    @classmethod
+    def from_derivatives(cls, derivatives: npt.ArrayLike) -> Jet:
+        """Jet of the plain derivatives f, f', ..., shape (order+1, *shape)."""
+        values = np.asarray(derivatives, dtype=np.float64)
+        return cls(values / _factorials(values))
+
+    @classmethod
+    def constant(cls, value: npt.ArrayLike, order: int) -> Jet:
+        """Jet of something that does not change in time, shape of `value`."""
+        first = np.asarray(value, dtype=np.float64)
+        return cls(np.concatenate([first[None], np.zeros((order, *first.shape))]))
+
+    @property
+    def order(self) -> int:
+        """Highest derivative known."""
+        return len(self.coefficients) - 1
+
+    @property
+    def value(self) -> FloatArray:
+        """The function itself, shape (*shape)."""
+        first: FloatArray = self.coefficients[0]
+        return first
+
+    def derivatives(self) -> FloatArray:
+        """Plain derivatives f, f', ..., f^(order), shape (order+1, *shape)."""
+        values: FloatArray = self.coefficients * _factorials(self.coefficients)
+        return values
+
+    def d(self) -> Jet:
+        """Differentiate by time; the order drops by one.
+
+        Raises
+        ------
+        ValueError
+            If the jet has order 0, whose derivative is unknown.
+        """
+        if self.order == 0:
+            raise ValueError("the derivative of a jet of order 0 is unknown: start with one order more")
+        return Jet(np.stack([k * self.coefficients[k] for k in range(1, self.order + 1)]))
+
+    def __neg__(self) -> Jet:
+        return Jet(-self.coefficients)
+
+    def __add__(self, other: Jet | npt.ArrayLike) -> Jet:
+        a, b = _pair(self, other)
+        return _series(min(a.order, b.order), lambda k, _: a.coefficients[k] + b.coefficients[k])
+
+    __radd__ = __add__
+
+    def __sub__(self, other: Jet | npt.ArrayLike) -> Jet:
+        a, b = _pair(self, other)
+        return _series(min(a.order, b.order), lambda k, _: a.coefficients[k] - b.coefficients[k])
+
+    def __rsub__(self, other: Jet | npt.ArrayLike) -> Jet:
+        return -self + other
+
+    def __mul__(self, other: Jet | npt.ArrayLike) -> Jet:
+        if not isinstance(other, Jet):
+            factor = np.asarray(other, dtype=np.float64)
+            return _series(self.order, lambda k, _: self.coefficients[k] * factor)
+        a, b = self.coefficients, other.coefficients
+        return _series(min(self.order, other.order), lambda k, _: _convolve(a, b, 0, k, k))
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, other: Jet | npt.ArrayLike) -> Jet:
+        if not isinstance(other, Jet):
+            divisor = np.asarray(other, dtype=np.float64)
+            return _series(self.order, lambda k, _: self.coefficients[k] / divisor)
+        a, b = self.coefficients, other.coefficients
+        return _series(
+            min(self.order, other.order), lambda k, c: (a[k] - _convolve(c, b, 0, k - 1, k)) / b[0]
+        )
+
+    def __rtruediv__(self, other: npt.ArrayLike) -> Jet:
+        return Jet.constant(other, self.order) / self
+
+    def __pow__(self, exponent: int) -> Jet:
+        """Integer power of at least 1, by repeated products."""
+        if not (isinstance(exponent, int) and exponent >= 1):
+            raise ValueError(f"a jet can be raised to whole powers of 1 or more, not {exponent!r}")
+        power = self
+        for _ in range(exponent - 1):
+            power = power * self
+        return power
+
+
+def components(derivatives: npt.ArrayLike) -> tuple[Jet, ...]:
+    """Split what `Reference.jet` returned into one jet a component.
+
+    Parameters
+    ----------
+    derivatives : array_like, shape (..., order+1, dimension)
+        Plain derivatives.
+
+    Returns
+    -------
+    tuple of Jet, length dimension
+        Each with coefficients of shape (order+1, ...).
+    """
+    values = np.asarray(derivatives, dtype=np.float64)
+    return tuple(Jet.from_derivatives(np.moveaxis(values[..., i], -1, 0)) for i in range(values.shape[-1]))
+
+
+def sqrt(x: Jet) -> Jet:
+    """Positive square root c: from c^2 = x follows 2 c_0 c_k = x_k - sum_(0<i<k) c_i c_(k-i)."""
+    a = x.coefficients
+
+    def coefficient(k: int, c: Sequence[FloatArray]) -> FloatArray:
+        if k == 0:
+            return np.asarray(np.sqrt(a[0]))
+        return np.asarray((a[k] - _convolve(c, c, 1, k - 1, k)) / (2.0 * c[0]))
+
+    return _series(x.order, coefficient)
+
+
+def sin_cos(x: Jet) -> tuple[Jet, Jet]:
+    """Sine s, cosine c: s' = c x', c' = -s x' give k s_k = sum i x_i c_(k-i), k c_k = -sum i x_i s_(k-i)."""
+    slope = [k * a for k, a in enumerate(x.coefficients)]
+    s, c = [np.asarray(np.sin(x.value))], [np.asarray(np.cos(x.value))]
+    for k in range(1, x.order + 1):
+        s_k, c_k = _convolve(slope, c, 1, k, k) / k, -_convolve(slope, s, 1, k, k) / k
+        s.append(s_k)
+        c.append(c_k)
+    return Jet(np.stack(s)), Jet(np.stack(c))
+
+
+def atan2(y: Jet, x: Jet) -> Jet:
+    """Angle of the point (x, y) in (-pi, pi] rad: angle' = (x y' - y x')/(x^2 + y^2).
+
+    The value jumps by 2 pi across the negative x axis from one instant to another; derivatives do not.
+    """
+    angle = np.arctan2(y.value, x.value)
+    order = min(x.order, y.order)
+    if order == 0:
+        return Jet(angle[None])
+    rate = (x * y.d() - y * x.d()) / (x * x + y * y)
+    return _series(order, lambda k, _: angle if k == 0 else np.asarray(rate.coefficients[k - 1] / k))
+
+
+def _pair(a: Jet, b: Jet | npt.ArrayLike) -> tuple[Jet, Jet]:
+    return a, b if isinstance(b, Jet) else Jet.constant(b, a.order)
+
+
+def _series(order: int, coefficient: Callable[[int, Sequence[FloatArray]], FloatArray]) -> Jet:
+    """Build a jet coefficient by coefficient, each from its number and the ones before it."""
+    found: list[FloatArray] = []
+    for k in range(order + 1):
+        found.append(coefficient(k, found))
+    return Jet(np.stack(found))
+
+
+def _convolve(
+    a: Sequence[FloatArray] | FloatArray, b: Sequence[FloatArray] | FloatArray, first: int, last: int, k: int
+) -> FloatArray:
+    """Sum of a_i b_(k-i) for i = first ... last; zero if there is no such i."""
+    total = np.zeros(())
+    for i in range(first, last + 1):
+        total = total + a[i] * b[k - i]
+    return total
+
+
+def _factorials(values: FloatArray) -> FloatArray:
+    """0!, 1!, ... along the first axis, ready to broadcast against `values`."""
+    row = np.array([float(factorial(k)) for k in range(len(values))])
+    return row.reshape(-1, *(1,) * (values.ndim - 1))
