@@ -1,0 +1,34 @@
+"""Servo constraint problems: the inputs that make a mechanical system's output follow a path.
+
+>>> import servocore as sc
+>>> solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
+>>> solution["M_b"], solution.unit("M_b")
+"""
+
+from servocore import scenes
+from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    ServocoreError,
+)
+from servocore.formulations import Formulation, Original, Projected
+from servocore.methods import BackwardEuler, Method
+from servocore.program import Program, StepReport
+from servocore.references import (
+    DEGREE9,
+    DEGREE13,
+    Reference,
+    rest_to_rest,
+    three_phase,
+)
+from servocore.scene import Limit, Scene
+from servocore.solution import Solution, Statistics
+from servocore.solve import solve
+from servocore.stepper import Stepper
+from servocore.symbols import Coordinates, Parameter, Parameters, Quantity
+from servocore.system import MechanicalSystem, generalise
+
+__version__ = "0.1.0"

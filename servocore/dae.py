@@ -1,0 +1,110 @@
+"""`Dae`: the waist of the library, equation (20). Formulations make one, methods step one.
+
+    H(x) x_dot = f(x, z, t),    0 = h(x, z, t)
+
+Time enters through the reference gamma(t) and its derivatives only, so they stand in the place of t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from servocore.errors import InvalidModel
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """What a formulation says of one of its unknowns.
+
+    Parameters
+    ----------
+    variable : str
+        The mechanical variable it belongs to: ``q.s``, ``lam.3``, ``u.F``.
+    order : int
+        Which time derivative of the variable it is: 0, or 1 for a velocity.
+    nominal : float
+        Typical magnitude in SI units.
+    """
+
+    variable: str
+    order: int = 0
+    nominal: float = 1.0
+
+    @property
+    def level(self) -> int:
+        """0 for positions, 1 for velocities, 2 for accelerations, multipliers and inputs, and so on.
+
+        An error e of the positions shows as e/h^level, so unknowns are scaled by h^-level.
+        """
+        return self.order + (0 if self.variable.startswith("q.") else 2)
+
+    @property
+    def name(self) -> str:
+        """The variable with a prime for every derivative."""
+        return self.variable + "'" * self.order
+
+
+@dataclass(frozen=True)
+class Equation:
+    """What a formulation says of one of its equations: a name for messages, and a level as for unknowns."""
+
+    name: str
+    level: int
+
+
+@dataclass(frozen=True, eq=False)
+class Dae:
+    """A differential-algebraic equation in the form (20).
+
+    Parameters
+    ----------
+    name : str
+        Formulation and system, for messages.
+    x, z : casadi.SX
+        Differential and algebraic unknowns.
+    H : casadi.SX
+        Shape (rows of f, len x).
+    f, h : casadi.SX
+        Right-hand sides; together as many rows as unknowns.
+    gamma : casadi.SX
+        Symbols of the reference, shape (m, orders); `reference_order` says how many are used.
+    p : casadi.SX
+        Parameters.
+    unknowns, equations : tuples
+        Descriptions of [x; z] and of the rows of [f; h].
+    physical : dict of str to casadi.SX
+        The mechanical variables ``q``, ``v``, ``lam``, ``u`` as expressions of x, z, gamma and p.
+    index : int
+        Differentiation index that the form has for the systems it is meant for.
+    """
+
+    name: str
+    x: ca.SX
+    z: ca.SX
+    H: ca.SX
+    f: ca.SX
+    h: ca.SX
+    gamma: ca.SX
+    p: ca.SX
+    unknowns: tuple[Unknown, ...]
+    equations: tuple[Equation, ...]
+    physical: dict[str, ca.SX]
+    index: int
+
+    def __post_init__(self) -> None:
+        unknowns, rows = self.x.numel() + self.z.numel(), self.f.numel() + self.h.numel()
+        if unknowns != rows:
+            raise InvalidModel(f"{self.name}: {rows} equations for {unknowns} unknowns")
+        if self.H.shape != (self.f.numel(), self.x.numel()):
+            raise InvalidModel(f"{self.name}: H has shape {self.H.shape}")
+        if len(self.unknowns) != unknowns or len(self.equations) != rows:
+            raise InvalidModel(f"{self.name}: unknowns and equations are not all described")
+
+    @property
+    def reference_order(self) -> int:
+        """Highest derivative of the reference that enters."""
+        used = ca.Function("used", [self.gamma, self.x, self.z, self.p], [ca.vertcat(self.f, self.h)])
+        columns = used.jac_sparsity(0, 0).get_col()
+        return max((column // self.gamma.size1() for column in columns), default=0)

@@ -1,0 +1,146 @@
+"""The derivative array of a servo constraint problem as one square system: exact inversion at an instant.
+
+With the offsets c, d of `servocore.structure`, the equations f_i, ..., f_i^(c_i) in the unknowns y_j, ..., y_j^(d_j) are
+a square system when no internal dynamics remain. Its data are the reference and its derivatives at that instant.
+It gives consistent initial values to every formulation, and is itself the `Reduced` one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.newton import SquareSystem, compile_solver
+from servocore.structure import SecondOrderEquations, Signature, second_order_equations, signature
+from servocore.system import MechanicalSystem
+
+_REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
+
+
+@dataclass(frozen=True, eq=False)
+class DerivativeArray:
+    """Equations and unknowns of the derivative array.
+
+    Attributes
+    ----------
+    y : casadi.SX
+        Symbols of the variables (q, lam, u) and their derivatives, shape (N, max d + 1).
+    unknowns : tuple of (int, int)
+        Variable and order of every unknown.
+    rows : tuple of (int, int)
+        Equation and order of every row.
+    residual : casadi.SX
+        As many rows as `rows`.
+    """
+
+    equations: SecondOrderEquations
+    signature: Signature
+    y: ca.SX
+    unknowns: tuple[tuple[int, int], ...]
+    rows: tuple[tuple[int, int], ...]
+    residual: ca.SX
+
+    @property
+    def symbols(self) -> ca.SX:
+        """The unknowns as a column."""
+        return ca.vertcat(*[self.y[j, order] for j, order in self.unknowns])
+
+    @property
+    def reference_order(self) -> int:
+        """Highest derivative of the reference that enters."""
+        n, m = len(self.equations.system.coordinates), len(self.equations.system.inputs)
+        return max(order for row, order in self.rows if n <= row < n + m)
+
+    def position(self, variable: str, order: int) -> int:
+        """Place of a derivative of a named variable among the unknowns."""
+        return self.unknowns.index((self.equations.names.index(variable), order))
+
+
+def derivative_array(system: MechanicalSystem) -> DerivativeArray:
+    """Differentiate the equations of `system` as often as their offsets ask, at least to give all velocities."""
+    equations = second_order_equations(system)
+    found = signature(equations)
+    n = len(system.coordinates)
+    # Offsets may be raised together; a velocity that no equation determines otherwise then comes with them.
+    extra = max(0, 1 - min(found.variable_offsets[:n], default=1))
+    c = [offset + extra for offset in found.equation_offsets]
+    d = [offset + extra for offset in found.variable_offsets]
+    y = ca.SX.sym("y", len(d), max(d) + 1)
+    for j, name in enumerate(equations.names):
+        for order in range(max(d) + 1):
+            y[j, order] = ca.SX.sym(name + "'" * order)
+    current = ca.substitute(equations.residual, equations.y, y[:, :3]) if max(d) >= 2 else equations.residual
+    rows: list[tuple[int, int]] = []
+    residual: list[ca.SX] = []
+    gamma = system.gamma
+    active = list(range(len(c)))
+    for order in range(max(c) + 1):
+        keep = [k for k, i in enumerate(active) if c[i] >= order]
+        active, current = [active[k] for k in keep], current[keep]
+        rows += [(i, order) for i in active]
+        residual.append(current)
+        current = ca.jtimes(current, ca.vec(y[:, :-1]), ca.vec(y[:, 1:])) + ca.jtimes(
+            current, ca.vec(gamma[:, :-1]), ca.vec(gamma[:, 1:])
+        )
+    return DerivativeArray(
+        equations=equations,
+        signature=found,
+        y=y,
+        unknowns=tuple((j, order) for j in range(len(d)) for order in range(d[j] + 1)),
+        rows=tuple(rows),
+        residual=ca.vertcat(*residual),
+    )
+
+
+def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.Function:
+    """Compile (gamma, p) -> (unknowns of the array, counts, residual), by Newton from the system's guess.
+
+    gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
+    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
+    """
+    system = array.equations.system
+    orders = array.reference_order + 1
+    guess_symbols = ca.SX.sym("guess", len(array.unknowns))
+    reference = system.gamma[:, :orders]
+    scale = np.array([_nominal(system, j) for j, _ in array.unknowns])
+    solver = compile_solver(
+        name + "_newton",
+        SquareSystem(
+            unknowns=array.symbols,
+            givens=ca.vertcat(ca.vec(reference), system.p, guess_symbols),
+            residual=array.residual,
+            guess=guess_symbols,
+            unknown_scale=ca.SX(scale),
+            residual_scale=ca.SX.ones(len(array.rows)),
+        ),
+        [array.symbols],
+    )
+    gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
+    guess = _first_guess(array)(gamma, p)
+    found, counts, residual = solver(ca.vertcat(ca.vec(gamma), p, guess))
+    return ca.Function(name, [gamma, p], [found, counts, residual], ["gamma", "p"], ["y", "counts", "residual"])
+
+
+def _nominal(system: MechanicalSystem, variable: int) -> float:
+    n, m_h = len(system.coordinates), system.lam.numel()
+    if variable < n:
+        return system.coordinates.nominal[variable]
+    return 1.0 if variable < n + m_h else system.inputs[variable - n - m_h].nominal
+
+
+def _first_guess(array: DerivativeArray) -> ca.Function:
+    """Return (gamma, p) -> guess of the unknowns: configuration at rest, with the forces that hold it."""
+    system = array.equations.system
+    n, orders = len(system.coordinates), array.reference_order + 1
+    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), orders), ca.MX.sym("p", system.p.numel())
+    configuration = ca.Function("sc_guess", [system.gamma[:, :orders], system.p], [system.guess])(gamma, p)
+    at_rest = [ca.substitute(each, system.v, ca.SX.zeros(n)) for each in (
+        ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
+    matrix, load = ca.Function("sc_statics", [system.q, system.p], at_rest)(configuration, p)
+    normal = ca.mtimes(matrix.T, matrix) + _REGULARISATION * ca.DM.eye(matrix.size2())
+    forces = ca.solve(normal, ca.mtimes(matrix.T, load), "qr")
+    values = ca.vertcat(configuration, forces)
+    entries = [values[j] if order == 0 else ca.MX(0) for j, order in array.unknowns]
+    return ca.Function("sc_first_guess", [gamma, p], [ca.vertcat(*entries)])

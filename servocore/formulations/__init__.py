@@ -1,0 +1,7 @@
+"""Formulations turn a `MechanicalSystem` into a `Dae`: one file each."""
+
+from servocore.formulations.base import Formulation
+from servocore.formulations.original import Original
+from servocore.formulations.projected import Projected
+
+__all__ = ["Formulation", "Original", "Projected"]

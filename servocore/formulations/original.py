@@ -1,0 +1,48 @@
+"""The equations of motion as they stand, equation (1), or (10) on generalised coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from servocore.dae import Dae, Equation
+from servocore.formulations.base import mechanical_unknowns, physical_variables
+from servocore.system import MechanicalSystem
+
+
+@dataclass(frozen=True)
+class Original:
+    """Equation (1): index 5 for the crane, 2 n + 1 for n cars.
+
+    A backward Euler step divides position errors by h^4 to get the inputs, so small steps destroy them. The form
+    is kept to show that, and for systems of lower index.
+    """
+
+    name: str = "original"
+
+    def dae(self, system: MechanicalSystem) -> Dae:
+        """Return q_dot = v, M v_dot = -(bias + G^T lam + B^T u), 0 = g, 0 = c."""
+        x, z, unknowns = mechanical_unknowns(system)
+        n = len(system.coordinates)
+        momentum = -(system.bias + system.constraint_forces)
+        names = system.coordinates.names
+        return Dae(
+            name=f"{system.name}, original",
+            x=x,
+            z=z,
+            H=ca.diagcat(ca.SX.eye(n), system.mass),
+            f=ca.vertcat(system.v, momentum),
+            h=ca.vertcat(system.output - system.gamma[:, 0], system.constraints),
+            gamma=system.gamma,
+            p=system.p,
+            unknowns=unknowns,
+            equations=(
+                *(Equation(f"velocity of {name}", 1) for name in names),
+                *(Equation(f"momentum of {name}", 2) for name in names),
+                *(Equation(f"servo constraint on {each.name}", 0) for each in system.outputs),
+                *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
+            ),
+            physical=physical_variables(system),
+            index=5,
+        )

@@ -1,0 +1,291 @@
+"""Square systems of equations as compiled functions: ordered into blocks, each solved as simply as it allows.
+
+`compile_solver` permutes a system to block triangular form (`casadi.Sparsity.btf`). A block that is linear in one
+or two unknowns becomes an explicit expression; every other block is torn (unknowns that a row gives explicitly are
+substituted) and what remains goes to CasADi's ``fast_newton`` with its sparse QR factorisation. The servo
+constraint problems of this library fall apart well: one backward Euler step of the nine-coordinate crane, 25
+unknowns, needs Newton's method on two blocks of three.
+
+``fast_newton`` says nothing of how it ended, and takes NaN for convergence. So each block carries a *clock*, an
+unknown of its own whose Newton correction is exactly one tick: -r/r' = tick for r = exp(-clock/tick). It counts the
+iterations inside compiled loops, and `Convergence` is judged from the count and from the residual of the whole
+system at the solution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+
+STEP_TOLERANCE = 1e-9
+"""Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
+
+MAX_ITERATIONS = 30
+"""A block that needs as many Newton iterations has failed."""
+
+_TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
+_TEARING_FILL = 4  # a substitution may couple at most this many further pairs (Markowitz' count)
+
+
+@dataclass(frozen=True, eq=False)
+class SquareSystem:
+    """Equations residual(unknowns, givens) = 0, as many as unknowns.
+
+    Parameters
+    ----------
+    unknowns, givens : casadi.SX
+        Column vectors of symbols.
+    residual : casadi.SX
+        Column vector as long as `unknowns`.
+    guess : casadi.SX
+        Where Newton starts, an expression of `givens`.
+    unknown_scale, residual_scale : casadi.SX
+        Magnitudes by which unknowns and residuals are divided, expressions of `givens`.
+    """
+
+    unknowns: ca.SX
+    givens: ca.SX
+    residual: ca.SX
+    guess: ca.SX
+    unknown_scale: ca.SX
+    residual_scale: ca.SX
+
+    def __post_init__(self) -> None:
+        size = self.unknowns.numel()
+        for attribute in ("residual", "guess", "unknown_scale", "residual_scale"):
+            found = getattr(self, attribute).numel()
+            if found != size:
+                raise InvalidModel(f"{size} unknowns, but {attribute} has {found} rows")
+
+
+@dataclass(eq=False)
+class _Assembly:
+    """What is known while the blocks are worked through: symbols with their values in the compiled graph."""
+
+    system: SquareSystem
+    symbols: ca.SX
+    values: ca.MX
+    explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)  # not yet evaluated
+    iterations: list[ca.MX] = field(default_factory=list)
+    linear_blocks: int = 0
+
+    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
+        """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
+        if not self.explicit:
+            return list(expressions)
+        symbols, values = zip(*self.explicit, strict=True)
+        found: list[ca.SX] = ca.substitute(list(expressions), [ca.vertcat(*symbols)], [ca.vertcat(*values)])
+        return found
+
+    def flush(self) -> None:
+        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
+        if self.explicit:
+            symbols, values = (ca.vertcat(*column) for column in zip(*self.explicit, strict=True))
+            evaluate = ca.Function("sc_explicit", [self.symbols], [values], {"cse": True})
+            self.learn(symbols, evaluate(self.values))
+            self.explicit = []
+
+    def learn(self, symbols: ca.SX, values: ca.MX) -> None:
+        self.symbols = ca.vertcat(self.symbols, symbols)
+        self.values = ca.vertcat(self.values, values)
+
+
+def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function:
+    """Compile `system` into a function that solves it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the function; prefixed names avoid clashes with the C library in generated code.
+    system : SquareSystem
+        The equations; must be structurally nonsingular.
+    outputs : list of casadi.SX
+        Expressions of unknowns and givens to return.
+
+    Returns
+    -------
+    casadi.Function
+        givens -> (\\*outputs, counts, residual), where counts holds the Newton iterations of the slowest block
+        and the factorisations of all blocks, and residual is the largest scaled residual. NaN says that it failed.
+
+    Raises
+    ------
+    InvalidModel
+        If the equations are structurally singular.
+    """
+    givens = ca.MX.sym("givens", system.givens.numel())
+    assembly = _Assembly(system, system.givens, givens)
+    for rows, columns in _blocks(system):
+        _solve_block(assembly, rows, columns)
+    worst = ca.norm_inf(system.residual / system.residual_scale) if system.unknowns.numel() else ca.SX(0)
+    finish = ca.Function(
+        "sc_finish", [assembly.symbols], assembly.resolved(*outputs, worst), {"cse": True}
+    )
+    results = finish(assembly.values)
+    *found, residual = results if isinstance(results, tuple | list) else (results,)
+    most = ca.MX(0)
+    total = ca.MX(assembly.linear_blocks)
+    for count in assembly.iterations:
+        most, total = ca.fmax(most, count), total + count
+    return ca.Function(name, [givens], [*found, ca.vertcat(most, total), residual])
+
+
+def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
+    """Rows and columns of the diagonal blocks, in the order in which they can be solved."""
+    if not system.unknowns.numel():
+        return []
+    pattern = ca.jacobian_sparsity(system.residual, system.unknowns)
+    if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
+        raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
+    count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
+    return [
+        (rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]])
+        for k in range(count)
+    ]
+
+
+def _solve_block(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
+    unknowns = assembly.system.unknowns[columns]
+    residual = assembly.system.residual[rows]
+    jacobian = ca.jacobian(residual, unknowns)
+    linear = not ca.depends_on(jacobian, unknowns)
+    if linear and len(rows) <= 2:
+        jacobian, constant = assembly.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(len(rows))))
+        solution = -_small_inverse_times(jacobian, constant)
+        assembly.explicit += [(unknowns[k], solution[k]) for k in range(len(rows))]
+        assembly.linear_blocks += 1
+        return
+    assembly.flush()
+    if linear:
+        _solve_linear(assembly, unknowns, residual, jacobian)
+    else:
+        _solve_nonlinear(assembly, rows, columns)
+
+
+def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """matrix^-1 right for one or two rows, by Cramer's rule."""
+    if matrix.size1() == 1:
+        return right / matrix
+    (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
+    determinant = a * d - b * c
+    return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / determinant
+
+
+def _solve_linear(assembly: _Assembly, unknowns: ca.SX, residual: ca.SX, jacobian: ca.SX) -> None:
+    constant = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
+    evaluate = ca.Function("sc_linear", [assembly.symbols], [jacobian, -constant], {"cse": True})
+    matrix, right = evaluate(assembly.values)
+    assembly.learn(unknowns, ca.solve(matrix, right, "qr"))
+    assembly.linear_blocks += 1
+
+
+def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
+    system = assembly.system
+    core, kept_rows, torn = _tear(system, rows, columns)
+    unknowns, residual = system.unknowns[core], system.residual[kept_rows]
+    for symbol, expression in torn:
+        residual = ca.substitute(residual, symbol, expression)
+    guess, scale, row_scale = system.guess[core], system.unknown_scale[core], system.residual_scale[kept_rows]
+    prepare = ca.Function("sc_prepare", [system.givens], [guess / scale, scale, row_scale], {"cse": True})
+    start, scale_value, row_scale_value = prepare(assembly.values[: system.givens.numel()])
+
+    size = len(core)
+    scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
+    scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
+    equations = ca.substitute(residual, unknowns, scaled * scale_symbol) / row_scale_symbol
+    find_root = ca.rootfinder(
+        "sc_newton",
+        "fast_newton",
+        {
+            "x": ca.vertcat(scaled, clock),
+            "p": ca.vertcat(assembly.symbols, scale_symbol, row_scale_symbol),
+            "g": ca.vertcat(equations, ca.exp(-clock / _TICK)),
+        },
+        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False,
+         "common_options": {"cse": True}},
+    )  # fmt: skip
+    root = find_root(ca.vertcat(start, 0), ca.vertcat(assembly.values, scale_value, row_scale_value))
+    ticks = root[size] / _TICK
+    assembly.iterations.append(ticks)
+    # A count at the limit is a failure: let it spread instead of the last iterate.
+    verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
+    assembly.learn(unknowns, root[:size] * scale_value * verdict)
+    for symbol, expression in torn:
+        assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+
+
+def _tear(
+    system: SquareSystem, rows: list[int], columns: list[int]
+) -> tuple[list[int], list[int], list[tuple[ca.SX, ca.SX]]]:
+    """Take unknowns out of a block that one of its rows gives explicitly with a constant coefficient.
+
+    Returns the remaining columns and rows of the system, and the substitutions in an order in which each
+    holds unknowns that remain or come later in the list; they are returned already resolved among themselves.
+    """
+    unknowns, residual = system.unknowns[columns], system.residual[rows]
+    jacobian = ca.jacobian(residual, unknowns)
+    pattern = _dependence(jacobian)
+    constant = {
+        (i, j): float(jacobian[i, j])
+        for i, j in zip(*np.nonzero(pattern), strict=True)
+        if ca.SX(jacobian[i, j]).is_constant()
+    }
+    active_rows, active_columns = set(range(len(rows))), set(range(len(columns)))
+    pivots: list[tuple[int, int]] = []
+    while len(active_rows) > 1:
+        best = _cheapest_pivot(pattern, constant, active_rows, active_columns)
+        if best is None:
+            break
+        i, j = best
+        touched = [k for k in active_rows if pattern[k, j] and k != i]
+        for k in touched:
+            pattern[k] |= pattern[i]
+            constant = {key: value for key, value in constant.items() if key[0] != k or not pattern[i, key[1]]}
+        active_rows.remove(i)
+        active_columns.remove(j)
+        pivots.append(best)
+    torn: list[tuple[ca.SX, ca.SX]] = []
+    for i, j in pivots:
+        row = residual[i]
+        for symbol, expression in torn:
+            row = ca.substitute(row, symbol, expression)
+        unknown = unknowns[j]
+        coefficient = ca.jacobian(row, unknown)
+        value = -ca.substitute(row, unknown, ca.SX(0)) / coefficient
+        torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]
+        torn.append((unknown, value))
+    core = [columns[j] for j in sorted(active_columns)]
+    kept = [rows[i] for i in sorted(active_rows)]
+    return core, kept, torn
+
+
+def _dependence(jacobian: ca.SX) -> np.ndarray:
+    pattern = np.zeros(jacobian.shape, dtype=bool)
+    pattern[tuple(np.array(jacobian.sparsity().get_triplet()))] = True
+    return pattern
+
+
+def _cheapest_pivot(
+    pattern: np.ndarray,
+    constant: dict[tuple[int, int], float],
+    active_rows: set[int],
+    active_columns: set[int],
+) -> tuple[int, int] | None:
+    """Return the constant entry whose elimination couples least, if that is little enough."""
+    rows, columns = sorted(active_rows), sorted(active_columns)
+    active = pattern[np.ix_(rows, columns)]
+    per_row = dict(zip(rows, active.sum(axis=1), strict=True))
+    per_column = dict(zip(columns, active.sum(axis=0), strict=True))
+    candidates = [
+        (int((per_row[i] - 1) * (per_column[j] - 1)), i, j)
+        for i, j in constant
+        if i in active_rows and j in active_columns
+    ]
+    if not candidates:
+        return None
+    fill, i, j = min(candidates)
+    return (i, j) if fill <= _TEARING_FILL else None

@@ -1,0 +1,180 @@
+"""`Program`: a servo constraint problem compiled to a few functions of plain vectors, ready to run anywhere.
+
+This module needs NumPy and CasADi only: an FMU carries it with the saved functions and nothing of the modelling
+side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialise.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidReference, ServocoreError
+
+Array = npt.NDArray[np.float64]
+
+_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual")
+_FORMAT = "servocore program 1"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Name and unit of one observed value; `wraps` marks an angle known up to full turns."""
+
+    name: str
+    unit: str
+    description: str = ""
+    wraps: bool = False
+
+
+@dataclass(frozen=True)
+class LimitText:
+    """What to say when a margin is not positive: the quantity, its unit and the reason."""
+
+    quantity: str
+    unit: str
+    reason: str
+    bound: float
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """How a step or a start went.
+
+    Attributes
+    ----------
+    converged : bool
+        False if Newton's method failed; the state is then NaN.
+    newton_iterations, factorisations : int
+        Iterations of the slowest block; factorisations of all blocks.
+    residual : float
+        Largest residual of all equations at the solution, scaled by the step size to the level of accelerations.
+    """
+
+    converged: bool
+    newton_iterations: int
+    factorisations: int
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Compiled functions of one problem: model, formulation and method together.
+
+    Attributes
+    ----------
+    name : str
+        Model, formulation and method, for messages.
+    start : casadi.Function
+        (gamma (m, `start_order` + 1), p) -> (state, counts (2,), residual).
+    step : casadi.Function
+        (state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual).
+    observe : casadi.Function
+        (state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): the latter |c|, |c'|, |g|, |g'|.
+    margins : casadi.Function
+        (gamma (m, `start_order` + 1), p) -> how far each limit of the scene is, positive where it is kept.
+    guess_residual : casadi.Function
+        Like `step`, to the residual of every equation at the first guess, for messages.
+    """
+
+    name: str
+    start: ca.Function
+    step: ca.Function
+    observe: ca.Function
+    margins: ca.Function
+    guess_residual: ca.Function
+    order: int
+    start_order: int
+    nodes: tuple[float, ...]
+    channels: tuple[Channel, ...]
+    parameters: tuple[str, ...]
+    equations: tuple[str, ...]
+    limits: tuple[LimitText, ...]
+
+    @property
+    def state_size(self) -> int:
+        """Length of the state vector."""
+        return int(self.step.size1_in(0))
+
+    def begin(self, gamma: Array, p: Array) -> tuple[Array, StepReport]:
+        """Return consistent initial values for a reference jet, shape (orders, m), as a state."""
+        state, counts, residual = self.start(gamma[: self.start_order + 1].T, p)
+        return _outcome(state, counts, residual)
+
+    def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
+        """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
+        jets = [jet[: self.order + 1].T for jet in gamma]
+        return _outcome(*self.step(state, np.hstack(jets), h, p))
+
+    def values(self, state: Array, gamma: Array, p: Array) -> Array:
+        """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""
+        values, _ = self.observe(state, gamma[: self.start_order + 1].T, p)
+        return np.asarray(values).ravel()
+
+    def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
+        """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene."""
+        margins = np.asarray(self.margins(gamma[: self.start_order + 1].T, p)).ravel()
+        require_margins(self.limits, margins, time)
+
+    def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
+        """Name the equation that the first guess of a step violates most."""
+        jets = np.hstack([jet[: self.order + 1].T for jet in gamma])
+        residual = np.abs(np.asarray(self.guess_residual(state, jets, h, p))).ravel()
+        return self.equations[int(np.nan_to_num(residual, nan=np.inf).argmax())]
+
+    def to_json(self) -> str:
+        """Serialise, with the functions in CasADi's own format."""
+        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__}
+        for attribute in self.__dataclass_fields__:
+            value = getattr(self, attribute)
+            if attribute in _FUNCTIONS:
+                document[attribute] = value.serialize()
+            elif attribute in ("channels", "limits"):
+                document[attribute] = [asdict(each) for each in value]
+            else:
+                document[attribute] = value
+        return json.dumps(document)
+
+    @classmethod
+    def from_json(cls, text: str) -> Program:
+        """Undo `to_json`; raises `ServocoreError` if the text is not a program."""
+        try:
+            document = json.loads(text)
+            if document.pop("format") != _FORMAT:
+                raise ServocoreError("the saved program has another format")
+            saved_with = document.pop("casadi")
+            for attribute in _FUNCTIONS:
+                document[attribute] = ca.Function.deserialize(document[attribute])
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise ServocoreError(f"the saved program cannot be read: {error}") from error
+        del saved_with
+        document["channels"] = tuple(Channel(**each) for each in document["channels"])
+        document["limits"] = tuple(LimitText(**each) for each in document["limits"])
+        for attribute in ("nodes", "parameters", "equations"):
+            document[attribute] = tuple(document[attribute])
+        return cls(**document)
+
+
+def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:
+    """Raise `InvalidReference` for the first margin that is not positive (NaN included)."""
+    for limit, margin in zip(limits, margins, strict=True):
+        if not margin > 0.0:
+            raise InvalidReference(
+                f"at t = {time:.6g} s {limit.reason}: {limit.quantity} is {margin + limit.bound:.4g} {limit.unit},"
+                f" it must stay above {limit.bound:g} {limit.unit}"
+            )
+
+
+def _outcome(state: ca.DM, counts: ca.DM, residual: ca.DM) -> tuple[Array, StepReport]:
+    vector = np.asarray(state).ravel()
+    most, total = np.asarray(counts).ravel()
+    worst = float(residual)
+    converged = bool(np.isfinite(vector).all() and np.isfinite(worst))
+    report = StepReport(converged, round(most), round(total), worst)
+    return vector, report

@@ -1,0 +1,223 @@
+"""The rotary crane of the paper, sections 3 and 5: a slewing bridge, a trolley on it, a winch, a load on a rope.
+
+          axis
+           |   bridge angle phi (M_b)
+           |=========[trolley]======      z = 0, trolley at distance s (F)
+           |             \\
+           |              \\  rope l, paid out by the winch (M_w)
+                           o load (x, y, z), z < 0
+
+The load's path is prescribed; five degrees of freedom, three inputs. The data below are a declared assumption: the
+paper's tables are not reproduced here.
+
+What the scene needs: the lumped parameters J_b, m_t, m, J_w, r_w, g of five degrees of freedom, model ``points``.
+``bodies`` (the paper's 42 redundant coordinates) and ``generalized`` (its five) read the same parameters and give the
+same inputs. Left out: friction, rope mass and elasticity, wind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from servocore import jets
+from servocore.references import rest_to_rest
+from servocore.scene import Limit, Scene
+from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+
+PARAMETERS = Parameters(
+    Parameter("bridge_inertia", 480.0, "kg.m2", 1e-3, 1e9, "J_b, of bridge, trolley and winch at s = 0"),
+    Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),
+    Parameter("load_mass", 100.0, "kg", 1e-3, 1e9, "m"),
+    Parameter("winch_inertia", 0.1, "kg.m2", 1e-6, 1e9, "J_w, about the winch's own axis"),
+    Parameter("winch_radius", 0.1, "m", 1e-3, 1e3, "r_w"),
+    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g"),
+)
+INPUTS = (
+    Quantity("M_b", "N.m", "slewing torque on the bridge, positive as phi"),
+    Quantity("F", "N", "force on the trolley along the bridge, positive as s"),
+    Quantity("M_w", "N.m", "winch torque, positive where it pays out rope"),
+)
+OUTPUTS = (
+    Quantity("x", "m", "load position"),
+    Quantity("y", "m", "load position"),
+    Quantity("z", "m", "load position, negative below the girder"),
+)
+PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
+TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis")
+ROPE = Quantity("l", "m", "rope length")
+TENSION = Quantity("tension", "N", "rope tension")
+SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
+
+HOME = (4.0, 0.0, -5.0)
+SMALLEST_RADIUS = 1e-3
+"""The trolley must stay farther from the slewing axis than this, in m: on the axis phi is undefined."""
+
+
+@cache
+def points() -> MechanicalSystem:
+    """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
+
+    q = (d, p, s, l, r): bridge direction d (mass J_b), trolley point p (mass m_t), trolley distance s (massless),
+    rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2.
+    """
+    names = ("d_x", "d_y", "p_x", "p_y", "s", "l", "x", "y", "z")
+    coordinates = Coordinates(*(Quantity(name, "1" if name.startswith("d") else "m") for name in names))
+    q, p = coordinates.q, PARAMETERS
+    direction, trolley, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
+    rope = load - ca.vertcat(trolley, 0)
+    lam = ca.SX.sym("lam", 4)
+    gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
+    radius = ca.norm_2(gamma[:2, 0])
+    masses = (
+        *[p["bridge_inertia"]] * 2,
+        *[p["trolley_mass"]] * 2,
+        0,
+        p["winch_inertia"] / p["winch_radius"] ** 2,
+        *[p["load_mass"]] * 3,
+    )
+    forces = ca.SX(9, 3)  # of unit inputs: -B^T
+    forces[0, 0], forces[1, 0] = -direction[1], direction[0]
+    forces[4, 1] = 1
+    forces[5, 2] = 1 / p["winch_radius"]
+    return MechanicalSystem(
+        name="rotary crane, points",
+        coordinates=coordinates,
+        parameters=PARAMETERS,
+        inputs=INPUTS,
+        outputs=OUTPUTS,
+        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        potential=p["load_mass"] * p["gravity"] * coordinates["z"],
+        constraints=ca.vertcat(
+            ca.sumsqr(direction) - 1, trolley - s * direction, ca.sumsqr(rope) - rope_length**2
+        ),
+        input_matrix=-forces.T,
+        output=load,
+        multipliers=lam,
+        gamma=gamma,
+        guess=ca.vertcat(gamma[:2, 0] / radius, gamma[:2, 0], radius, -gamma[2, 0], gamma[:, 0]),
+        home=HOME,
+        observables={
+            PHI: ca.atan2(direction[1], direction[0]),
+            TROLLEY: s,
+            ROPE: rope_length,
+            # The force on the load is -lam d|rope|^2/dr = -2 lam rope, towards the trolley when lam > 0.
+            TENSION: 2 * lam[3] * rope_length,
+            SWING: swing_angle(rope),
+        },
+    )
+
+
+def swing_angle(rope: ca.SX) -> ca.SX:
+    """Angle of a rope vector from the vertical that points down."""
+    return ca.atan2(ca.norm_2(rope[:2]), -rope[2])
+
+
+@cache
+def bodies() -> MechanicalSystem:
+    """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
+    from servocore.scenes import rotary_crane_bodies
+    return rotary_crane_bodies.bodies(PARAMETERS, INPUTS, OUTPUTS)
+
+
+@cache
+def generalized() -> MechanicalSystem:
+    """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
+
+    The swing angles turn with the bridge: alpha in its plane, beta out of it. Singular where beta = 90 degrees.
+    """
+    base = points()
+    coordinates = Coordinates(
+        PHI, TROLLEY, ROPE,
+        Quantity("swing_in", "rad", "swing in the bridge's plane, outwards"),
+        Quantity("swing_out", "rad", "swing out of the bridge's plane, towards larger phi"),
+    )  # fmt: skip
+    phi, s, rope_length, alpha, beta = ca.vertsplit(coordinates.q)
+    along = ca.vertcat(ca.cos(phi), ca.sin(phi))
+    across = ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    horizontal = ca.sin(alpha) * ca.cos(beta) * along + ca.sin(beta) * across
+    rope = rope_length * ca.vertcat(horizontal, -ca.cos(alpha) * ca.cos(beta))
+    load = rope + ca.vertcat(s * along, 0)
+    start, p = base.gamma, base.parameters
+    tension = p["load_mass"] * ca.norm_2(start[:, 2] + ca.vertcat(0, 0, p["gravity"]))
+    return generalise(
+        base,
+        coordinates,
+        ca.vertcat(along, s * along, s, rope_length, load),
+        guess=ca.vertcat(ca.atan2(start[1, 0], start[0, 0]), ca.norm_2(start[:2, 0]), -start[2, 0], 0, 0),
+        # Without multipliers the tension follows from the load's prescribed acceleration.
+        observables={TENSION: tension, SWING: swing_angle(rope)},
+        name="rotary crane, generalized",
+    )
+
+
+def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
+    """Exact inputs and motion for reference jets of order four or higher: the crane is flat in the load position.
+
+    Parameters
+    ----------
+    reference : ndarray, shape (N, orders, 3)
+        Load position and its derivatives.
+    parameters : mapping of str to float
+        All six parameters.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        M_b, F, M_w, phi, s, l, tension, swing, x, y, z.
+    """
+    J_b, m_t, m, J_w, r_w, g = (parameters[name] for name in PARAMETERS.names)
+    x, y, z = jets.components(reference)
+    k = -z / (g + z.d().d())
+    to_trolley = k * x.d().d(), k * y.d().d()
+    P_x, P_y = x + to_trolley[0], y + to_trolley[1]
+    s, phi = jets.sqrt(P_x**2 + P_y**2), jets.atan2(P_y, P_x)
+    rope = jets.sqrt(to_trolley[0] ** 2 + to_trolley[1] ** 2 + z**2)
+    per_length = m / k.value  # rope tension divided by rope length
+    cos, sin = P_x.value / s.value, P_y.value / s.value
+    # Rope force on the trolley, along and across the bridge.
+    pull = [-per_length * each.value for each in to_trolley]
+    pull_along, pull_across = cos * pull[0] + sin * pull[1], cos * pull[1] - sin * pull[0]
+    (s0, s1, s2), (phi0, phi1, phi2) = s.derivatives()[:3], phi.derivatives()[:3]
+    tension = per_length * rope.value
+    return {
+        "M_b": (J_b + m_t * s0**2) * phi2 + 2 * m_t * s0 * s1 * phi1 - s0 * pull_across,
+        "F": m_t * (s2 - s0 * phi1**2) - pull_along,
+        "M_w": J_w * rope.derivatives()[2] / r_w - r_w * tension,
+        "phi": np.unwrap(phi0),
+        "s": s0,
+        "l": rope.value,
+        "tension": tension,
+        "swing": np.arctan2(np.hypot(to_trolley[0].value, to_trolley[1].value), -z.value),
+        "x": x.value,
+        "y": y.value,
+        "z": z.value,
+    }
+
+
+def _trolley_radius(gamma: ca.SX, p: Parameters) -> ca.SX:
+    return ca.norm_2(gamma[:2, 0] - gamma[2, 0] / (p["gravity"] + gamma[2, 2]) * gamma[:2, 2])
+
+
+LIMITS = (
+    Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[2, 2]),
+    Limit("the load's depth below the girder", "m", 0.0, "the load is not below the girder",
+          lambda gamma, _: -gamma[2, 0]),
+    Limit("the trolley's distance from the slewing axis", "m", SMALLEST_RADIUS,
+          "the trolley reaches the slewing axis", _trolley_radius),
+)  # fmt: skip
+
+
+def rotary_crane() -> Scene:
+    """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s."""
+    return Scene(
+        name="rotary_crane",
+        models={"points": points, "generalized": generalized, "bodies": bodies},
+        reference=rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0),
+        closed_form=closed_form,
+        limits=LIMITS,
+    )

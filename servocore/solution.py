@@ -1,0 +1,123 @@
+"""`Solution`: what a run returns, arrays by name with units."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from servocore.errors import InvalidSetting
+from servocore.program import Channel
+from servocore.symbols import Array
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a run took and how well it kept the equations.
+
+    Attributes
+    ----------
+    steps, newton_iterations, factorisations : int
+        Totals of the run; iterations are those of the slowest block of each step.
+    worst_residual : float
+        Largest residual of any equation, scaled by the step size to the level of accelerations.
+    servo_violation, servo_rate_violation : float
+        Largest |c| in m and largest |dc/dt| in m/s.
+    constraint_violation, constraint_rate_violation : float
+        Largest |g| and |dg/dt|.
+    """
+
+    steps: int
+    newton_iterations: int
+    factorisations: int
+    worst_residual: float
+    servo_violation: float
+    servo_rate_violation: float
+    constraint_violation: float
+    constraint_rate_violation: float
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Trajectories by name.
+
+    ``solution["M_b"]`` is an array over ``solution.t``; ``solution.unit("M_b")`` its unit.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times in s.
+    channels : tuple of Channel
+        Names and units of the columns of `values`.
+    values : ndarray, shape (N, number of channels)
+        One row a time.
+    statistics : Statistics or None
+        None for results that no time stepping produced.
+    route : str
+        Model, formulation and method that produced it.
+    fit_error : float or None
+        The reference's own estimate of its distance from the sampled positions it was fitted to, in m.
+    """
+
+    t: Array
+    channels: tuple[Channel, ...]
+    values: Array
+    route: str
+    statistics: Statistics | None = None
+    fit_error: float | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all trajectories."""
+        return tuple(channel.name for channel in self.channels)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.names
+
+    def __getitem__(self, name: str) -> Array:
+        column: Array = self.values[:, self._index(name)]
+        return column
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a trajectory; raises KeyError if there is none of that name."""
+        return self.channels[self._index(name)].unit
+
+    def _index(self, name: str) -> int:
+        if name not in self.names:
+            raise KeyError(f"{name}; there are {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def to_csv(self, path: str | Path, names: Sequence[str] | None = None) -> None:
+        """Write time and trajectories as CSV in full double precision; all of them unless `names` are given."""
+        names = self.names if names is None else names
+        table = np.column_stack([self.t, *[self[name] for name in names]])
+        lines = [",".join(("time", *names))]
+        lines += [",".join(repr(float(value)) for value in row) for row in table]
+        write_atomically(Path(path), "\n".join(lines) + "\n")
+
+
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write to a temporary file beside `path` and rename it: nobody ever meets half a file.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder does not exist or cannot be written.
+    """
+    data = content.encode() if isinstance(content, str) else content
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=path.name, suffix=".part", dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(data)
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(path)
+        except BaseException:
+            Path(temporary).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error

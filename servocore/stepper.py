@@ -1,0 +1,207 @@
+"""`compile_program` and `Stepper`: a scene, a formulation and a method become one step function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from servocore.dae import Dae
+from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.formulations import Formulation
+from servocore.methods import Discretisation, Method
+from servocore.newton import compile_solver
+from servocore.program import Channel, LimitText, Program, StepReport
+from servocore.scene import Limit, Scene
+from servocore.symbols import Array, Quantity
+from servocore.system import MechanicalSystem
+
+
+@lru_cache(maxsize=64)
+def compile_program(
+    system: MechanicalSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...] = ()
+) -> Program:
+    """Compile a model with a formulation and a method; repeated calls return the same program."""
+    dae = formulation.dae(system)
+    discretisation = method.discretise(dae)
+    array = derivative_array(system)
+    start_order = max(array.reference_order, dae.reference_order, 2)
+    known = _observed(system)
+    return Program(
+        name=f"{dae.name}, {method.name}",
+        start=_compile_start(array, dae, discretisation, start_order),
+        step=_compile_step(discretisation),
+        observe=_compile_observe(system, dae, discretisation, known, start_order),
+        margins=_compile_margins(system, limits, start_order),
+        guess_residual=_compile_guess_residual(discretisation),
+        order=dae.reference_order,
+        start_order=start_order,
+        nodes=discretisation.nodes,
+        channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
+        parameters=system.parameters.names,
+        equations=tuple(each.name for each in dae.equations),
+        limits=tuple(LimitText(each.quantity, each.unit, each.reason, each.bound) for each in limits),
+    )
+
+
+def _observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
+    """Inputs, observables, servo outputs, then coordinates whose names are still free."""
+    listed = [
+        *((each, system.u[k]) for k, each in enumerate(system.inputs)),
+        *system.observables.items(),
+        *((each, system.output[k]) for k, each in enumerate(system.outputs)),
+        *((each, system.q[k]) for k, each in enumerate(system.coordinates.quantities)),
+    ]
+    seen: dict[str, tuple[Quantity, ca.SX]] = {}
+    for quantity, expression in listed:
+        seen.setdefault(quantity.name, (quantity, expression))
+    return list(seen.values())
+
+
+def _compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
+    system = array.equations.system
+    inversion = compile_inversion(array, "sc_inversion")
+    gamma = ca.MX.sym("gamma", system.gamma.size1(), order + 1)
+    p = ca.MX.sym("p", system.p.numel())
+    found, counts, residual = inversion(gamma[:, : array.reference_order + 1], p)
+    places = [array.position(each.variable, each.order) for each in dae.unknowns]
+    first = ca.Function("sc_first", [ca.vertcat(dae.x, dae.z)], [step.first_state])
+    return ca.Function("sc_start", [gamma, p], [first(found[places]), counts, residual])
+
+
+def _compile_step(step: Discretisation) -> ca.Function:
+    solver = compile_solver("sc_solve", step.equations, [step.next_state])
+    return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
+
+
+def _compile_guess_residual(step: Discretisation) -> ca.Function:
+    equations = step.equations
+    residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
+    evaluate = ca.Function("sc_residual", [equations.givens], [residual])
+    return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
+
+
+def _with_step_arguments(
+    name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]
+) -> ca.Function:
+    """Give a function of the flat givens the arguments (state, gamma, h, p)."""
+    state = ca.MX.sym("state", step.state.numel())
+    gamma = ca.MX.sym("gamma", *step.reference.shape)
+    h = ca.MX.sym("h")
+    p = ca.MX.sym("p", step.equations.givens.numel() - state.numel() - gamma.numel() - 1)
+    return ca.Function(name, [state, gamma, h, p], evaluate(ca.vertcat(state, ca.vec(gamma), h, p)))
+
+
+def _compile_observe(
+    system: MechanicalSystem,
+    dae: Dae,
+    step: Discretisation,
+    known: list[tuple[Quantity, ca.SX]],
+    order: int,
+) -> ca.Function:
+    names = ("q", "v", "lam", "u")
+    symbols = ca.vertcat(*[getattr(system, name) for name in names])
+    physical = ca.vertcat(*[dae.physical[name] for name in names])
+    expressions = ca.vertcat(*[expression for _, expression in known])
+    violations = _violations(system)
+    expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])
+    unknowns = ca.vertcat(dae.x, dae.z)
+    expressions, violations = ca.substitute(
+        [expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)]
+    )
+    gamma = system.gamma[:, : order + 1]
+    return ca.Function("sc_observe", [step.state, gamma, system.p], [expressions, violations], {"cse": True})
+
+
+def _violations(system: MechanicalSystem) -> ca.SX:
+    """Return |c|, |dc/dt|, |g|, |dg/dt| in the maximum norm."""
+    groups = (
+        system.output - system.gamma[:, 0],
+        ca.mtimes(system.C, system.v) - system.gamma[:, 1],
+        system.constraints,
+        ca.mtimes(system.G, system.v),
+    )
+    return ca.vertcat(*[ca.norm_inf(group) if group.numel() else ca.SX(0) for group in groups])
+
+
+def _compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
+    gamma = system.gamma[:, : order + 1]
+    margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
+    return ca.Function("sc_margins", [gamma, system.p], [ca.vertcat(ca.SX(0, 1), *margins)])
+
+
+@dataclass(frozen=True, eq=False)
+class Stepper:
+    """The step function of a problem, to be called instant by instant.
+
+    Parameters
+    ----------
+    scene : Scene
+        What to step.
+    formulation, method : Formulation, Method
+        How.
+    step : float
+        Step size in s.
+    model : str, optional
+        Model of the scene; the default one when not given.
+
+    Examples
+    --------
+    >>> stepper = Stepper(crane, Projected(), BackwardEuler(), step=0.01)
+    >>> state, report = stepper.start(crane.reference.jet(0.0, stepper.start_order))
+    >>> state, report = stepper.advance(state, crane.reference.jet(0.01, stepper.start_order))
+    """
+
+    scene: Scene
+    formulation: Formulation
+    method: Method
+    step: float
+    model: str | None = None
+    program: Program = field(init=False)
+    parameters: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.step < float("inf"):
+            raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
+        system = self.scene.model(self.model)
+        if len(system.outputs) != len(system.inputs):
+            raise InvalidModel(f"{system.name} has no servo output")
+        program = compile_program(system, self.formulation, self.method, self.scene.limits)
+        object.__setattr__(self, "program", program)
+        object.__setattr__(self, "parameters", system.parameters.values(self.scene.parameters))
+
+    @property
+    def start_order(self) -> int:
+        """Highest derivative of the reference that `start` needs; enough for `advance` and `values` too."""
+        return self.program.start_order
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """Fractions of the step at which `advance` needs the reference."""
+        return self.program.nodes
+
+    def start(self, reference_jet: Array) -> tuple[Array, StepReport]:
+        """Return the consistent initial state for a reference jet of shape (start_order + 1, m)."""
+        return self.program.begin(np.asarray(reference_jet), self.parameters)
+
+    def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
+        """Return the state one step later.
+
+        Parameters
+        ----------
+        state : ndarray
+            From `start` or from the previous step; it is not changed.
+        reference_jet : ndarray, shape (orders, m), or (nodes, orders, m) for a method with several nodes
+            Reference at the new instant (at the nodes of the step).
+        """
+        jets = np.asarray(reference_jet)
+        return self.program.advance(state, jets[None] if jets.ndim == 2 else jets, self.step, self.parameters)
+
+    def values(self, state: Array, reference_jet: Array) -> dict[str, float]:
+        """Return what the state says of its own instant, by name."""
+        values = self.program.values(state, np.asarray(reference_jet), self.parameters)
+        return dict(zip((each.name for each in self.program.channels), map(float, values), strict=True))

@@ -1,0 +1,171 @@
+"""Named symbols: coordinates with their velocities, and parameters with default, unit and bounds.
+
+A model is written with CasADi expressions of these symbols. Parameters stay symbols to the end, so that they
+remain inputs of every compiled function: an FMU can tune them, a user can differentiate by them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidModel
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A named scalar of a model: a coordinate, an input, an output or something observed.
+
+    Parameters
+    ----------
+    name : str
+        Identifier, unique within its model.
+    unit : str
+        SI unit as FMI spells it: ``m``, ``rad``, ``N.m``, ``m/s2``.
+    description : str
+        One line for tables and tool tips.
+    nominal : float
+        Typical magnitude in `unit`; scales Newton's stopping test.
+    wraps : bool
+        True for an angle computed by atan2: a trajectory of it is made continuous.
+    """
+
+    name: str
+    unit: str = "1"
+    description: str = ""
+    nominal: float = 1.0
+    wraps: bool = False
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A named constant of a model with its default value, unit and closed bounds."""
+
+    name: str
+    default: float
+    unit: str
+    lower: float = -math.inf
+    upper: float = math.inf
+    description: str = ""
+
+    def check(self, value: float) -> float:
+        """Return `value` as a float, or raise `InvalidModel` if it is not a number within the bounds."""
+        number = float(value)
+        if not self.lower <= number <= self.upper:  # false for NaN as well
+            raise InvalidModel(
+                f"parameter {self.name} = {number:g} {self.unit} is outside its range"
+                f" [{self.lower:g}, {self.upper:g}] {self.unit}"
+            )
+        return number
+
+
+def _require_unique(names: tuple[str, ...], kind: str) -> None:
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InvalidModel(f"{kind} named twice: {', '.join(repeated)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """The coordinates q of a system and their velocities v, as symbols that can be asked for by name.
+
+    Attributes
+    ----------
+    q, v : casadi.SX
+        Column vectors of length n.
+    """
+
+    quantities: tuple[Quantity, ...]
+    q: ca.SX = field(init=False, repr=False)
+    v: ca.SX = field(init=False, repr=False)
+
+    def __init__(self, *quantities: Quantity) -> None:
+        object.__setattr__(self, "quantities", quantities)
+        _require_unique(self.names, "coordinate")
+        for attribute, prefix in (("q", ""), ("v", "v_")):
+            symbols = [ca.SX.sym(prefix + quantity.name) for quantity in quantities]
+            object.__setattr__(self, attribute, ca.vertcat(ca.SX(0, 1), *symbols))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of q."""
+        return tuple(quantity.name for quantity in self.quantities)
+
+    @property
+    def nominal(self) -> tuple[float, ...]:
+        """Typical magnitudes in the order of q."""
+        return tuple(quantity.nominal for quantity in self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def index(self, name: str) -> int:
+        """Position of the coordinate called `name`; raises `InvalidModel` if there is none."""
+        if name not in self.names:
+            raise InvalidModel(f"no coordinate is called {name}; there are {', '.join(self.names)}")
+        return self.names.index(name)
+
+    def __getitem__(self, name: str) -> ca.SX:
+        return self.q[self.index(name)]
+
+    def velocity(self, name: str) -> ca.SX:
+        """Return the symbol of the velocity of the coordinate called `name`."""
+        return self.v[self.index(name)]
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """The parameters p of a system, as symbols that can be asked for by name.
+
+    Attributes
+    ----------
+    p : casadi.SX
+        Column vector in the order of `declared`.
+    """
+
+    declared: tuple[Parameter, ...]
+    p: ca.SX = field(init=False, repr=False)
+
+    def __init__(self, *declared: Parameter) -> None:
+        object.__setattr__(self, "declared", declared)
+        _require_unique(self.names, "parameter")
+        symbols = [ca.SX.sym(parameter.name) for parameter in declared]
+        object.__setattr__(self, "p", ca.vertcat(ca.SX(0, 1), *symbols))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names in the order of p."""
+        return tuple(parameter.name for parameter in self.declared)
+
+    def __len__(self) -> int:
+        return len(self.declared)
+
+    def __getitem__(self, name: str) -> ca.SX:
+        self._require_known((name,))
+        return self.p[self.names.index(name)]
+
+    def values(self, changed: Mapping[str, float] | None = None) -> Array:
+        """Return the vector p: the defaults, with the values in `changed` in their place.
+
+        Raises
+        ------
+        InvalidModel
+            If a name is unknown or a value leaves its bounds.
+        """
+        changed = changed or {}
+        self._require_known(tuple(changed))
+        return np.array([each.check(changed.get(each.name, each.default)) for each in self.declared])
+
+    def _require_known(self, names: tuple[str, ...]) -> None:
+        unknown = [name for name in names if name not in self.names]
+        if unknown:
+            raise InvalidModel(
+                f"no parameter is called {', '.join(unknown)}; there are {', '.join(self.names) or 'none'}"
+            )

@@ -1,0 +1,314 @@
+"""`MechanicalSystem`: equation (1) of the paper as data, with its servo output.
+
+    q_dot = v
+    M v_dot + (bias of a configuration-dependent M) + grad V + G^T lam + B^T u = force(q, v)
+    c(q, t) = Phi(q) - gamma(t) = 0            servo constraints, C = D Phi
+    g(q) = 0                                   holonomic constraints, G = D g
+
+`-B^T u` is the generalised force that the inputs exert. M may be singular (massless coordinates), M and B may
+depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.symbols import Array, Coordinates, Parameters, Quantity
+
+MAX_REFERENCE_ORDER = 24
+"""Highest derivative of the reference for which a system keeps symbols."""
+
+
+def _column(length: int = 0) -> ca.SX:
+    return ca.SX(length, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class MechanicalSystem:
+    """A mechanical system with holonomic constraints, inputs and a servo output, equation (1).
+
+    Parameters
+    ----------
+    name : str
+        What the system is called in messages.
+    coordinates : Coordinates
+        The n coordinates q and velocities v.
+    parameters : Parameters
+        Constants of the model.
+    inputs : tuple of Quantity
+        The m inputs u.
+    outputs : tuple of Quantity
+        The m components of the servo output Phi(q), which the reference prescribes.
+    mass : casadi.SX
+        M(q, p), shape (n, n), symmetric; may be singular.
+    output : casadi.SX
+        Phi(q, p), shape (m,).
+    input_matrix : casadi.SX
+        B(q, p), shape (m, n).
+    potential : casadi.SX
+        V(q, p), scalar.
+    force : casadi.SX
+        Applied forces f(q, v, p) on the right-hand side of the momentum equation, shape (n,).
+    constraints : casadi.SX
+        g(q, p), shape (m_h,).
+    multipliers : casadi.SX, optional
+        Symbols lam, shape (m_h,), if observables use them; made when not given.
+    gamma : casadi.SX, optional
+        Symbols of the reference and its derivatives, shape (m, `MAX_REFERENCE_ORDER` + 1).
+    guess : casadi.SX, optional
+        A configuration q near the one that belongs to the reference, an expression of gamma[:, 0] and p.
+        Decides between branches (load below or above the girder); zeros when not given.
+    home : tuple of float, optional
+        A value of the servo output, shape (m,), at which the system is regular; ones when not given. Formulations
+        decide there which coordinates they treat as dependent.
+    observables : mapping of Quantity to casadi.SX
+        What else a solution reports: expressions of q, v, lam, u, p and gamma.
+
+    Raises
+    ------
+    InvalidModel
+        If sizes do not match, M is not symmetric, or an expression holds a foreign symbol.
+    """
+
+    name: str
+    coordinates: Coordinates
+    parameters: Parameters
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    mass: ca.SX
+    output: ca.SX
+    input_matrix: ca.SX
+    potential: ca.SX = field(default_factory=lambda: ca.SX(0))
+    force: ca.SX | None = None
+    constraints: ca.SX = field(default_factory=_column)
+    multipliers: ca.SX | None = None
+    gamma: ca.SX | None = None
+    guess: ca.SX | None = None
+    home: tuple[float, ...] | None = None
+    observables: Mapping[Quantity, ca.SX] = field(default_factory=dict)
+    u: ca.SX = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
+        self._fill("force", ca.SX.zeros(n))
+        self._fill("multipliers", ca.SX.sym("lam", m_h))
+        self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
+        self._fill("guess", ca.SX.zeros(n))
+        self._fill("home", (1.0,) * m)
+        object.__setattr__(self, "u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        self._require_shapes(n, m, m_h)
+        self._require_own_symbols()
+        self._require_symmetric_mass()
+
+    def _fill(self, attribute: str, default: ca.SX) -> None:
+        if getattr(self, attribute) is None:
+            object.__setattr__(self, attribute, default)
+
+    def _require_shapes(self, n: int, m: int, m_h: int) -> None:
+        if len(self.outputs) != m:
+            raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
+        if m > n - m_h:
+            raise InvalidModel(f"{self.name}: {m} inputs exceed the {n - m_h} degrees of freedom")
+        expected = {
+            "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
+            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1),
+            "gamma": (m, MAX_REFERENCE_ORDER + 1),
+        }  # fmt: skip
+        for attribute, shape in expected.items():
+            found = ca.SX(getattr(self, attribute)).shape
+            if found != shape:
+                raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+
+    def _require_own_symbols(self) -> None:
+        q, v, p = self.q, self.v, self.p
+        allowed = {
+            "mass": (q, p), "output": (q, p), "input_matrix": (q, p), "potential": (q, p),
+            "force": (q, v, p), "constraints": (q, p), "guess": (self.gamma, p),
+        }  # fmt: skip
+        for attribute, groups in allowed.items():
+            self._require_symbols(attribute, getattr(self, attribute), groups)
+        everything = (q, v, p, self.lam, self.u, self.gamma)
+        for quantity, expression in self.observables.items():
+            self._require_symbols(f"observable {quantity.name}", expression, everything)
+
+    def _require_symbols(self, what: str, expression: ca.SX, groups: tuple[ca.SX, ...]) -> None:
+        known = ca.vertcat(*[ca.vec(group) for group in groups])
+        leftover = ca.Function("probe", [known], [expression], {"allow_free": True}).get_free()
+        if leftover:
+            raise InvalidModel(f"{self.name}: {what} holds symbols that it must not use: {leftover}")
+
+    def _require_symmetric_mass(self) -> None:
+        skew = ca.Function("skew", [self.q, self.p], [self.mass - self.mass.T])
+        # An irrational-looking point: a difference that vanishes here vanishes as an expression.
+        q, p = np.sin(1.0 + np.arange(len(self.coordinates))), self.parameters.values()
+        difference = np.abs(np.asarray(skew(q, p))).max(initial=0.0)
+        if difference > 1e-9 * max(1.0, float(np.abs(p).max(initial=0.0))):
+            raise InvalidModel(f"{self.name}: the mass matrix is not symmetric (by {difference:.2g})")
+
+    @property
+    def q(self) -> ca.SX:
+        """Coordinates, shape (n,)."""
+        return self.coordinates.q
+
+    @property
+    def v(self) -> ca.SX:
+        """Velocities, shape (n,)."""
+        return self.coordinates.v
+
+    @property
+    def p(self) -> ca.SX:
+        """Parameters, shape (n_p,)."""
+        return self.parameters.p
+
+    @property
+    def lam(self) -> ca.SX:
+        """Multipliers of the holonomic constraints, shape (m_h,)."""
+        return self.multipliers
+
+    @property
+    def degrees_of_freedom(self) -> int:
+        """n - m_h."""
+        return len(self.coordinates) - self.constraints.numel()
+
+    @cached_property
+    def G(self) -> ca.SX:  # noqa: N802 - the paper's name
+        """Constraint Jacobian D g(q), shape (m_h, n)."""
+        return ca.jacobian(self.constraints, self.q)
+
+    @cached_property
+    def C(self) -> ca.SX:  # noqa: N802 - the paper's name
+        """Servo Jacobian D Phi(q), shape (m, n)."""
+        return ca.jacobian(self.output, self.q)
+
+    @cached_property
+    def bias(self) -> ca.SX:
+        """Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,).
+
+        The sum of grad V, minus the applied forces, and for a configuration-dependent mass matrix
+        M_dot v - grad(v^T M v) / 2, which equals P^T M P_dot v of equation (10).
+        """
+        momentum = ca.mtimes(self.mass, self.v)
+        kinetic = ca.dot(self.v, momentum) / 2
+        return (
+            ca.gradient(self.potential, self.q)
+            - self.force
+            + ca.jtimes(momentum, self.q, self.v)
+            - ca.gradient(kinetic, self.q)
+        )
+
+    @cached_property
+    def constraint_forces(self) -> ca.SX:
+        """G^T lam + B^T u, shape (n,)."""
+        return ca.mtimes(self.G.T, self.lam) + ca.mtimes(self.input_matrix.T, self.u)
+
+    def momentum_balance(self, acceleration: ca.SX) -> ca.SX:
+        """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
+        return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
+
+    def home_configuration(self) -> tuple[Array, Array]:
+        """Return (q, p): the guess at `home` with default parameters."""
+        p = self.parameters.values()
+        gamma = np.zeros(self.gamma.shape)
+        gamma[:, 0] = self.home
+        guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
+        return np.asarray(guess(gamma, p)).ravel(), p
+
+    def require_full_rank(self, q: Array, p: Array) -> None:
+        """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""
+        jacobians = ca.Function("jacobians", [self.q, self.p], [self.G, self.C])
+        G, C = (np.asarray(matrix) for matrix in jacobians(q, p))
+        m_h, m = len(G), len(C)
+        for matrix, rows, what in (
+            (G, m_h, f"the {m_h} holonomic constraints are"),
+            (np.vstack([G, C]), m_h + m, f"the {m} servo outputs and {m_h} holonomic constraints are"),
+        ):
+            rank = int(np.linalg.matrix_rank(matrix)) if rows else 0
+            if rank < rows:
+                raise InvalidModel(f"{self.name}: {what} dependent here (rank {rank} of {rows})")
+
+
+def generalise(
+    system: MechanicalSystem,
+    coordinates: Coordinates,
+    mapping: ca.SX,
+    *,
+    guess: ca.SX | None = None,
+    observables: Mapping[Quantity, ca.SX] | None = None,
+    name: str | None = None,
+) -> MechanicalSystem:
+    """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
+
+    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P (equations 5 to 12).
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system in redundant coordinates q.
+    coordinates : Coordinates
+        The generalised coordinates mu; as many as `system` has degrees of freedom.
+    mapping : casadi.SX
+        F(mu, p), shape (n,).
+    guess : casadi.SX, optional
+        A configuration mu near the one that belongs to the reference, an expression of ``system.gamma`` and p.
+    observables : mapping, optional
+        Observables of the new system; those of `system` that use no multipliers and inputs when not given.
+    name : str, optional
+        Name of the new system.
+
+    Raises
+    ------
+    InvalidModel
+        If the number of coordinates is wrong or F leaves the constraint manifold.
+    """
+    if len(coordinates) != system.degrees_of_freedom:
+        raise InvalidModel(
+            f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
+            f" not {len(coordinates)} generalised coordinates"
+        )
+    mu, nu = coordinates.q, coordinates.v
+    P = ca.jacobian(mapping, mu)
+    velocity = ca.mtimes(P, nu)
+
+    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
+        pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
+        return pulled
+
+    mass, potential, force, input_matrix, output, constraints = pulled_back(
+        system.mass, system.potential, system.force, system.input_matrix, system.output, system.constraints
+    )
+    _require_on_manifold(system, coordinates, constraints)
+    if observables is None:
+        forces = ca.vertcat(system.lam, system.u)
+        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
+        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
+    return MechanicalSystem(
+        name=name or f"{system.name}, generalised",
+        coordinates=coordinates,
+        parameters=system.parameters,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        mass=ca.mtimes([P.T, mass, P]),
+        potential=potential,
+        force=ca.mtimes(P.T, force),
+        input_matrix=ca.mtimes(input_matrix, P),
+        output=output,
+        gamma=system.gamma,
+        guess=guess,
+        home=system.home,
+        observables=observables,
+    )
+
+
+def _require_on_manifold(system: MechanicalSystem, coordinates: Coordinates, constraints: ca.SX) -> None:
+    """Evaluate g(F(mu)) at a point without symmetry: it must vanish there as it must everywhere."""
+    violation = ca.Function("violation", [coordinates.q, system.p], [constraints])
+    mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
+    worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
+    if not worst < 1e-9:
+        raise InvalidModel(f"{system.name}: the mapping leaves the constraint manifold (by {worst:.2g})")
