@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.newton import SquareSystem, compile_solver
-from servocore.structure import SecondOrderEquations, Signature, second_order_equations, signature
+from servocore.structure import Signature, analyse_structure
 from servocore.system import MechanicalSystem
 
 _REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
@@ -35,7 +35,6 @@ class DerivativeArray:
         As many rows as `rows`.
     """
 
-    equations: SecondOrderEquations
     signature: Signature
     y: ca.SX
     unknowns: tuple[tuple[int, int], ...]
@@ -48,20 +47,31 @@ class DerivativeArray:
         return ca.vertcat(*[self.y[j, order] for j, order in self.unknowns])
 
     @property
+    def system(self) -> MechanicalSystem:
+        """The system that was differentiated."""
+        return self.signature.equations.system
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the variables."""
+        return self.signature.equations.names
+
+    @property
     def reference_order(self) -> int:
         """Highest derivative of the reference that enters."""
-        n, m = len(self.equations.system.coordinates), len(self.equations.system.inputs)
-        return max(order for row, order in self.rows if n <= row < n + m)
+        gamma = self.system.gamma
+        columns = ca.jacobian_sparsity(self.residual, ca.vec(gamma)).get_col()
+        return max((column // gamma.size1() for column in columns), default=0)
 
     def position(self, variable: str, order: int) -> int:
         """Place of a derivative of a named variable among the unknowns."""
-        return self.unknowns.index((self.equations.names.index(variable), order))
+        return self.unknowns.index((self.names.index(variable), order))
 
 
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     """Differentiate the equations of `system` as often as their offsets ask, at least to give all velocities."""
-    equations = second_order_equations(system)
-    found = signature(equations)
+    found = analyse_structure(system)
+    equations = found.equations
     n = len(system.coordinates)
     # Offsets may be raised together; a velocity that no equation determines otherwise then comes with them.
     extra = max(0, 1 - min(found.variable_offsets[:n], default=1))
@@ -85,7 +95,6 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
             current, ca.vec(gamma[:, :-1]), ca.vec(gamma[:, 1:])
         )
     return DerivativeArray(
-        equations=equations,
         signature=found,
         y=y,
         unknowns=tuple((j, order) for j in range(len(d)) for order in range(d[j] + 1)),
@@ -100,7 +109,7 @@ def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.
     gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
     the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
     """
-    system = array.equations.system
+    system = array.system
     orders = array.reference_order + 1
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
     reference = system.gamma[:, :orders]
@@ -132,7 +141,7 @@ def _nominal(system: MechanicalSystem, variable: int) -> float:
 
 def _first_guess(array: DerivativeArray) -> ca.Function:
     """Return (gamma, p) -> guess of the unknowns: configuration at rest, with the forces that hold it."""
-    system = array.equations.system
+    system = array.system
     n, orders = len(system.coordinates), array.reference_order + 1
     gamma, p = ca.MX.sym("gamma", system.gamma.size1(), orders), ca.MX.sym("p", system.p.numel())
     configuration = ca.Function("sc_guess", [system.gamma[:, :orders], system.p], [system.guess])(gamma, p)

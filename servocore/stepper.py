@@ -63,7 +63,7 @@ def _observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
 
 
 def _compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
-    system = array.equations.system
+    system = array.system
     inversion = compile_inversion(array, "sc_inversion")
     gamma = ca.MX.sym("gamma", system.gamma.size1(), order + 1)
     p = ca.MX.sym("p", system.p.numel())

@@ -3,6 +3,10 @@
 The second-order equations (1) in the variables y = (q, lam, u) are looked at as they stand: sigma_ij is the highest
 derivative of variable j in equation i. A transversal of maximum weight and the smallest offsets c, d with
 d_j - c_i >= sigma_ij say which equations to differentiate how often (c) and which derivatives they then determine (d).
+
+The method sees structure, not values. In generalised coordinates accelerations that cancel hide the true index: the
+system Jacobian is then singular everywhere. The remedy is a linear combination of equations: the momentum equations
+that no input enters, less what the servo constraints say of the same accelerations (`combine`).
 """
 
 from __future__ import annotations
@@ -14,10 +18,15 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
+from servocore.projection import dependent_columns
+from servocore.symbols import Array
 from servocore.system import MechanicalSystem
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
+
+_PROBES = 3  # points at which a coefficient must vanish to count as absent
+_VANISHING = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +41,8 @@ class SecondOrderEquations:
         Symbols of the variables and their first two derivatives, shape (N, 3).
     names, equations : tuple of str
         What the variables and the rows are called.
+    embedded : tuple of int
+        How often the servo constraint was differentiated to make each row: 2 for combined rows, else 0.
     """
 
     system: MechanicalSystem
@@ -39,21 +50,19 @@ class SecondOrderEquations:
     y: ca.SX
     names: tuple[str, ...]
     equations: tuple[str, ...]
+    embedded: tuple[int, ...]
 
 
 def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     """Write equation (1) in the variables y = (q, lam, u)."""
-    n = len(system.coordinates)
-    acceleration = ca.SX.sym("a", n)
+    n, size = len(system.coordinates), system.q.numel() + system.lam.numel() + system.u.numel()
+    y = ca.SX.sym("y", size, 3)
     residual = ca.vertcat(
-        system.momentum_balance(acceleration), system.output - system.gamma[:, 0], system.constraints
+        system.momentum_balance(y[:n, 2]), system.output - system.gamma[:, 0], system.constraints
     )
-    y = ca.SX.sym("y", residual.numel(), 3)
-    old = ca.vertcat(system.q, system.lam, system.u, system.v, acceleration)
-    new = ca.vertcat(y[:, 0], y[:n, 1], y[:n, 2])
     return SecondOrderEquations(
         system=system,
-        residual=ca.substitute(residual, old, new),
+        residual=_in_variables(system, residual, y),
         y=y,
         names=(
             *(f"q.{name}" for name in system.coordinates.names),
@@ -65,7 +74,14 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
             *(f"servo constraint on {each.name}" for each in system.outputs),
             *(f"holonomic constraint {k + 1}" for k in range(system.lam.numel())),
         ),
+        embedded=(0,) * size,
     )
+
+
+def _in_variables(system: MechanicalSystem, expression: ca.SX, y: ca.SX) -> ca.SX:
+    n = len(system.coordinates)
+    old = ca.vertcat(system.q, system.lam, system.u, system.v)
+    return ca.substitute(expression, old, ca.vertcat(y[:, 0], y[:n, 1]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +90,21 @@ class Signature:
 
     Attributes
     ----------
+    equations : SecondOrderEquations
+        What was analysed, after a remedy if one was needed.
     sigma : ndarray of int
         Shape (N, N); `ABSENT` where a variable does not occur.
     equation_offsets, variable_offsets : tuple of int
         c and d.
+    remedy : str
+        What was done to the equations first; empty if nothing.
     """
 
+    equations: SecondOrderEquations
     sigma: npt.NDArray[np.int64]
     equation_offsets: tuple[int, ...]
     variable_offsets: tuple[int, ...]
+    remedy: str = ""
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -91,12 +113,38 @@ class Signature:
 
     @property
     def index(self) -> int:
-        """Structural index: max c, plus one if a variable occurs algebraically."""
-        return max(self.equation_offsets, default=0) + int(0 in self.variable_offsets)
+        """Structural index: the most differentiations, plus one if a variable occurs algebraically."""
+        differentiated = [
+            c + embedded for c, embedded in zip(self.equation_offsets, self.equations.embedded, strict=True)
+        ]
+        return max(differentiated, default=0) + int(0 in self.variable_offsets)
 
 
-def signature(equations: SecondOrderEquations) -> Signature:
-    """Apply the signature method.
+def analyse_structure(system: MechanicalSystem, p: Array | None = None) -> Signature:
+    """Apply the signature method, with the remedy if the equations as they stand mislead it.
+
+    Raises
+    ------
+    InvalidModel
+        If the equations are structurally singular, or the system Jacobian stays singular.
+    """
+    equations = second_order_equations(system)
+    found = signature(equations)
+    if regular(found, p):
+        return found
+    combined = combine(equations, p)
+    if combined is not None:
+        found = signature(combined, "momentum equations without inputs combined with servo accelerations")
+        if regular(found, p):
+            return found
+    raise InvalidModel(
+        f"{system.name}: the system Jacobian of the signature method is singular, also after combining equations;"
+        f" its offsets would be wrong"
+    )
+
+
+def signature(equations: SecondOrderEquations, remedy: str = "") -> Signature:
+    """Apply the signature method to equations as they stand.
 
     Raises
     ------
@@ -107,8 +155,7 @@ def signature(equations: SecondOrderEquations) -> Signature:
 
     sigma = np.full((len(equations.names),) * 2, ABSENT)
     for order in range(3):
-        pattern = ca.jacobian_sparsity(equations.residual, equations.y[:, order])
-        rows, columns = pattern.get_triplet()
+        rows, columns = ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()
         sigma[rows, columns] = order
     size = len(sigma)
     weights = np.where(sigma == ABSENT, -4 * (size + 1), sigma)
@@ -116,7 +163,7 @@ def signature(equations: SecondOrderEquations) -> Signature:
     missing = [equations.equations[i] for i, j in zip(rows, columns, strict=True) if sigma[i, j] == ABSENT]
     if missing:
         raise InvalidModel(f"{equations.system.name}: structurally singular, nothing is left for {missing[0]}")
-    return Signature(sigma, *_smallest_offsets(sigma, columns))
+    return Signature(equations, sigma, *_smallest_offsets(sigma, columns), remedy)
 
 
 def _smallest_offsets(
@@ -131,3 +178,97 @@ def _smallest_offsets(
         if (new == c).all():
             return tuple(int(k) for k in c), tuple(int(k) for k in d)
         c = new
+
+
+def system_jacobian(found: Signature) -> ca.SX:
+    """Return J_ij = df_i / dy_j^(d_j - c_i), shape (N, N), an expression of y, gamma and p."""
+    equations, size = found.equations, len(found.sigma)
+    c, d = np.array(found.equation_offsets), np.array(found.variable_offsets)
+    leading = d[None, :] - c[:, None]
+    J = ca.SX(size, size)
+    for order in range(3):
+        part = ca.jacobian(equations.residual, equations.y[:, order])
+        J += part * ca.DM(leading == order)
+    return ca.sparsify(J)
+
+
+def regular(found: Signature, p: Array | None = None) -> bool:
+    """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
+    equations = found.equations
+    evaluate = ca.Function("J", [equations.y, equations.system.gamma, equations.system.p], [system_jacobian(found)])
+    matrices = [np.asarray(evaluate(*point)) for point in _probe_points(equations, p)]
+    return any(np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in matrices if np.isfinite(J).all())
+
+
+def _equilibrated(matrix: Array) -> Array:
+    """Divide rows, then columns, by their largest entries, so that units do not decide about rank."""
+    scaled = matrix.copy()
+    for axis in (1, 0):
+        largest = np.abs(scaled).max(axis=axis, keepdims=True)
+        scaled = scaled / np.where(largest > 0.0, largest, 1.0)
+    return scaled
+
+
+def _probe_points(equations: SecondOrderEquations, p: Array | None) -> list[tuple[Array, Array, Array]]:
+    """Points (y, gamma, p) near the system's home: fixed numbers without symmetry."""
+    system = equations.system
+    q, defaults = system.home_configuration()
+    generator = np.random.default_rng(20090601)
+    points = []
+    for _ in range(_PROBES):
+        y = 0.3 * generator.uniform(0.5, 1.0, equations.y.shape) * generator.choice([-1.0, 1.0], equations.y.shape)
+        y[: len(q), 0] += q
+        gamma = generator.uniform(-0.3, 0.3, system.gamma.shape)
+        gamma[:, 0] = system.home
+        points.append((y, gamma, defaults if p is None else p))
+    return points
+
+
+def combine(equations: SecondOrderEquations, p: Array | None = None) -> SecondOrderEquations | None:
+    """Subtract servo accelerations from the momentum equations that no input enters.
+
+    With C = [C_d, C_i] split into dependent and independent columns, a momentum row without inputs loses the
+    accelerations of the dependent coordinates: its new form is row - M_d C_d^-1 (C a + C_dot v - gamma''). Where
+    inertia couples the row to the servo constrained directions only, as the swing of a crane's load, the other
+    accelerations and the velocities cancel as well. What vanishes at several points is taken out.
+
+    Returns None if every momentum equation holds an input.
+    """
+    system, y = equations.system, equations.y
+    n = len(system.coordinates)
+    unactuated = [k for k in range(n) if not system.input_matrix[:, k].nnz()]
+    if not unactuated:
+        return None
+    dependent = dependent_columns(system)
+    acceleration = y[:n, 2]
+    servo = (
+        ca.mtimes(system.C, acceleration)
+        + ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v)
+        - system.gamma[:, 2]
+    )
+    factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
+    rows = system.momentum_balance(acceleration)[unactuated] - ca.mtimes(
+        system.mass[unactuated, dependent], factors
+    )
+    residual = ca.SX(equations.residual)
+    residual[unactuated] = _without_vanishing(equations, _in_variables(system, rows, y), p)
+    names = [
+        f"{name} less servo accelerations" if k in unactuated else name
+        for k, name in enumerate(equations.equations)
+    ]
+    embedded = tuple(2 if k in unactuated else order for k, order in enumerate(equations.embedded))
+    return SecondOrderEquations(system, residual, y, equations.names, tuple(names), embedded)
+
+
+def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX, p: Array | None) -> ca.SX:
+    """Set accelerations and velocities to zero in the rows whose derivatives by them vanish at all probes."""
+    y = equations.y
+    derivatives = ca.vertcat(ca.vec(y[:, 1]), ca.vec(y[:, 2]))
+    jacobian = ca.Function("by", [y, equations.system.gamma, equations.system.p], [ca.jacobian(rows, derivatives)])
+    values = np.stack([np.abs(np.asarray(jacobian(*point))) for point in _probe_points(equations, p)])
+    present = values.max(axis=0) > _VANISHING * (1.0 + values.max())
+    cleaned = []
+    for k in range(rows.numel()):
+        absent = [int(j) for j in np.flatnonzero(~present[k])]
+        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX.zeros(len(absent))))
+    return ca.vertcat(*cleaned)
