@@ -1,0 +1,68 @@
+# Every target makes .venv by itself. A machine with Python 3.11 to 3.13, make and git is enough; uv is used if present.
+# Another interpreter: make PYTHON=python3.12 test. More or fewer test processes: make TEST_PROCESSES=8 test.
+
+PYTHON ?=
+OUT ?= out
+TEST_PROCESSES ?= 2
+BIN := .venv/bin
+RUN := $(BIN)/python -m
+INSTALLED := .venv/.installed
+
+.PHONY: help demo test check format fmu bench pictures clean
+.DEFAULT_GOAL := help
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' Makefile
+
+demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tables to out/
+	$(BIN)/crane-fmu demo -o "$(OUT)"
+
+test: $(INSTALLED)  ## run the whole test suite
+	$(RUN) pytest -n $(TEST_PROCESSES)
+
+check: $(INSTALLED)  ## lint, format, types, direction of the imports
+	$(RUN) ruff check .
+	$(RUN) ruff format --check .
+	$(RUN) mypy --strict
+	$(BIN)/lint-imports
+
+format: $(INSTALLED)  ## apply the formatter and the linter's safe corrections
+	$(RUN) ruff check --fix .
+	$(RUN) ruff format .
+
+fmu: $(INSTALLED)  ## build the rotary crane's FMU
+	$(BIN)/python build_fmu.py
+
+bench: $(INSTALLED)  ## measure what a step costs on this machine
+	$(BIN)/python benchmarks/step_cost.py
+
+pictures: $(INSTALLED)  ## draw the pictures of the documentation again
+	$(BIN)/python docs/make_pictures.py
+
+clean:  ## remove everything that was made but .venv
+	rm -rf build dist "$(OUT)" .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks *.fmu
+	find servocore crane_fmu tests benchmarks docs examples -name __pycache__ -prune -exec rm -rf {} +
+
+# The environment. It is made once and brought up to date when pyproject.toml changes.
+
+SUITABLE = import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
+
+$(INSTALLED): pyproject.toml | $(BIN)/python
+	@echo "Installing servocore and its tools into .venv (about a minute)"
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[dev]'; \
+	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[dev]'; fi
+	@touch $@
+
+$(BIN)/python:
+	@set -eu; \
+	for each in $(or $(PYTHON),python3 python3.13 python3.12 python3.11); do \
+		if "$$each" -c '$(SUITABLE)' 2>/dev/null; then python=$$each; break; fi; \
+	done; \
+	if [ -z "$${python:-}" ]; then \
+		echo "servocore needs Python 3.11, 3.12 or 3.13; found no such $(or $(PYTHON),python3)." \
+			"Name one with: make PYTHON=python3.12" >&2; exit 1; \
+	fi; \
+	echo "Making .venv with $$("$$python" --version)"; \
+	if command -v uv >/dev/null 2>&1; then uv venv --quiet --python "$$python" .venv; \
+	else "$$python" -m venv .venv || { rm -rf .venv; \
+		echo "Python's venv module does not work here; Debian and Ubuntu have it as python3-venv." >&2; exit 1; }; fi
