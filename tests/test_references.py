@@ -20,7 +20,9 @@ from servocore.references import (
     DEGREE9,
     DEGREE13,
     rest_to_rest,
+    sampled,
     three_phase,
+    through,
 )
 from servocore.references.profiles import polynomial
 
@@ -221,6 +223,165 @@ def test_jets_refuse_orders_and_times_they_cannot_answer():
         path.jet(np.inf, 1)
     with pytest.raises(InvalidReference, match=r"shape \(1, 1\)"):
         path.jet([[0.0]], 1)
+
+
+# --- through waypoints ------------------------------------------------------------------------------------
+
+WAYPOINTS = np.array([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6.0]])
+TIMES = np.array([0.0, 12.0, 22.0, 31.0, 40.0])
+PATH = through(WAYPOINTS, TIMES)
+
+
+def relative_errors(path, truth, order):
+    t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
+    found, exact = path.jet(t, order), truth.jet(t, order)
+    return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
+
+
+def test_a_path_through_two_waypoints_is_the_rest_to_rest_path_of_degree_nine():
+    path, line = through([START, END], [2.0, 22.0]), rest_to_rest(START, END, 20.0, start_time=2.0)
+    assert relative_errors(path, line, 9).max() < 1e-13
+
+
+def test_a_path_meets_its_waypoints_and_rests_exactly_at_and_beyond_its_ends():
+    np.testing.assert_allclose(PATH.jet(TIMES, 0)[:, 0], WAYPOINTS, rtol=0.0, atol=1e-14)
+    outside = PATH.jet([-1.0, 0.0, 40.0, 99.0], 4)
+    np.testing.assert_array_equal(outside[:, 0], WAYPOINTS[[0, 0, -1, -1]])
+    assert not outside[:, 1:].any()
+    assert (PATH.smoothness, PATH.max_order, PATH.fit_error, PATH.dimension) == (4, 9, None, 3)
+
+
+def test_derivatives_to_the_eighth_are_continuous_at_inner_waypoints():
+    before, after = PATH.jet(TIMES[1:-1] - 1e-12, 9), PATH.jet(TIMES[1:-1] + 1e-12, 9)
+    peaks = np.abs(PATH.jet(np.linspace(0.0, 40.0, 400), 9)).max(axis=(0, 2))
+    jump = np.abs(after - before).max(axis=(0, 2)) / peaks
+    assert jump[:9].max() < 1e-10
+    assert jump[9] > 0.1
+
+
+def test_the_derivatives_of_a_spline_are_the_taylor_coefficients_of_its_positions():
+    t, delta = np.linspace(0.5, 39.5, 79), np.array([-0.4, 0.3])
+    jets = PATH.jet(t[~np.isin(np.round(t), TIMES)], 9)
+    centers = t[~np.isin(np.round(t), TIMES)]
+    for step in delta:
+        for order in range(9):
+            powers = step ** np.arange(10 - order) / [
+                np.prod(np.arange(1.0, i + 1)) for i in range(10 - order)
+            ]
+            expanded = np.einsum("i,nid->nd", powers, jets[:, order:])
+            np.testing.assert_allclose(expanded, PATH.jet(centers + step, 9)[:, order], rtol=0.0, atol=1e-13)
+
+
+def test_without_times_a_straight_row_of_waypoints_is_passed_like_a_three_phase_motion():
+    row = np.outer(np.linspace(0.0, 1.0, 9), [3.0, 4.0])
+    path, ideal = through(row, duration=20.0), rest_to_rest(row[0], row[-1], 20.0, three_phase())
+    t = np.linspace(0.0, 20.0, 101)
+    assert np.abs(path.jet(t, 0) - ideal.jet(t, 0)).max() < 1e-3 * np.linalg.norm(row[-1])
+    assert path.duration == 20.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ({"waypoints": [START]}, "at least two waypoints"),
+        ({"waypoints": [START, END]}, "either the times of the waypoints or the duration"),
+        ({"waypoints": [START, END], "times": [0, 1], "duration": 1}, "either the times"),
+        ({"waypoints": [START, START, END], "duration": 1.0}, "waypoints 0 and 1 coincide"),
+        ({"waypoints": [START, END], "duration": -1.0}, "positive time, not -1.0 s"),
+        ({"waypoints": [START, END], "times": [0.0, 0.0]}, "waypoint 1 is at 0.0 s after one at 0.0 s"),
+        ({"waypoints": [START, END], "times": [0.0]}, "2 waypoints need 2 times"),
+        ({"waypoints": [START, END[:2]], "duration": 1.0}, "same number of finite numbers"),
+        ({"waypoints": [START, (0, 0, np.inf)], "duration": 1.0}, "waypoint 1, component 2 is inf"),
+    ],
+)
+def test_waypoints_that_make_no_path_are_refused(arguments, sentence):
+    with pytest.raises(InvalidReference, match=sentence):
+        through(**arguments)
+
+
+# --- sampled positions ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("step", [0.5, 0.1, 0.05, 0.01])
+def test_samples_of_the_default_manoeuvre_give_it_back_to_rounding(step):
+    truth = rest_to_rest(START, END, DURATION)
+    t = np.linspace(0.0, DURATION, round(DURATION / step) + 1)
+    path = sampled(t, truth.jet(t, 0)[:, 0])
+    assert relative_errors(path, truth, 6).max() < 1e-13
+    assert path.fit_error < 1e-13
+    assert path.rests_before
+    assert path.rests_after
+
+
+@pytest.mark.parametrize("step", [0.5, 0.1, 0.01, 0.005])
+def test_samples_of_a_spline_give_its_snap_back_however_dense_they_are(step):
+    t = np.linspace(0.0, 40.0, round(40.0 / step) + 1)
+    path = sampled(t, PATH.jet(t, 0)[:, 0])
+    assert relative_errors(path, PATH, 4)[4] < 1e-5
+    assert relative_errors(path, PATH, 0)[0] * 6.0 <= max(path.fit_error, 1e-14)
+    assert path.smoothness == 4
+
+
+def test_a_path_that_moves_at_its_ends_goes_on_as_it_is():
+    t = np.linspace(0.0, 10.0, 101)
+    path = sampled(t, np.stack([np.sin(t), t], axis=1))
+    outside = path.jet([-0.05, 10.05], 3)
+    np.testing.assert_allclose(outside[:, 0, 0], np.sin([-0.05, 10.05]), atol=1e-8)
+    np.testing.assert_allclose(outside[:, 1, 1], 1.0, atol=1e-8)
+    assert path.smoothness == 8
+
+
+def test_a_motion_after_a_rest_and_before_a_start_at_speed_rests_at_one_end_only():
+    t = np.linspace(0.0, 1.2, 121)
+    path = sampled(t, DEGREE13.jet(t / 2, 1.0 - t / 2, 1.0, 0) + np.zeros(1))
+    assert path.rests_before
+    assert not path.rests_after
+
+
+@pytest.mark.parametrize("step", [0.5, 0.1, 0.02])
+@pytest.mark.parametrize("profile", [polynomial(1), DEGREE3, DEGREE5], ids=lambda p: p.name)
+def test_a_jump_in_one_of_the_first_three_derivatives_is_refused_however_dense_the_samples(profile, step):
+    t = np.linspace(0.0, 24.0, round(24.0 / step) + 1)
+    positions = rest_to_rest(START, END, 16.0, profile, start_time=4.0).jet(t, 0)[:, 0]
+    with pytest.raises(InvalidReference, match="too rough near t = ") as refusal:
+        sampled(t, positions)
+    named = float(str(refusal.value).split("t = ")[1].split()[0])
+    assert min(abs(named - 4.0), abs(named - 20.0)) <= 2.0 * step
+
+
+def test_a_jump_of_one_millimetre_is_refused_and_found():
+    t = np.linspace(0.0, 40.0, 401)
+    positions = PATH.jet(t, 0)[:, 0]
+    positions[t > 17.0] += 1e-3
+    with pytest.raises(InvalidReference, match=r"too rough near t = 17.*limit .* in position"):
+        sampled(t, positions)
+
+
+def test_rounded_samples_are_refused_unless_a_tolerance_is_given():
+    t = np.linspace(0.0, 40.0, 401)
+    rounded = PATH.jet(t, 0)[:, 0].round(6)
+    with pytest.raises(InvalidReference, match="need a tolerance"):
+        sampled(t, rounded)
+    path = sampled(t, rounded, tolerance=1e-6)
+    assert relative_errors(path, PATH, 4)[4] < 1e-3
+    assert path.fit_error < 2e-6
+
+
+@pytest.mark.parametrize(
+    ("t", "positions", "tolerance", "sentence"),
+    [
+        (np.arange(19.0), np.zeros((19, 3)), None, "19 samples are too few: .* at least 20"),
+        (np.arange(20.0), np.zeros((19, 3)), None, "19 samples need 19 times"),
+        (np.zeros(20), np.zeros((20, 3)), None, "sample 1 is at 0.0 s after one at 0.0 s"),
+        (np.arange(20.0), np.full((20, 3), np.nan), None, "sample 0, component 0 is nan"),
+        (np.full(20, np.nan), np.zeros((20, 3)), None, "time of sample 0, component 0 is nan"),
+        (np.arange(20.0), np.zeros(20), None, "one sample a row"),
+        (np.arange(20.0), np.zeros((20, 3)), -1.0, "length in m, not -1.0"),
+    ],
+)
+def test_samples_that_are_no_table_are_refused(t, positions, tolerance, sentence):
+    with pytest.raises(InvalidReference, match=sentence):
+        sampled(t, positions, tolerance)
 
 
 def test_the_references_can_be_imported_and_evaluated_without_scipy():

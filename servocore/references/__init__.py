@@ -11,6 +11,7 @@ from servocore.references.profiles import (
     three_phase,
 )
 from servocore.references.rest_to_rest import rest_to_rest
+from servocore.references.splines import sampled, through
 
 __all__ = [
     "DEGREE3",
@@ -21,5 +22,7 @@ __all__ = [
     "Profile",
     "Reference",
     "rest_to_rest",
+    "sampled",
     "three_phase",
+    "through",
 ]

@@ -1,0 +1,73 @@
+"""Paths made of polynomial pieces: what splines and Hermite data become, evaluated with NumPy alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+
+from servocore.references.base import FloatArray, Reference
+
+REST_ORDER = 4
+"""Velocity, acceleration, jerk and snap vanish at an end that rests: a crane's inputs are then continuous."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PiecewisePolynomial(Reference):
+    """One polynomial between every two neighbouring knots, expanded about the middle of its piece.
+
+    With u = (t - middle)/length, -1/2 <= u <= 1/2, powers of u stay small and the sums are clean at both
+    ends of a piece.
+
+    Before the start the path rests at its first point if `rests_before`, else the first polynomial goes on;
+    after the end likewise with the last point and the last polynomial, which far outside means little.
+
+    Attributes
+    ----------
+    knots : ndarray, shape (pieces+1,)
+        Where pieces meet, in s, increasing.
+    coefficients : ndarray, shape (pieces, degree+1, dimension)
+        Factors of u^0, u^1, ... in m.
+    ends : ndarray, shape (2, dimension)
+        First and last point in m.
+    rests_before, rests_after : bool
+        Whether the path starts from rest and ends at rest (derivatives 1 to 4 exactly zero).
+    """
+
+    knots: FloatArray
+    coefficients: FloatArray
+    ends: FloatArray
+    rests_before: bool
+    rests_after: bool
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for array in (self.knots, self.coefficients, self.ends):
+            array.setflags(write=False)
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        piece = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
+        left, right = self.knots[piece], self.knots[piece + 1]
+        length = right - left
+        u = ((t - left) - (right - t)) / (2.0 * length)
+        factors = self.coefficients[piece]
+        gamma = np.zeros((t.size, order + 1, self.dimension))
+        for k in range(order + 1):
+            for i in range(factors.shape[1] - 1, k - 1, -1):  # Horner's rule for the k-th derivative by u
+                gamma[:, k] = gamma[:, k] * u[:, None] + (factorial(i) // factorial(i - k)) * factors[:, i]
+            gamma[:, k] /= length[:, None] ** k
+        return self._at_rest_outside(t, gamma)
+
+    def _at_rest_outside(self, t: FloatArray, gamma: FloatArray) -> FloatArray:
+        """Replace the jets of resting times; a derivative above `REST_ORDER` is the one just after."""
+        if self.rests_before:
+            resting = t <= self.start_time
+            gamma[resting, 0] = self.ends[0]
+            gamma[resting, 1 : REST_ORDER + 1] = 0.0
+            gamma[t < self.start_time, 1:] = 0.0
+        if self.rests_after:
+            resting = t >= self.end_time
+            gamma[resting, 0] = self.ends[1]
+            gamma[resting, 1:] = 0.0
+        return gamma

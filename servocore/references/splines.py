@@ -1,0 +1,245 @@
+"""Smooth paths through waypoints and through samples: splines of degree 9."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servocore.errors import InvalidReference
+from servocore.references.base import FloatArray, points
+from servocore.references.bspline import DEGREE, Ends, fit, interpolation_knots, to_path
+from servocore.references.piecewise import REST_ORDER
+from servocore.references.profiles import three_phase
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from scipy.interpolate import BSpline
+
+    from servocore.references.piecewise import PiecewisePolynomial
+
+FEWEST_SAMPLES = 2 * (DEGREE + 1)
+"""Half of the samples must determine a polynomial of degree 9, so that the other half can check it."""
+
+ROUNDING = 1e-12
+"""Samples without a tolerance are taken as exact up to this fraction of the largest coordinate."""
+
+SNAP_DOUBT = 0.25
+"""Largest fraction of its peak by which the fourth derivative may depend on the choice of samples."""
+
+AT_REST, FREE = Ends(start=True, end=True), Ends(start=False, end=False)
+
+
+def through(
+    waypoints: npt.ArrayLike, times: npt.ArrayLike | None = None, duration: float | None = None
+) -> PiecewisePolynomial:
+    """Smooth path through waypoints, from rest to rest.
+
+    The spline of degree 9 with knots at the waypoints: C^8 between start and end, where velocity,
+    acceleration, jerk and snap vanish; of all such curves, it has the least integral of |gamma^(5)|^2.
+    Between two waypoints alone it is `rest_to_rest` with `DEGREE9`. Before the start and after the end it
+    rests. It does not stop at inner waypoints, and may swing out where neighbouring legs differ much in
+    speed: choose times accordingly.
+
+    Parameters
+    ----------
+    waypoints : array_like, shape (n, dimension)
+        At least two points in m.
+    times : array_like, shape (n,), optional
+        When to be there, in s, increasing.
+    duration : float, optional
+        Instead of times: the whole time in s. Times are then chosen so that the way along the polyline of
+        waypoints is a three-phase motion with ramps of a quarter of the duration, and start at 0.
+
+    Returns
+    -------
+    PiecewisePolynomial
+        The path, `smoothness` 4, `max_order` 9, exact at the waypoints.
+
+    Raises
+    ------
+    InvalidReference
+        If waypoints or times are not finite, times do not increase, neighbouring waypoints coincide and no
+        times are given, or not exactly one of times and duration is given.
+    """
+    table = points(waypoints, "waypoint")
+    if len(table) < 2:
+        raise InvalidReference("a path needs at least two waypoints, not one")
+    if (times is None) == (duration is None):
+        raise InvalidReference("give either the times of the waypoints or the duration of the whole path")
+    at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
+    return to_path(fit(at, table, interpolation_knots(at, AT_REST), AT_REST), AT_REST, None)
+
+
+def sampled(
+    t: npt.ArrayLike, positions: npt.ArrayLike, tolerance: float | None = None
+) -> PiecewisePolynomial:
+    """Smooth path through, or close to, many samples of position.
+
+    The least-squares spline of degree 9 with the fewest evenly chosen knots (1, 2, 4, ... pieces) that comes
+    within the tolerance of every sample; if it takes more than a third of the samples as unknowns, the
+    interpolating spline. Few knots keep rounding out of the derivatives. Ends count as being at rest
+    (derivatives 1 to 4 zero) if the samples agree with that as well as without; the path then rests outside,
+    otherwise the end polynomial goes on.
+
+    What the samples say is checked against itself: the path is fitted twice more, each time to every second
+    sample. The fourth derivative, which the inputs of a crane need, must be the same within a quarter of its
+    peak; corners, jumps and noise fail, since there it grows with the density of the samples. The distance
+    of the samples left out is the `fit_error`, an upper estimate.
+
+    Parameters
+    ----------
+    t : array_like, shape (n,)
+        Sample times in s, increasing, at least 20; they need not be evenly spaced.
+    positions : array_like, shape (n, dimension)
+        Samples in m.
+    tolerance : float, optional
+        How far the path may stay away from a sample, in m: the size of the noise or of the rounding. Without
+        it, the samples are taken as exact to 1e-12 of their largest coordinate.
+
+    Returns
+    -------
+    PiecewisePolynomial
+        The path; `max_order` 9; `smoothness` 8, or 4 if it rests at an end.
+
+    Raises
+    ------
+    InvalidReference
+        If samples are not finite, too few, not increasing in time, or too rough (naming the time).
+    """
+    table = points(positions, "sample")
+    times = _increasing(t, len(table), "sample")
+    if len(table) < FEWEST_SAMPLES:
+        raise InvalidReference(
+            f"{len(table)} samples are too few: a sampled path needs at least {FEWEST_SAMPLES}, half of them "
+            "to fit it and half to check it (a path through fewer points is a path through waypoints)"
+        )
+    if tolerance is not None and not (np.isfinite(tolerance) and tolerance >= 0.0):
+        raise InvalidReference(f"the tolerance of a sampled path must be a length in m, not {tolerance}")
+    allowed = max(tolerance or 0.0, ROUNDING * float(np.abs(table).max()))
+    return _checked(times, table, _fewest_knots(times, table, allowed) or _interpolation(times, table))
+
+
+class _Fit(NamedTuple):
+    """A spline, how its ends were treated, and its inner knots if they are to stay (None: interpolation)."""
+
+    spline: BSpline
+    ends: Ends
+    inner_knots: FloatArray | None
+
+
+def _fewest_knots(t: FloatArray, positions: FloatArray, allowed: float) -> _Fit | None:
+    """Return the coarsest fit within `allowed` (m), preferably at rest at its ends, or None."""
+    pieces = 1
+    while pieces + DEGREE <= len(t) // 3:
+        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
+        found = _Fit(fit(t, positions, inner_knots, FREE), FREE, inner_knots)
+        if _distance(found.spline(t), positions).max() <= allowed:
+            for ends in (AT_REST, Ends(start=True, end=False), Ends(start=False, end=True)):
+                spline = fit(t, positions, inner_knots, ends)
+                if _distance(spline(t), positions).max() <= allowed:
+                    return _Fit(spline, ends, inner_knots)
+            return found
+        pieces *= 2
+    return None
+
+
+def _interpolation(t: FloatArray, positions: FloatArray) -> _Fit:
+    """Return the spline through all samples; an end rests if that predicts left-out samples as well."""
+    rounding = 100.0 * np.finfo(np.float64).eps * float(np.abs(positions).max())
+    free = _left_out_distance(t, positions, FREE)
+    start = _left_out_distance(t, positions, Ends(start=True, end=False))
+    end = _left_out_distance(t, positions, Ends(start=False, end=True))
+    near = DEGREE + 1  # samples that the treatment of an end moves most
+    ends = Ends(
+        start=bool(start[:near].max() <= 2.0 * free[:near].max() + rounding),
+        end=bool(end[-near:].max() <= 2.0 * free[-near:].max() + rounding),
+    )
+    return _Fit(fit(t, positions, interpolation_knots(t, ends), ends), ends, None)
+
+
+def _left_out_distance(t: FloatArray, positions: FloatArray, ends: Ends) -> FloatArray:
+    """Distance (n,) in m between each sample and an interpolation of every second sample without it."""
+    distance = np.zeros(len(t))
+    for kept in _halves(len(t)):
+        half = fit(t[kept], positions[kept], interpolation_knots(t[kept], ends), ends)
+        distance = np.maximum(distance, _distance(half(t), positions))
+    return distance
+
+
+def _checked(t: FloatArray, positions: FloatArray, found: _Fit) -> PiecewisePolynomial:
+    """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
+    snap = found.spline(t, nu=REST_ORDER)
+    error = _distance(found.spline(t), positions).max()
+    doubt = np.zeros(len(t))
+    for kept in _halves(len(t)):
+        knots = interpolation_knots(t[kept], found.ends) if found.inner_knots is None else found.inner_knots
+        half = fit(t[kept], positions[kept], knots, found.ends)
+        error = max(error, _distance(half(t), positions).max())
+        doubt = np.maximum(doubt, _distance(half(t, nu=REST_ORDER), snap))
+    peak = np.linalg.norm(snap, axis=1).max()
+    slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** REST_ORDER  # of a path worth the name
+    limit = SNAP_DOUBT * max(peak, slightest)
+    inside = slice(
+        DEGREE + 1, -DEGREE - 1
+    )  # trouble anywhere also shakes the ends: look for its cause inside
+    worst = int(np.argmax(doubt))
+    if doubt[inside].max(initial=0.0) > limit:
+        worst = DEGREE + 1 + int(np.argmax(doubt[inside]))
+    if not doubt[worst] <= limit:
+        raise InvalidReference(
+            f"the samples are too rough near t = {t[worst]:.6g} s: fits to every second sample differ by "
+            f"{doubt[worst]:.3g} m/s^4 in the fourth derivative (limit {limit:.3g}) and by up to {error:.3g} "
+            "m in position; there is a corner or a jump, the samples are too far apart, or they are rounded "
+            "or noisy and need a tolerance"
+        )
+    return to_path(found.spline, found.ends, float(error))
+
+
+def _halves(count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Every second sample, and every other one; first and last belong to both."""
+    number = np.arange(count)
+    inside = (number > 0) & (number < count - 1)
+    return np.flatnonzero(~inside | (number % 2 == 0)), np.flatnonzero(~inside | (number % 2 == 1))
+
+
+def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    distance: FloatArray = np.linalg.norm(a - b, axis=1)
+    return distance
+
+
+def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:
+    """Check times (n,) in s: one for each of the `count` rows, finite, increasing."""
+    column = np.asarray(t, dtype=np.float64)
+    if column.shape != (count,):
+        raise InvalidReference(f"{count} {what}s need {count} times, not an array of shape {column.shape}")
+    times = points(column[:, None], f"time of {what}")[:, 0]
+    stuck = np.flatnonzero(np.diff(times) <= 0.0)
+    if stuck.size:
+        row = stuck[0] + 1
+        raise InvalidReference(
+            f"times must increase, but {what} {row} is at {times[row]} s after one at {times[row - 1]} s"
+        )
+    return times
+
+
+def _chord_times(waypoints: FloatArray, duration: float) -> FloatArray:
+    """Find the times (n,) at which a three-phase motion along the polyline passes the waypoints."""
+    if not (np.isfinite(duration) and duration > 0.0):
+        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    repeated = np.flatnonzero(chords == 0.0)
+    if repeated.size:
+        raise InvalidReference(
+            f"waypoints {repeated[0]} and {repeated[0] + 1} coincide: give the times of the waypoints"
+        )
+    way = np.concatenate([[0.0], np.cumsum(chords)])
+    way /= way[-1]
+    early, late = np.zeros(len(way)), np.full(len(way), duration)
+    for _ in range(60):  # bisection: s(t) rises monotonically
+        middle = (early + late) / 2.0
+        short = three_phase().jet(middle, duration - middle, duration, 0)[:, 0] < way
+        early, late = np.where(short, middle, early), np.where(short, late, middle)
+    times: FloatArray = (early + late) / 2.0
+    times[0], times[-1] = 0.0, duration
+    return times
