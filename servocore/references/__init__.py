@@ -1,6 +1,7 @@
 """Reference paths gamma(t): immutable, with exact derivatives of the orders they promise."""
 
 from servocore.references.base import Reference
+from servocore.references.csv_file import from_csv, waypoints_from_csv
 from servocore.references.profiles import (
     DEGREE3,
     DEGREE5,
@@ -21,8 +22,10 @@ __all__ = [
     "DEGREE13",
     "Profile",
     "Reference",
+    "from_csv",
     "rest_to_rest",
     "sampled",
     "three_phase",
     "through",
+    "waypoints_from_csv",
 ]

@@ -1,0 +1,210 @@
+"""Paths from CSV files: what is in the file comes back; what is wrong with it is named by line and column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from servocore.errors import InvalidReference
+from servocore.references import (
+    DEGREE13,
+    from_csv,
+    rest_to_rest,
+    three_phase,
+    through,
+    waypoints_from_csv,
+)
+from servocore.references.csv_file import GROUPS
+from servocore.references.hermite import hermite
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+GRAVITY = 9.81
+LINE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
+CURVE = through([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6]], [0, 12, 22, 31, 40])
+
+
+def header(groups):
+    return ",".join(["time", *(name for group in GROUPS[:groups] for name in group)])
+
+
+def table(truth, step, groups):
+    count = round(truth.duration / step) + 1
+    t = np.linspace(truth.start_time, truth.end_time, count)
+    return np.column_stack([t, truth.jet(t, groups - 1).reshape(count, -1)])
+
+
+def write(path, rows, groups, fmt="%.17g"):
+    np.savetxt(path, rows, fmt, ",", header=header(groups), comments="")
+    return path
+
+
+def relative_errors(path, truth, order):
+    t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
+    found, exact = path.jet(t, order), truth.jet(t, order)
+    return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
+
+
+@pytest.mark.parametrize("groups", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("truth", [LINE, CURVE], ids=["line", "curve"])
+def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(truth, groups, tmp_path):
+    path = from_csv(write(tmp_path / "path.csv", table(truth, 0.1, groups), groups))
+    assert relative_errors(path, truth, 4).max() < 1e-5
+    assert path.fit_error < 2e-12 * 6.0
+    assert path.max_order == 9
+    assert path.rests_before
+    assert path.rests_after
+
+
+def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path):
+    path = from_csv(write(tmp_path / "path.csv", table(LINE, 20.0, 5), 5))
+    assert relative_errors(path, LINE, 9).max() < 1e-13
+    assert path.fit_error is None
+
+
+@pytest.mark.parametrize("step", [2.0, 0.5, 0.1, 0.01, 0.002])
+@pytest.mark.parametrize("profile", [DEGREE13, three_phase(4.0)], ids=lambda p: p.name)
+def test_rows_of_derivatives_keep_their_snap_however_dense_they_are(profile, step):
+    truth = rest_to_rest(LINE.start, LINE.end, 20.0, profile)
+    rows = table(truth, step, 5)
+    path, worst = hermite(rows[:, 0], rows[:, 1:].reshape(-1, 5, 3))
+    assert relative_errors(path, truth, 4)[4] < 1e-2  # with every row in use: far above 1 at 2 ms
+    assert worst.fraction < 0.5
+    np.testing.assert_allclose(path.jet(rows[:, 0], 0)[:, 0], rows[:, 1:4], rtol=0.0, atol=1e-12)
+
+
+def test_rows_that_move_at_their_ends_are_continued_by_the_end_polynomials():
+    t = np.linspace(0.0, 3.0, 31)
+    derivatives = np.stack([np.sin(t + k * np.pi / 2) for k in range(5)], axis=1)[:, :, None]
+    path, _ = hermite(t, derivatives)
+    np.testing.assert_allclose(path.jet([-0.05, 3.05], 2)[:, 0, 0], np.sin([-0.05, 3.05]), atol=1e-10)
+    assert not path.rests_before
+    assert path.smoothness == 4
+
+
+def test_a_path_at_rest_stays_where_it_is():
+    path, _ = hermite(np.arange(5.0), np.zeros((5, 5, 3)))
+    assert not path.jet([0.0, 2.5, 9.0], 9).any()
+
+
+def test_rounded_positions_need_a_tolerance(tmp_path):
+    for groups in (1, 2):
+        file = write(tmp_path / f"{groups}.csv", table(CURVE, 0.05, groups), groups, fmt="%.6f")
+        with pytest.raises(InvalidReference, match="need a tolerance"):
+            from_csv(file)
+        assert relative_errors(from_csv(file, tolerance=1e-6), CURVE, 4).max() < 1e-3
+
+
+@pytest.mark.parametrize("tolerance", [None, 1e-6])
+def test_rounded_rows_of_all_derivatives_are_good_enough_as_they_are(tolerance, tmp_path):
+    file = write(tmp_path / "path.csv", table(CURVE, 0.05, 5), 5, fmt="%.6f")
+    assert relative_errors(from_csv(file, tolerance), CURVE, 4).max() < 2e-3
+
+
+@pytest.mark.parametrize("groups", [2, 3, 5])
+def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups, tmp_path):
+    rows = table(CURVE, 0.1, groups)
+    rows[:, -3] *= -1.0
+    with pytest.raises(
+        InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"
+    ):
+        from_csv(write(tmp_path / "bad.csv", rows, groups))
+
+
+def test_a_single_wrong_velocity_is_named_by_line_and_column(tmp_path):
+    rows = table(CURVE, 0.1, 2)
+    rows[123, 5] += 0.1
+    with pytest.raises(InvalidReference, match=r"bad\.csv, line 125 \(time 12.3 s\), column vy: "):
+        from_csv(write(tmp_path / "bad.csv", rows, 2))
+
+
+def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path):
+    rows = table(CURVE, 0.1, 1)
+    rows[rows[:, 0] > 17.0, 3] += 0.01
+    with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17"):
+        from_csv(write(tmp_path / "rough.csv", rows, 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "line 1: the file is empty, but a header time,x,y,z was expected"),
+        ("\n \n", "the file is empty"),
+        ("t,x,y,z\n0,1,2,3\n", "line 1: the header time,x,y,z, .* was expected, but 't,x,y,z' was found"),
+        ("time,x,y,z,ax,ay,az\n", "optionally followed by vx,vy,vz, then ax,ay,az.* was expected"),
+        ("time,x,y,z\n", "line 1: there is a header but no rows"),
+        ("time,x,y,z\n0,1,2,3\n1,1,2\n", "line 3: 3 cells were found, but the header has 4 columns"),
+        ("time,x,y,z\n0,1,2,3\n1,1,2,3,4\n", "line 3: 5 cells"),
+        ("time,x,y,z\n0,1,2,3\n\n1,1,two,3\n", "line 4, column y: 'two' is not a finite number"),
+        ("time,x,y,z\n0,1,2,nan\n", "line 2, column z: 'nan' is not a finite number"),
+        ("time,x,y,z\n0,1,,3\n", "line 2, column y: '' is not a finite number"),
+        ("time,x,y,z\ninf,1,2,3\n", "line 2, column time: 'inf'"),
+        ("time,x,y,z\n0,1,2,3\n2,1,2,3\n2,1,2,3\n", "line 4, column time: 2 s does not come after 2 s"),
+        ("time,x,y,z\n0,1,2,3\n1,1,2,3\n", "line 3: the file ends after 2 rows .* needs at least 20"),
+        (header(5) + "\n" + ",".join("0" * 16) + "\n", "line 2: the file ends after 1 rows .* at least 2"),
+    ],
+)
+def test_a_file_that_is_no_path_is_refused_by_name_line_and_column(text, sentence, tmp_path):
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(InvalidReference, match=r"bad\.csv, " + ".*" + sentence):
+        from_csv(file)
+
+
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path):
+    with pytest.raises(InvalidReference, match=r"nowhere\.csv cannot be read .*No such file"):
+        from_csv(tmp_path / "nowhere.csv")
+    with pytest.raises(InvalidReference, match="cannot be read"):
+        from_csv(tmp_path)
+    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InvalidReference, match=r"binary\.csv cannot be read"):
+        waypoints_from_csv(tmp_path / "binary.csv")
+
+
+def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_bytes("\ufefftime, x, y, z\r\n0, 5, 0, -5\r\n20, -2, 2, -2\r\n\r\n".encode())
+    assert relative_errors(waypoints_from_csv(file), LINE, 4).max() < 1e-13
+
+
+def test_waypoints_take_no_derivatives_and_at_least_two_rows(tmp_path):
+    with pytest.raises(InvalidReference, match="header time,x,y,z was expected"):
+        waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 2), 2))
+    with pytest.raises(InvalidReference, match="1 rows of data, but such a path needs at least 2"):
+        waypoints_from_csv(write(tmp_path / "b.csv", table(LINE, 1.0, 1)[:1], 1))
+
+
+# --- the examples -----------------------------------------------------------------------------------------
+
+
+def test_the_sampled_working_cycle_is_the_one_through_the_waypoints():
+    smooth = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
+    path = from_csv(EXAMPLES / "working_cycle_sampled.csv")
+    assert relative_errors(path, smooth, 4).max() < 1e-5
+    assert path.fit_error < 1e-11
+
+
+def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(tmp_path, monkeypatch):
+    script = (EXAMPLES / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    waypoints = (EXAMPLES / "working_cycle_waypoints.csv").read_text()
+    (tmp_path / "working_cycle_waypoints.csv").write_text(waypoints)
+    monkeypatch.chdir(tmp_path)
+    exec(compile(script, "README.md", "exec"), {})
+    made = np.loadtxt("working_cycle_sampled.csv", delimiter=",", skiprows=1)
+    kept = np.loadtxt(EXAMPLES / "working_cycle_sampled.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(made, kept, rtol=0.0, atol=1e-14)
+
+
+def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go():
+    path = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
+    jets = path.jet(np.linspace(0.0, path.duration, 2001), 2)
+    position, velocity, acceleration = jets[:, 0], jets[:, 1], jets[:, 2]
+    assert np.linalg.norm(velocity, axis=1).max() < 0.6
+    assert np.linalg.norm(acceleration, axis=1).max() < 0.15
+    assert position[:, 2].min() > -6.0 - 1e-9
+    assert position[:, 2].max() < -2.0 + 1e-2
+    lever = -position[:, 2] / (GRAVITY + acceleration[:, 2])  # theory.md, section 4
+    trolley = np.linalg.norm(position[:, :2] + lever[:, None] * acceleration[:, :2], axis=1)
+    assert trolley.min() > 3.8
+    assert trolley.max() < 6.1
