@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidModel
 
@@ -28,7 +29,7 @@ MAX_ITERATIONS = 30
 """A block that needs as many Newton iterations has failed."""
 
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
-_TEARING_FILL = 4  # a substitution may couple at most this many further pairs (Markowitz' count)
+_TEARING_FILL = 0  # a substitution must not leave more entries than it removes
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,23 +231,22 @@ def _tear(
     jacobian = ca.jacobian(residual, unknowns)
     pattern = _dependence(jacobian)
     constant = {
-        (i, j): float(jacobian[i, j])
-        for i, j in zip(*np.nonzero(pattern), strict=True)
-        if ca.SX(jacobian[i, j]).is_constant()
+        (int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()
     }
     active_rows, active_columns = set(range(len(rows))), set(range(len(columns)))
     pivots: list[tuple[int, int]] = []
     while len(active_rows) > 1:
-        best = _cheapest_pivot(pattern, constant, active_rows, active_columns)
+        best = _cheapest_pivot(pattern, constant, active_rows)
         if best is None:
             break
         i, j = best
         touched = [k for k in active_rows if pattern[k, j] and k != i]
         for k in touched:
             pattern[k] |= pattern[i]
-            constant = {key: value for key, value in constant.items() if key[0] != k or not pattern[i, key[1]]}
+            constant = {(r, c) for r, c in constant if r != k or not pattern[i, c]}
         active_rows.remove(i)
         active_columns.remove(j)
+        constant = {(r, c) for r, c in constant if c != j}
         pivots.append(best)
     torn: list[tuple[ca.SX, ca.SX]] = []
     for i, j in pivots:
@@ -263,29 +263,24 @@ def _tear(
     return core, kept, torn
 
 
-def _dependence(jacobian: ca.SX) -> np.ndarray:
+def _dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
     pattern = np.zeros(jacobian.shape, dtype=bool)
     pattern[tuple(np.array(jacobian.sparsity().get_triplet()))] = True
     return pattern
 
 
 def _cheapest_pivot(
-    pattern: np.ndarray,
-    constant: dict[tuple[int, int], float],
+    pattern: npt.NDArray[np.bool_],
+    constant: set[tuple[int, int]],
     active_rows: set[int],
-    active_columns: set[int],
 ) -> tuple[int, int] | None:
-    """Return the constant entry whose elimination couples least, if that is little enough."""
-    rows, columns = sorted(active_rows), sorted(active_columns)
-    active = pattern[np.ix_(rows, columns)]
-    per_row = dict(zip(rows, active.sum(axis=1), strict=True))
-    per_column = dict(zip(columns, active.sum(axis=0), strict=True))
-    candidates = [
-        (int((per_row[i] - 1) * (per_column[j] - 1)), i, j)
-        for i, j in constant
-        if i in active_rows and j in active_columns
-    ]
-    if not candidates:
-        return None
-    fill, i, j = min(candidates)
-    return (i, j) if fill <= _TEARING_FILL else None
+    """Return the constant entry whose elimination creates the fewest new entries, if those are few enough."""
+    best: tuple[int, int, int] | None = None
+    for i, j in constant:
+        if i not in active_rows:
+            continue
+        touched = [k for k in active_rows if pattern[k, j] and k != i]
+        fill = int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
+        if best is None or (fill, i, j) < best:
+            best = (fill, i, j)
+    return best[1:] if best is not None and best[0] <= _TEARING_FILL else None

@@ -57,6 +57,8 @@ class MechanicalSystem:
         Applied forces f(q, v, p) on the right-hand side of the momentum equation, shape (n,).
     constraints : casadi.SX
         g(q, p), shape (m_h,).
+    gyroscopic : casadi.SX, optional
+        Inertia forces quadratic in v, shape (n,); derived from M when not given.
     multipliers : casadi.SX, optional
         Symbols lam, shape (m_h,), if observables use them; made when not given.
     gamma : casadi.SX, optional
@@ -87,6 +89,7 @@ class MechanicalSystem:
     potential: ca.SX = field(default_factory=lambda: ca.SX(0))
     force: ca.SX | None = None
     constraints: ca.SX = field(default_factory=_column)
+    gyroscopic: ca.SX | None = None
     multipliers: ca.SX | None = None
     gamma: ca.SX | None = None
     guess: ca.SX | None = None
@@ -97,6 +100,7 @@ class MechanicalSystem:
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
         self._fill("force", ca.SX.zeros(n))
+        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
         self._fill("multipliers", ca.SX.sym("lam", m_h))
         self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
         self._fill("guess", ca.SX.zeros(n))
@@ -117,7 +121,7 @@ class MechanicalSystem:
             raise InvalidModel(f"{self.name}: {m} inputs exceed the {n - m_h} degrees of freedom")
         expected = {
             "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
-            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1),
+            "gyroscopic": (n, 1), "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1),
             "gamma": (m, MAX_REFERENCE_ORDER + 1),
         }  # fmt: skip
         for attribute, shape in expected.items():
@@ -129,7 +133,7 @@ class MechanicalSystem:
         q, v, p = self.q, self.v, self.p
         allowed = {
             "mass": (q, p), "output": (q, p), "input_matrix": (q, p), "potential": (q, p),
-            "force": (q, v, p), "constraints": (q, p), "guess": (self.gamma, p),
+            "force": (q, v, p), "gyroscopic": (q, v, p), "constraints": (q, p), "guess": (self.gamma, p),
         }  # fmt: skip
         for attribute, groups in allowed.items():
             self._require_symbols(attribute, getattr(self, attribute), groups)
@@ -188,19 +192,8 @@ class MechanicalSystem:
 
     @cached_property
     def bias(self) -> ca.SX:
-        """Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,).
-
-        The sum of grad V, minus the applied forces, and for a configuration-dependent mass matrix
-        M_dot v - grad(v^T M v) / 2, which equals P^T M P_dot v of equation (10).
-        """
-        momentum = ca.mtimes(self.mass, self.v)
-        kinetic = ca.dot(self.v, momentum) / 2
-        return (
-            ca.gradient(self.potential, self.q)
-            - self.force
-            + ca.jtimes(momentum, self.q, self.v)
-            - ca.gradient(kinetic, self.q)
-        )
+        """Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,)."""
+        return ca.gradient(self.potential, self.q) - self.force + self.gyroscopic
 
     @cached_property
     def constraint_forces(self) -> ca.SX:
@@ -233,6 +226,12 @@ class MechanicalSystem:
                 raise InvalidModel(f"{self.name}: {what} dependent here (rank {rank} of {rows})")
 
 
+def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
+    """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
+    momentum = ca.mtimes(mass, v)
+    return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)
+
+
 def generalise(
     system: MechanicalSystem,
     coordinates: Coordinates,
@@ -244,7 +243,8 @@ def generalise(
 ) -> MechanicalSystem:
     """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
 
-    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P (equations 5 to 12).
+    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P
+    and the velocity-dependent inertia forces are P^T M P_dot nu (equations 5 to 12).
 
     Parameters
     ----------
@@ -279,9 +279,10 @@ def generalise(
         pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
         return pulled
 
-    mass, potential, force, input_matrix, output, constraints = pulled_back(
-        system.mass, system.potential, system.force, system.input_matrix, system.output, system.constraints
-    )
+    mass, potential, force, gyroscopic, input_matrix, output, constraints = pulled_back(
+        system.mass, system.potential, system.force, system.gyroscopic,
+        system.input_matrix, system.output, system.constraints,
+    )  # fmt: skip
     _require_on_manifold(system, coordinates, constraints)
     if observables is None:
         forces = ca.vertcat(system.lam, system.u)
@@ -296,6 +297,7 @@ def generalise(
         mass=ca.mtimes([P.T, mass, P]),
         potential=potential,
         force=ca.mtimes(P.T, force),
+        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(velocity, mu, nu))),
         input_matrix=ca.mtimes(input_matrix, P),
         output=output,
         gamma=system.gamma,
