@@ -25,6 +25,7 @@ from servocore.references import (
     three_phase,
 )
 from servocore.scene import Limit, Scene
+from servocore.simulate import simulate
 from servocore.solution import Solution, Statistics
 from servocore.solve import solve
 from servocore.stepper import Stepper
