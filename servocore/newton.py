@@ -124,7 +124,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
         _solve_block(assembly, rows, columns)
     worst = ca.norm_inf(system.residual / system.residual_scale) if system.unknowns.numel() else ca.SX(0)
     finish = ca.Function(
-        "sc_finish", [assembly.symbols], assembly.resolved(*outputs, worst), {"cse": True}
+        "sc_finish", [assembly.symbols], [ca.densify(each) for each in assembly.resolved(*outputs, worst)], {"cse": True}
     )
     results = finish(assembly.values)
     *found, residual = results if isinstance(results, tuple | list) else (results,)

@@ -9,12 +9,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.calls import Call
 from servocore.errors import InvalidReference, ServocoreError
 
 Array = npt.NDArray[np.float64]
@@ -102,31 +104,37 @@ class Program:
         """Length of the state vector."""
         return int(self.step.size1_in(0))
 
+    @cached_property
+    def _calls(self) -> dict[str, Call]:
+        return {name: Call(getattr(self, name)) for name in _FUNCTIONS}
+
     def begin(self, gamma: Array, p: Array) -> tuple[Array, StepReport]:
         """Return consistent initial values for a reference jet, shape (orders, m), as a state."""
-        state, counts, residual = self.start(gamma[: self.start_order + 1].T, p)
-        return _outcome(state, counts, residual)
+        return _outcome(*self._calls["start"](gamma[: self.start_order + 1].T, p))
 
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
         """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
-        jets = [jet[: self.order + 1].T for jet in gamma]
-        return _outcome(*self.step(state, np.hstack(jets), h, p))
+        return _outcome(*self._calls["step"](state, self._at_nodes(gamma), h, p))
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
         """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""
-        values, _ = self.observe(state, gamma[: self.start_order + 1].T, p)
-        return np.asarray(values).ravel()
+        return self._calls["observe"](state, gamma[: self.start_order + 1].T, p)[0]
 
     def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
         """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene."""
-        margins = np.asarray(self.margins(gamma[: self.start_order + 1].T, p)).ravel()
-        require_margins(self.limits, margins, time)
+        if self.limits:
+            (margins,) = self._calls["margins"](gamma[: self.start_order + 1].T, p)
+            require_margins(self.limits, margins, time)
 
     def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
         """Name the equation that the first guess of a step violates most."""
-        jets = np.hstack([jet[: self.order + 1].T for jet in gamma])
-        residual = np.abs(np.asarray(self.guess_residual(state, jets, h, p))).ravel()
-        return self.equations[int(np.nan_to_num(residual, nan=np.inf).argmax())]
+        (residual,) = self._calls["guess_residual"](state, self._at_nodes(gamma), h, p)
+        return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
+
+    def _at_nodes(self, gamma: Array) -> Array:
+        """Reference jets at the nodes side by side: (m, orders * nodes)."""
+        used = gamma[:, : self.order + 1]
+        return used.reshape(-1, used.shape[2]).T
 
     def to_json(self) -> str:
         """Serialise, with the functions in CasADi's own format."""
@@ -171,10 +179,7 @@ def require_margins(limits: Sequence[LimitText], margins: Array, time: float) ->
             )
 
 
-def _outcome(state: ca.DM, counts: ca.DM, residual: ca.DM) -> tuple[Array, StepReport]:
-    vector = np.asarray(state).ravel()
-    most, total = np.asarray(counts).ravel()
-    worst = float(residual)
-    converged = bool(np.isfinite(vector).all() and np.isfinite(worst))
-    report = StepReport(converged, round(most), round(total), worst)
-    return vector, report
+def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
+    converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
+    most, total = (round(each) if np.isfinite(each) else 0 for each in counts)
+    return state, StepReport(converged, most, total, float(residual[0]))

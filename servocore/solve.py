@@ -8,6 +8,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from servocore.calls import Call
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -31,7 +32,8 @@ CHUNK = 512
 
 _DEFAULT_STEPS = 200
 _SURVEY_POINTS = 2001
-_REFINEMENTS = 4
+_REFINED_POINTS = 41
+_REFINEMENTS = 3
 
 
 def solve(
@@ -140,17 +142,25 @@ def require_feasible(reference: Reference, program: Program, p: Array) -> None:
     """
     if not program.limits:
         return
-    for k in range(len(program.limits)):
-        t = np.linspace(reference.start_time, reference.end_time, _SURVEY_POINTS)
+    survey = np.linspace(reference.start_time, reference.end_time, _SURVEY_POINTS)
+    surveyed = _margins(reference, program, p, survey)
+    for k, limit in enumerate(program.limits):
+        broken = ~(surveyed[k] > 0.0)
+        if broken.any():
+            first = int(broken.argmax())
+            require_margins((limit,), surveyed[k, [first]], float(survey[first]))
+        t, lowest = survey, int(surveyed[k].argmin())
         for _ in range(_REFINEMENTS):
-            jets = reference.jet(t, program.start_order)
-            margins = _mapped(program.margins, len(t))(_columns(jets), np.tile(p[:, None], len(t)))
-            margin = np.nan_to_num(np.asarray(margins)[k], nan=-np.inf)
-            lowest = int(margin.argmin())
-            if not margin[lowest] > 0.0:
-                first = lowest if len(t) != _SURVEY_POINTS else int(np.argmax(~(margin > 0.0)))
-                require_margins((program.limits[k],), np.asarray(margins)[k, [first]], float(t[first]))
-            t = np.linspace(t[max(0, lowest - 1)], t[min(len(t) - 1, lowest + 1)], 101)
+            t = np.linspace(t[max(0, lowest - 1)], t[min(len(t) - 1, lowest + 1)], _REFINED_POINTS)
+            margin = _margins(reference, program, p, t)[k]
+            lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
+            require_margins((limit,), margin[[lowest]], float(t[lowest]))
+
+
+def _margins(reference: Reference, program: Program, p: Array, t: Array) -> Array:
+    jets = reference.jet(t, program.start_order)
+    (margins,) = _mapped(program.margins, len(t))(_columns(jets), np.tile(p[:, None], len(t)))
+    return margins.reshape(len(program.limits), len(t))
 
 
 def _run(
@@ -167,22 +177,22 @@ def _run(
         # A last chunk that is not full is padded with the final instant; what it gives there is dropped.
         ends = t[np.minimum(np.arange(begin + 1, begin + length + 1), count)]
         nodes = [scene.reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
-        gamma = np.concatenate([jets.transpose(2, 0, 1) for jets in nodes], axis=2)
+        gamma = np.concatenate(nodes, axis=1)
         found, count_rows, worst = loop(
             states[-1][:, -1],
-            gamma.reshape(gamma.shape[0], -1),
+            _columns(gamma),
             np.full((1, length), step),
             np.tile(p[:, None], length),
         )
-        found, count_rows, worst = (np.asarray(each)[:, :used] for each in (found, count_rows, worst))
-        failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst[0])
+        found, count_rows, worst = found[:, :used], count_rows[:, :used], worst.ravel()[:used]
+        failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
         if failed.any():
             at = int(failed.argmax())
             before = found[:, at - 1] if at else states[-1][:, -1]
             _fail(scene, program, p, before, t[begin + at], step)
         states.append(found)
         counts.append(count_rows)
-        residuals.append(worst[0])
+        residuals.append(worst)
         if progress is not None:
             progress(begin + used, count)
     return np.hstack(states), np.hstack(counts), np.concatenate(residuals)
@@ -202,23 +212,23 @@ def _observe(program: Program, states: Array, jets: Array, p: Array) -> tuple[Ar
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
     count = len(jets)
     values, violations = _mapped(program.observe, count)(states, _columns(jets), np.tile(p[:, None], count))
-    table = np.asarray(values).T.copy()
+    table = values.T
     for k, channel in enumerate(program.channels):
         if channel.wraps:
             table[:, k] = np.unwrap(table[:, k])
-    return table, np.asarray(violations)
+    return table, violations
 
 
 def _columns(jets: Array) -> Array:
     """Reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
-    return np.ascontiguousarray(jets.transpose(2, 0, 1)).reshape(jets.shape[2], -1)
+    return jets.reshape(-1, jets.shape[2]).T
 
 
 @lru_cache(maxsize=128)
-def _mapped(function: ca.Function, count: int) -> ca.Function:
-    return function.map(count)
+def _mapped(function: ca.Function, count: int) -> Call:
+    return Call(function.map(count))
 
 
 @lru_cache(maxsize=128)
-def _accumulated(function: ca.Function, count: int) -> ca.Function:
-    return function.mapaccum(f"{function.name()}_loop", count)
+def _accumulated(function: ca.Function, count: int) -> Call:
+    return Call(function.mapaccum(f"{function.name()}_loop", count))

@@ -69,7 +69,7 @@ def _compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order
     p = ca.MX.sym("p", system.p.numel())
     found, counts, residual = inversion(gamma[:, : array.reference_order + 1], p)
     places = [array.position(each.variable, each.order) for each in dae.unknowns]
-    first = ca.Function("sc_first", [ca.vertcat(dae.x, dae.z)], [step.first_state])
+    first = ca.Function("sc_first", [ca.vertcat(dae.x, dae.z)], [ca.densify(step.first_state)])
     return ca.Function("sc_start", [gamma, p], [first(found[places]), counts, residual])
 
 
@@ -81,7 +81,7 @@ def _compile_step(step: Discretisation) -> ca.Function:
 def _compile_guess_residual(step: Discretisation) -> ca.Function:
     equations = step.equations
     residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
-    evaluate = ca.Function("sc_residual", [equations.givens], [residual])
+    evaluate = ca.Function("sc_residual", [equations.givens], [ca.densify(residual)])
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
 
 
@@ -114,7 +114,7 @@ def _compile_observe(
         [expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)]
     )
     gamma = system.gamma[:, : order + 1]
-    return ca.Function("sc_observe", [step.state, gamma, system.p], [expressions, violations], {"cse": True})
+    return ca.Function("sc_observe", [step.state, gamma, system.p], [ca.densify(expressions), ca.densify(violations)], {"cse": True})
 
 
 def _violations(system: MechanicalSystem) -> ca.SX:
@@ -131,7 +131,7 @@ def _violations(system: MechanicalSystem) -> ca.SX:
 def _compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
     gamma = system.gamma[:, : order + 1]
     margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
-    return ca.Function("sc_margins", [gamma, system.p], [ca.vertcat(ca.SX(0, 1), *margins)])
+    return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])
 
 
 @dataclass(frozen=True, eq=False)
