@@ -1,0 +1,156 @@
+"""What one step costs: `make bench`, or `python benchmarks/step_cost.py [steps]`.
+
+For every model of the rotary crane, projected equations and backward Euler:
+
+* `blocks`: sizes of the diagonal blocks of the step's Jacobian, so many times;
+* `Newton`: unknowns that are left to Newton's method, block by block, after tearing;
+* `undivided`: the same equations as one block of `fast_newton`, without block triangular form and tearing;
+* `step`: the library's step function in a bare `mapaccum`;
+* `solve`: everything, reference, limits, step and observation, with the compiled functions in the cache.
+
+Times are the smallest of several interleaved runs, in microseconds a step. Trust the ratios: machines are busy.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import servocore as sc
+from servocore.methods import Discretisation
+from servocore.newton import MAX_ITERATIONS, STEP_TOLERANCE
+
+REPEATS = 15
+SCENE = sc.scenes.rotary_crane()
+FORMULATION, METHOD = sc.Projected(), sc.BackwardEuler()
+
+
+@dataclass(frozen=True)
+class Row:
+    """Sizes, and microseconds a step, for one model."""
+
+    model: str
+    unknowns: int
+    blocks: str
+    newton: str
+    microseconds: dict[str, float]
+
+
+def measure(model: str, count: int) -> Row:
+    """Sizes and times of one model; its runs are taken in turn, so that disturbances meet them alike."""
+    step = SCENE.reference.duration / count
+    stepper = sc.Stepper(SCENE, FORMULATION, METHOD, step, model)
+    discretisation = METHOD.discretise(FORMULATION.dae(SCENE.model(model)))
+    arguments = loop_arguments(stepper, count)
+    loops = {
+        "undivided": undivided_step(discretisation).mapaccum(count),
+        "step": stepper.program.step.mapaccum(count),
+    }
+    runs: dict[str, Callable[[], object]] = {
+        name: lambda loop=loop: loop(*arguments) for name, loop in loops.items()
+    }
+    runs["solve"] = lambda: sc.solve(SCENE, FORMULATION, METHOD, step=step, model=model)
+    states = {name: np.asarray(loop(*arguments)[0]) for name, loop in loops.items()}
+    agreement = np.abs(states["step"] - states["undivided"])[: discretisation.x.numel()].max()
+    if not agreement < 1e-6:
+        raise SystemExit(f"{model}: the two step functions differ by {agreement:.1e}")
+    return Row(
+        model,
+        discretisation.equations.unknowns.numel(),
+        block_sizes(discretisation),
+        newton_sizes(stepper.program.step),
+        {name: 1e6 * seconds / count for name, seconds in fastest(runs).items()},
+    )
+
+
+def fastest(runs: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Smallest time of each run in s, after one to warm up."""
+    best = dict.fromkeys(runs, float("inf"))
+    for repeat in range(REPEATS + 1):
+        for name, run in runs.items():
+            begin = time.perf_counter()
+            run()
+            if repeat:
+                best[name] = min(best[name], time.perf_counter() - begin)
+    return best
+
+
+def loop_arguments(stepper: sc.Stepper, count: int) -> tuple[object, ...]:
+    """State, reference columns, steps and parameters of a run over the whole reference."""
+    reference, program = SCENE.reference, stepper.program
+    t = np.linspace(reference.start_time, reference.end_time, count + 1)
+    state, _ = stepper.start(reference.jet(t[0], stepper.start_order))
+    gamma = reference.jet(t[1:], program.order).transpose(2, 0, 1).reshape(reference.dimension, -1)
+    return state, gamma, np.full((1, count), stepper.step), np.tile(stepper.parameters[:, None], count)
+
+
+def undivided_step(step: Discretisation) -> ca.Function:
+    """Return the step as one Newton iteration over all its unknowns, scaled alike."""
+    equations = step.equations
+    scaled = ca.SX.sym("scaled", equations.unknowns.numel())
+    residual = ca.substitute(equations.residual, equations.unknowns, scaled * equations.unknown_scale)
+    root = ca.rootfinder(
+        "undivided_newton",
+        "fast_newton",
+        {"x": scaled, "p": equations.givens, "g": residual / equations.residual_scale},
+        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False},
+    )
+    prepare = ca.Function(
+        "prepare", [equations.givens], [equations.guess / equations.unknown_scale, equations.unknown_scale]
+    )
+    finish = ca.Function("finish", [equations.unknowns, equations.givens], [step.next_state])
+    state, h = ca.MX.sym("state", step.state.numel()), ca.MX.sym("h")
+    gamma = ca.MX.sym("gamma", *step.reference.shape)
+    p = ca.MX.sym("p", equations.givens.numel() - state.numel() - gamma.numel() - 1)
+    givens = ca.vertcat(state, ca.vec(gamma), h, p)
+    guess, scale = prepare(givens)
+    new = finish(root(guess, givens) * scale, givens)
+    return ca.Function("undivided_step", [state, gamma, h, p], [new, ca.MX(0)])
+
+
+def block_sizes(step: Discretisation) -> str:
+    """Sizes of the blocks of the Jacobian's block triangular form, such as ``20x1 3x3``."""
+    _, _, _, rows, *_ = ca.jacobian_sparsity(step.equations.residual, step.equations.unknowns).btf()
+    return counted(np.diff(rows).tolist())
+
+
+def newton_sizes(step: ca.Function) -> str:
+    """Unknowns of each Newton iteration within a step function; the clock that counts is not one."""
+    inner = [each for each in step.find_functions() if each.class_name() == "FastNewton"]
+    return counted([each.size1_out(0) - 1 for each in inner]) or "none"
+
+
+def counted(sizes: list[int]) -> str:
+    """Write ``20x1 3x3`` for twenty ones and three threes."""
+    return " ".join(f"{number}x{size}" for size, number in sorted(Counter(sizes).items()))
+
+
+def main(count: int) -> None:
+    """Measure all models and print one table."""
+    rows = [measure(model, count) for model in SCENE.models]
+    first = rows[0].microseconds["step"]
+    table = Table(title=f"rotary crane, projected, backward Euler, {count} steps; microseconds a step")
+    for heading in ("model", "unknowns", "blocks", "Newton"):
+        table.add_column(heading)
+    for heading in ("undivided", "step", "solve", "solve/step", f"step/{rows[0].model}"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        took = row.microseconds
+        table.add_row(
+            row.model, str(row.unknowns), row.blocks, row.newton,
+            *(f"{took[name]:.1f}" for name in ("undivided", "step", "solve")),
+            f"{took['solve'] / took['step']:.2f}", f"{took['step'] / first:.1f}",
+        )  # fmt: skip
+    Console(width=120).print(table)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 2000)
