@@ -18,11 +18,19 @@ from servocore.formulations import Formulation, Original, Projected
 from servocore.methods import BackwardEuler, Method
 from servocore.program import Program, StepReport
 from servocore.references import (
+    DEGREE3,
+    DEGREE5,
+    DEGREE7,
     DEGREE9,
     DEGREE13,
+    Profile,
     Reference,
+    from_csv,
     rest_to_rest,
+    sampled,
     three_phase,
+    through,
+    waypoints_from_csv,
 )
 from servocore.scene import Limit, Scene
 from servocore.simulate import simulate
@@ -33,3 +41,46 @@ from servocore.symbols import Coordinates, Parameter, Parameters, Quantity
 from servocore.system import MechanicalSystem, generalise
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "DEGREE3",
+    "DEGREE5",
+    "DEGREE7",
+    "DEGREE9",
+    "DEGREE13",
+    "BackwardEuler",
+    "Coordinates",
+    "Formulation",
+    "InconsistentStart",
+    "IntegrationFailed",
+    "InvalidModel",
+    "InvalidReference",
+    "InvalidSetting",
+    "Limit",
+    "MechanicalSystem",
+    "Method",
+    "Original",
+    "Parameter",
+    "Parameters",
+    "Profile",
+    "Program",
+    "Projected",
+    "Quantity",
+    "Reference",
+    "Scene",
+    "ServocoreError",
+    "Solution",
+    "Statistics",
+    "StepReport",
+    "Stepper",
+    "from_csv",
+    "generalise",
+    "rest_to_rest",
+    "sampled",
+    "scenes",
+    "simulate",
+    "solve",
+    "three_phase",
+    "through",
+    "waypoints_from_csv",
+]

@@ -44,12 +44,12 @@ class Call:
             if flat.size != size:
                 raise ValueError(f"argument {k} of {self._name} has {flat.size} entries, expected {size}")
             if size:
-                self._buffer.set_arg(k, memoryview(flat))
+                self._buffer.set_arg(k, flat.data)
             held.append(flat)
         results = [np.empty(rows * columns) for rows, columns in self._shapes]
         for k, result in enumerate(results):
             if result.size:
-                self._buffer.set_res(k, memoryview(result))
+                self._buffer.set_res(k, result.data)
         self._evaluate()
         return tuple(
             result if columns == 1 else result.reshape((rows, columns), order="F")

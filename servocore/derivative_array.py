@@ -1,7 +1,7 @@
 """The derivative array of a servo constraint problem as one square system: exact inversion at an instant.
 
-With the offsets c, d of `servocore.structure`, the equations f_i, ..., f_i^(c_i) in the unknowns y_j, ..., y_j^(d_j) are
-a square system when no internal dynamics remain. Its data are the reference and its derivatives at that instant.
+With the offsets c, d of `servocore.structure`, the equations f_i, ..., f_i^(c_i) in the unknowns y_j, ..., y_j^(d_j)
+are a square system when no internal dynamics remain. Its data are the reference and its derivatives at that instant.
 It gives consistent initial values to every formulation, and is itself the `Reduced` one.
 """
 

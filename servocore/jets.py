@@ -113,9 +113,7 @@ class Jet:
             divisor = np.asarray(other, dtype=np.float64)
             return _series(self.order, lambda k, _: self.coefficients[k] / divisor)
         a, b = self.coefficients, other.coefficients
-        return _series(
-            min(self.order, other.order), lambda k, c: (a[k] - _convolve(c, b, 0, k - 1, k)) / b[0]
-        )
+        return _series(min(self.order, other.order), lambda k, c: (a[k] - _convolve(c, b, 0, k - 1, k)) / b[0])
 
     def __rtruediv__(self, other: npt.ArrayLike) -> Jet:
         return Jet.constant(other, self.order) / self

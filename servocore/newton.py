@@ -96,7 +96,7 @@ class _Assembly:
 
 
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function:
-    """Compile `system` into a function that solves it.
+    r"""Compile `system` into a function that solves it.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
     Returns
     -------
     casadi.Function
-        givens -> (\\*outputs, counts, residual), where counts holds the Newton iterations of the slowest block
+        givens -> (\*outputs, counts, residual), where counts holds the Newton iterations of the slowest block
         and the factorisations of all blocks, and residual is the largest scaled residual. NaN says that it failed.
 
     Raises
@@ -124,7 +124,10 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
         _solve_block(assembly, rows, columns)
     worst = ca.norm_inf(system.residual / system.residual_scale) if system.unknowns.numel() else ca.SX(0)
     finish = ca.Function(
-        "sc_finish", [assembly.symbols], [ca.densify(each) for each in assembly.resolved(*outputs, worst)], {"cse": True}
+        "sc_finish",
+        [assembly.symbols],
+        [ca.densify(each) for each in assembly.resolved(*outputs, worst)],
+        {"cse": True},
     )
     results = finish(assembly.values)
     *found, residual = results if isinstance(results, tuple | list) else (results,)
@@ -230,9 +233,7 @@ def _tear(
     unknowns, residual = system.unknowns[columns], system.residual[rows]
     jacobian = ca.jacobian(residual, unknowns)
     pattern = _dependence(jacobian)
-    constant = {
-        (int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()
-    }
+    constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
     active_rows, active_columns = set(range(len(rows))), set(range(len(columns)))
     pivots: list[tuple[int, int]] = []
     while len(active_rows) > 1:

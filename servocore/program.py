@@ -132,7 +132,7 @@ class Program:
         return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
 
     def _at_nodes(self, gamma: Array) -> Array:
-        """Reference jets at the nodes side by side: (m, orders * nodes)."""
+        """Lay the reference jets at the nodes side by side: (m, orders * nodes)."""
         used = gamma[:, : self.order + 1]
         return used.reshape(-1, used.shape[2]).T
 

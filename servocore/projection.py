@@ -93,8 +93,6 @@ def dependent_columns(system: MechanicalSystem) -> list[int]:
     return list(candidates[good[-1]])
 
 
-
-
 def _pivot_columns(C: Array) -> list[int]:
     """Return m columns by greedy orthogonalisation (QR with column pivoting)."""
     rest, chosen = C.copy(), []

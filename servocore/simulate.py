@@ -1,4 +1,4 @@
-"""`simulate`: forward dynamics of a scene under given inputs. Does the load go where it should?"""
+"""`simulate`: forward dynamics of a scene under given inputs, to see whether the load goes where it should."""
 
 from __future__ import annotations
 
@@ -72,14 +72,17 @@ def simulate(
     system = scene.model(model)
     p = system.parameters.values(scene.parameters)
     if isinstance(inputs, Solution):
-        t, inputs = inputs.t if t is None else t, interpolated(inputs, system)
-    elif t is None:
+        t = inputs.t if t is None else t
+        evaluate = interpolated(inputs, system)
+    else:
+        evaluate = inputs
+    if t is None:
         raise InvalidSetting("inputs given as a function need the times at which to report")
     accelerate = _accelerations(system)
     n = len(system.coordinates)
 
     def rate(time: float, state: Array) -> Array:
-        acceleration, _ = accelerate(state, inputs(time), p)
+        acceleration, _ = accelerate(state, evaluate(time), p)
         return np.concatenate([state[n:], np.asarray(acceleration).ravel()])
 
     start = _initial_state(scene, system, p, float(t[0]))
@@ -91,9 +94,11 @@ def simulate(
             f"{system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
         )
     states = found.sol(t)
-    forces = [np.asarray(accelerate(state, inputs(time), p)[1]).ravel() for time, state in zip(t, states.T, strict=True)]
+    forces = [
+        np.asarray(accelerate(state, evaluate(time), p)[1]).ravel() for time, state in zip(t, states.T, strict=True)
+    ]
     counts = (len(found.t) - 1, int(found.nfev))
-    return _report(scene, system, p, np.asarray(t), states, np.array(forces).reshape(len(t), -1), inputs, counts)
+    return _report(scene, system, p, np.asarray(t), states, np.array(forces).reshape(len(t), -1), evaluate, counts)
 
 
 def interpolated(solution: Solution, system: MechanicalSystem) -> Inputs:
@@ -121,7 +126,11 @@ def _accelerations(system: MechanicalSystem) -> ca.Function:
     right = ca.vertcat(system.bias + ca.mtimes(system.input_matrix.T, system.u), stabilised)
     state = ca.vertcat(system.q, system.v)
     terms = ca.Function("sc_terms", [state, system.u, system.p], [matrix, -right], {"cse": True})
-    arguments = [ca.MX.sym("state", state.numel()), ca.MX.sym("u", len(system.inputs)), ca.MX.sym("p", system.p.numel())]
+    arguments = [
+        ca.MX.sym("state", state.numel()),
+        ca.MX.sym("u", len(system.inputs)),
+        ca.MX.sym("p", system.p.numel()),
+    ]
     found = ca.solve(*terms(*arguments), "qr")
     n = len(system.coordinates)
     return ca.Function("sc_accelerations", arguments, [found[:n], found[n:]])

@@ -122,7 +122,7 @@ def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:
             f" the nearest that do are {below:.10g} s and {above:.10g} s"
         )
     # k * step rather than a running sum; the last instant is the end of the path to the last bit.
-    t = reference.start_time + np.arange(count + 1) * (duration / count)
+    t: Array = reference.start_time + np.arange(count + 1, dtype=np.float64) * (duration / count)
     t[-1] = reference.end_time
     return t, duration / count
 
@@ -220,7 +220,7 @@ def _observe(program: Program, states: Array, jets: Array, p: Array) -> tuple[Ar
 
 
 def _columns(jets: Array) -> Array:
-    """Reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
+    """Lay reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
     return jets.reshape(-1, jets.shape[2]).T
 
 

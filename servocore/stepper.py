@@ -49,7 +49,7 @@ def compile_program(
 
 
 def _observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
-    """Inputs, observables, servo outputs, then coordinates whose names are still free."""
+    """List inputs, observables, servo outputs, then coordinates whose names are still free."""
     listed = [
         *((each, system.u[k]) for k, each in enumerate(system.inputs)),
         *system.observables.items(),
@@ -85,9 +85,7 @@ def _compile_guess_residual(step: Discretisation) -> ca.Function:
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
 
 
-def _with_step_arguments(
-    name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]
-) -> ca.Function:
+def _with_step_arguments(name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:
     """Give a function of the flat givens the arguments (state, gamma, h, p)."""
     state = ca.MX.sym("state", step.state.numel())
     gamma = ca.MX.sym("gamma", *step.reference.shape)
@@ -110,11 +108,11 @@ def _compile_observe(
     violations = _violations(system)
     expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])
     unknowns = ca.vertcat(dae.x, dae.z)
-    expressions, violations = ca.substitute(
-        [expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)]
-    )
+    expressions, violations = ca.substitute([expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)])
     gamma = system.gamma[:, : order + 1]
-    return ca.Function("sc_observe", [step.state, gamma, system.p], [ca.densify(expressions), ca.densify(violations)], {"cse": True})
+    return ca.Function(
+        "sc_observe", [step.state, gamma, system.p], [ca.densify(expressions), ca.densify(violations)], {"cse": True}
+    )
 
 
 def _violations(system: MechanicalSystem) -> ca.SX:

@@ -57,9 +57,7 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     """Write equation (1) in the variables y = (q, lam, u)."""
     n, size = len(system.coordinates), system.q.numel() + system.lam.numel() + system.u.numel()
     y = ca.SX.sym("y", size, 3)
-    residual = ca.vertcat(
-        system.momentum_balance(y[:n, 2]), system.output - system.gamma[:, 0], system.constraints
-    )
+    residual = ca.vertcat(system.momentum_balance(y[:n, 2]), system.output - system.gamma[:, 0], system.constraints)
     return SecondOrderEquations(
         system=system,
         residual=_in_variables(system, residual, y),
@@ -247,14 +245,11 @@ def combine(equations: SecondOrderEquations, p: Array | None = None) -> SecondOr
         - system.gamma[:, 2]
     )
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
-    rows = system.momentum_balance(acceleration)[unactuated] - ca.mtimes(
-        system.mass[unactuated, dependent], factors
-    )
+    rows = system.momentum_balance(acceleration)[unactuated] - ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)
     residual[unactuated] = _without_vanishing(equations, _in_variables(system, rows, y), p)
     names = [
-        f"{name} less servo accelerations" if k in unactuated else name
-        for k, name in enumerate(equations.equations)
+        f"{name} less servo accelerations" if k in unactuated else name for k, name in enumerate(equations.equations)
     ]
     embedded = tuple(2 if k in unactuated else order for k, order in enumerate(equations.embedded))
     return SecondOrderEquations(system, residual, y, equations.names, tuple(names), embedded)

@@ -25,6 +25,10 @@ MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
 
 
+DERIVED = ca.SX()
+"""Default of the fields that `MechanicalSystem` makes itself when they are not given."""
+
+
 def _column(length: int = 0) -> ca.SX:
     return ca.SX(length, 1)
 
@@ -87,13 +91,13 @@ class MechanicalSystem:
     output: ca.SX
     input_matrix: ca.SX
     potential: ca.SX = field(default_factory=lambda: ca.SX(0))
-    force: ca.SX | None = None
+    force: ca.SX = DERIVED
     constraints: ca.SX = field(default_factory=_column)
-    gyroscopic: ca.SX | None = None
-    multipliers: ca.SX | None = None
-    gamma: ca.SX | None = None
-    guess: ca.SX | None = None
-    home: tuple[float, ...] | None = None
+    gyroscopic: ca.SX = DERIVED
+    multipliers: ca.SX = DERIVED
+    gamma: ca.SX = DERIVED
+    guess: ca.SX = DERIVED
+    home: tuple[float, ...] = ()
     observables: Mapping[Quantity, ca.SX] = field(default_factory=dict)
     u: ca.SX = field(init=False)
 
@@ -104,14 +108,14 @@ class MechanicalSystem:
         self._fill("multipliers", ca.SX.sym("lam", m_h))
         self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
         self._fill("guess", ca.SX.zeros(n))
-        self._fill("home", (1.0,) * m)
+        object.__setattr__(self, "home", self.home or (1.0,) * m)
         object.__setattr__(self, "u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
         self._require_shapes(n, m, m_h)
         self._require_own_symbols()
         self._require_symmetric_mass()
 
     def _fill(self, attribute: str, default: ca.SX) -> None:
-        if getattr(self, attribute) is None:
+        if getattr(self, attribute) is DERIVED:
             object.__setattr__(self, attribute, default)
 
     def _require_shapes(self, n: int, m: int, m_h: int) -> None:
@@ -177,8 +181,8 @@ class MechanicalSystem:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """n - m_h."""
-        return len(self.coordinates) - self.constraints.numel()
+        """N - m_h."""
+        return len(self.coordinates) - int(self.constraints.numel())
 
     @cached_property
     def G(self) -> ca.SX:  # noqa: N802 - the paper's name
@@ -237,7 +241,7 @@ def generalise(
     coordinates: Coordinates,
     mapping: ca.SX,
     *,
-    guess: ca.SX | None = None,
+    guess: ca.SX = DERIVED,
     observables: Mapping[Quantity, ca.SX] | None = None,
     name: str | None = None,
 ) -> MechanicalSystem:

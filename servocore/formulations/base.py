@@ -20,6 +20,8 @@ class Formulation(Protocol):
     def name(self) -> str:
         """Name on command lines and in tables."""
 
+    def __hash__(self) -> int: ...
+
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return the problem in the form (20)."""
 

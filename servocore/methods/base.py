@@ -53,6 +53,8 @@ class Method(Protocol):
     def name(self) -> str:
         """Name on command lines and in tables."""
 
+    def __hash__(self) -> int: ...
+
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
 

@@ -127,13 +127,9 @@ def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> Floa
     except (TypeError, ValueError) as error:
         raise InvalidReference(f"each {what} must hold the same number of finite numbers: {error}") from None
     if table.ndim != 2 or not table.size:
-        raise InvalidReference(
-            f"a table with one {what} a row is needed, not an array of shape {table.shape}"
-        )
+        raise InvalidReference(f"a table with one {what} a row is needed, not an array of shape {table.shape}")
     bad = np.argwhere(~np.isfinite(table))
     if bad.size:
         row, column = bad[0]
-        raise InvalidReference(
-            f"{what} {row}, component {column} is {table[row, column]}, not a finite number"
-        )
+        raise InvalidReference(f"{what} {row}, component {column} is {table[row, column]}, not a finite number")
     return table

@@ -94,9 +94,7 @@ class PolynomialProfile(Profile):
 
     def __post_init__(self) -> None:
         if self.degree < 1 or self.degree % 2 == 0:
-            raise InvalidReference(
-                f"a rest-to-rest polynomial has an odd degree of 1 or more, not {self.degree}"
-            )
+            raise InvalidReference(f"a rest-to-rest polynomial has an odd degree of 1 or more, not {self.degree}")
 
     @property
     def smoothness(self) -> int:
@@ -154,9 +152,7 @@ class ThreePhaseProfile(Profile):
 
     def __post_init__(self) -> None:
         if self.ramp is not None and not (isfinite(self.ramp) and self.ramp > 0.0):
-            raise InvalidReference(
-                f"the ramp of a three-phase profile must be a positive time, not {self.ramp} s"
-            )
+            raise InvalidReference(f"the ramp of a three-phase profile must be a positive time, not {self.ramp} s")
 
     @property
     def smoothness(self) -> int:

@@ -71,9 +71,7 @@ def through(
     return to_path(fit(at, table, interpolation_knots(at, AT_REST), AT_REST), AT_REST, None)
 
 
-def sampled(
-    t: npt.ArrayLike, positions: npt.ArrayLike, tolerance: float | None = None
-) -> PiecewisePolynomial:
+def sampled(t: npt.ArrayLike, positions: npt.ArrayLike, tolerance: float | None = None) -> PiecewisePolynomial:
     """Smooth path through, or close to, many samples of position.
 
     The least-squares spline of degree 9 with the fewest evenly chosen knots (1, 2, 4, ... pieces) that comes
@@ -180,9 +178,7 @@ def _checked(t: FloatArray, positions: FloatArray, found: _Fit) -> PiecewisePoly
     peak = np.linalg.norm(snap, axis=1).max()
     slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** REST_ORDER  # of a path worth the name
     limit = SNAP_DOUBT * max(peak, slightest)
-    inside = slice(
-        DEGREE + 1, -DEGREE - 1
-    )  # trouble anywhere also shakes the ends: look for its cause inside
+    inside = slice(DEGREE + 1, -DEGREE - 1)  # trouble anywhere also shakes the ends: look for its cause inside
     worst = int(np.argmax(doubt))
     if doubt[inside].max(initial=0.0) > limit:
         worst = DEGREE + 1 + int(np.argmax(doubt[inside]))

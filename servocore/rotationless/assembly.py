@@ -114,9 +114,7 @@ class Assembly:
             column = ca.vertcat(*[ca.vec(ca.SX(_column(piece))) for piece in pieces])
             if column.numel() != len(_quantities(part)):
                 needed = len(_quantities(part))
-                raise InvalidModel(
-                    f"the configuration of {part.name} needs {needed} values, not {column.numel()}"
-                )
+                raise InvalidModel(f"the configuration of {part.name} needs {needed} values, not {column.numel()}")
             columns.append(column)
         return ca.densify(ca.vertcat(ca.SX(0, 1), *columns))
 

@@ -99,9 +99,7 @@ class RigidBody:
             raise InvalidModel(f"{what}: the inertia tensor is not symmetric")
         smallest, middle, largest = np.linalg.eigvalsh(inertia)
         if smallest < -_ROUND_OFF * scale:
-            raise InvalidModel(
-                f"{what}: the inertia tensor has the negative principal value {smallest:g} kg m^2"
-            )
+            raise InvalidModel(f"{what}: the inertia tensor has the negative principal value {smallest:g} kg m^2")
         if smallest + middle < largest - _ROUND_OFF * scale:
             raise InvalidModel(
                 f"{what}: the principal inertias {smallest:g}, {middle:g} and {largest:g} kg m^2 violate"
@@ -222,9 +220,7 @@ def _triad(axis: Sequence[float], normal: Sequence[float] | None) -> tuple[Array
     n = following if normal is None else _unit(normal, "normal")
     across = n - (n @ e) * e
     if np.linalg.norm(across) < 1e-6:
-        raise InvalidModel(
-            f"the normal {tuple(map(float, n))} is parallel to the axis {tuple(map(float, e))}"
-        )
+        raise InvalidModel(f"the normal {tuple(map(float, n))} is parallel to the axis {tuple(map(float, e))}")
     n = across / np.linalg.norm(across)
     return n, np.cross(e, n), e
 

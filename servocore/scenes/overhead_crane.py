@@ -1,9 +1,9 @@
-"""The overhead crane: a trolley on a straight girder, a winch on it, a load on a rope, in a vertical plane.
+r"""The overhead crane: a trolley on a straight girder, a winch on it, a load on a rope, in a vertical plane.
 
         |---- s (F) ---->
     ====[trolley]==============      z = 0
-            \\
-             \\  rope l, paid out by the winch (M_w)
+            \
+             \  rope l, paid out by the winch (M_w)
               o load (x, z), z < 0
 
 What the scene needs: m_t, m, J_w, r_w, g of three degrees of freedom, two inputs; model ``points``.
@@ -23,7 +23,7 @@ from servocore import jets
 from servocore.references import rest_to_rest
 from servocore.scene import Limit, Scene
 from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MechanicalSystem, generalise
+from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 PARAMETERS = Parameters(
     Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),
@@ -49,7 +49,7 @@ def points() -> MechanicalSystem:
     coordinates = Coordinates(TROLLEY, ROPE, *OUTPUTS)
     s, rope, x, z = ca.vertsplit(coordinates.q)
     p, lam = PARAMETERS, ca.SX.sym("lam")
-    gamma = ca.SX.sym("gamma", 2, 25)
+    gamma = ca.SX.sym("gamma", 2, MAX_REFERENCE_ORDER + 1)
     masses = (p["trolley_mass"], p["winch_inertia"] / p["winch_radius"] ** 2, p["load_mass"], p["load_mass"])
     input_matrix = ca.SX(2, 4)
     input_matrix[0, 0], input_matrix[1, 1] = -1, -1 / p["winch_radius"]

@@ -1,10 +1,10 @@
-"""The rotary crane of the paper, sections 3 and 5: a slewing bridge, a trolley on it, a winch, a load on a rope.
+r"""The rotary crane of the paper, sections 3 and 5: a slewing bridge, a trolley on it, a winch, a load on a rope.
 
           axis
            |   bridge angle phi (M_b)
            |=========[trolley]======      z = 0, trolley at distance s (F)
-           |             \\
-           |              \\  rope l, paid out by the winch (M_w)
+           |             \
+           |              \  rope l, paid out by the winch (M_w)
                            o load (x, y, z), z < 0
 
 The load's path is prescribed; five degrees of freedom, three inputs. The data below are a declared assumption: the
@@ -26,6 +26,7 @@ import numpy as np
 from servocore import jets
 from servocore.references import rest_to_rest
 from servocore.scene import Limit, Scene
+from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
 from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
@@ -92,9 +93,7 @@ def points() -> MechanicalSystem:
         outputs=OUTPUTS,
         mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
-        constraints=ca.vertcat(
-            ca.sumsqr(direction) - 1, trolley - s * direction, ca.sumsqr(rope) - rope_length**2
-        ),
+        constraints=ca.vertcat(ca.sumsqr(direction) - 1, trolley - s * direction, ca.sumsqr(rope) - rope_length**2),
         input_matrix=-forces.T,
         output=load,
         multipliers=lam,
@@ -120,8 +119,8 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 @cache
 def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
-    from servocore.scenes import rotary_crane_bodies
-    return rotary_crane_bodies.bodies(PARAMETERS, INPUTS, OUTPUTS)
+
+    return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 
 @cache

@@ -19,10 +19,10 @@ M_b drives phi, F drives s, M_w drives beta. The drum's centre is the trolley's,
 
 Only lumped parameters matter for the motion, and the bodies are chosen so that exactly these come out; how
 they are shared is a declared assumption. The drum, symmetric about its horizontal axis, has a vertical
-inertia of at least J_w/2; of the rest R = J_b - J_w/2 the drum takes WINCH_SHARE, the trolley TROLLEY_SHARE and the
-bridge what remains. So three real bodies exist if and only if R > 0. Where tuned parameters break this, the
-bodies are no longer real, but their sums, and so all exact inputs and motions, remain those of the lumped
-parameters.
+inertia of at least J_w/2; of the rest R = J_b - J_w/2 the drum takes WINCH_SHARE, the trolley TROLLEY_SHARE
+and the bridge what remains. So three real bodies exist if and only if R > 0. Where tuned parameters break
+this, the bodies are no longer real, but their sums, and so all exact inputs and motions, remain those of the
+lumped parameters.
 """
 
 from __future__ import annotations
@@ -69,9 +69,7 @@ TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 
 
-def bodies(
-    parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[Quantity, ...]
-) -> MechanicalSystem:
+def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[Quantity, ...]) -> MechanicalSystem:
     """Return the crane with n = 42 coordinates and m_h = 37 constraints, section 5 of the paper.
 
     Parameters
@@ -128,9 +126,7 @@ def _bodies(p: Parameters) -> tuple[RigidBody, RigidBody, RigidBody]:
     return (
         RigidBody("bridge", BRIDGE_MASS, (BRIDGE_SLENDERNESS * bridge, bridge, bridge)),
         RigidBody("trolley", (1 - WINCH_MASS_SHARE) * p["trolley_mass"], (trolley,) * 3),
-        RigidBody(
-            "winch", WINCH_MASS_SHARE * p["trolley_mass"], (across_drum, p["winch_inertia"], across_drum)
-        ),
+        RigidBody("winch", WINCH_MASS_SHARE * p["trolley_mass"], (across_drum, p["winch_inertia"], across_drum)),
     )
 
 
