@@ -1,0 +1,162 @@
+"""Feedforward: from a load path and the crane's parameters to its inputs as a table.
+
+What the command line calls, in pieces that are of use without it.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import servocore as sc
+from servocore.references import Profile, from_csv, three_phase
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from servocore.solve import Progress
+
+COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
+"""Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
+
+FORMULATIONS: Mapping[str, sc.Formulation] = {
+    "projected": sc.Projected(),
+    "original": sc.Original(),
+}
+"""Formulations that can be asked for by name; the first is the default."""
+
+METHODS: Mapping[str, sc.Method] = {
+    "backward-euler": sc.BackwardEuler(),
+}
+"""Methods that can be asked for by name; the first is the default."""
+
+THREE_PHASE = "three-phase"
+PROFILES: Mapping[str, Profile] = {
+    "degree9": sc.DEGREE9,
+    "degree13": sc.DEGREE13,
+    THREE_PHASE: three_phase(),
+}
+"""Time laws of a straight line from rest to rest; the first is the default."""
+
+MODELS = tuple(sc.scenes.rotary_crane().models)
+"""Models of the crane; the first, and smallest, is the default."""
+
+Choice = TypeVar("Choice")
+
+
+def choose(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
+    """Look a name up; raises `InvalidSetting` with the names there are."""
+    if name not in table:
+        raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
+    return table[name]
+
+
+class PathRequest(Protocol):
+    """A description of a load path that can be turned into one."""
+
+    def reference(self) -> sc.Reference:
+        """Return the path; raises `InvalidReference` or `InvalidSetting` if there is none."""
+
+
+@dataclass(frozen=True)
+class LineRequest:
+    """A straight line from rest to rest.
+
+    Attributes
+    ----------
+    start, end : tuple of float
+        End points (x, y, z) in m.
+    duration : float
+        Time of the motion in s.
+    profile : str
+        One of `PROFILES`.
+    ramp : float or None
+        Time to accelerate in s, for the profile three-phase only.
+    """
+
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    duration: float
+    profile: str = "degree9"
+    ramp: float | None = None
+
+    def reference(self) -> sc.Reference:
+        """Return the line; see `PathRequest`."""
+        law = choose(PROFILES, self.profile, "profile")
+        if self.ramp is not None:
+            if self.profile != THREE_PHASE:
+                raise sc.InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {self.profile}")
+            law = three_phase(self.ramp)
+        return sc.rest_to_rest(self.start, self.end, self.duration, law)
+
+
+@dataclass(frozen=True)
+class FileRequest:
+    """A path from a CSV file, as `servocore.references.from_csv` reads it."""
+
+    path: Path
+    tolerance: float | None = None
+
+    def reference(self) -> sc.Reference:
+        """Return the path; see `PathRequest`."""
+        return from_csv(self.path, self.tolerance)
+
+
+@dataclass(frozen=True)
+class Route:
+    """How the inputs are computed: names of `MODELS`, `FORMULATIONS` and `METHODS`, and the step in s.
+
+    Without a step, the duration of the path is divided by 200.
+    """
+
+    model: str = MODELS[0]
+    formulation: str = next(iter(FORMULATIONS))
+    method: str = next(iter(METHODS))
+    step: float | None = None
+
+
+def feedforward(
+    path: PathRequest,
+    parameters: Mapping[str, float],
+    route: Route,
+    progress: Progress | None = None,
+) -> sc.Solution:
+    """Compute the inputs that move the load of the rotary crane along a path.
+
+    Parameters
+    ----------
+    path : LineRequest or FileRequest
+        Where the load shall go.
+    parameters : mapping of str to float
+        Parameters of the crane that differ from the defaults.
+    route : Route
+        Model, formulation, method and step.
+    progress : callable, optional
+        Called with (steps done, steps in all).
+
+    Returns
+    -------
+    Solution
+        With the trajectories `COLUMNS` at the start of the path, one step later, ..., its end.
+
+    Raises
+    ------
+    ServocoreError
+        If a name, the path, a parameter or the step cannot be used, or a step is not solved.
+    """
+    scene = sc.scenes.rotary_crane().with_parameters(**parameters)
+    choose(scene.models, route.model, "model")
+    formulation = choose(FORMULATIONS, route.formulation, "formulation")
+    method = choose(METHODS, route.method, "method")
+    scene = scene.with_reference(path.reference())
+    return sc.solve(scene, formulation, method, step=route.step, model=route.model, progress=progress)
+
+
+def csv_text(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:
+    """Return the table as the text of a CSV file, in full double precision."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "inputs.csv"
+        solution.to_csv(file, columns)
+        return file.read_text(encoding="utf-8")

@@ -1,0 +1,112 @@
+"""Files that appear complete or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import servocore as sc
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+
+def require_place(file: Path) -> None:
+    """Raise `InvalidSetting` if a file of that name cannot be there: before the work rather than after it."""
+    if file.is_dir():
+        raise sc.InvalidSetting(f"cannot write {file}: it is a folder")
+    if not file.parent.is_dir():
+        raise sc.InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
+
+
+def write_together(contents: Mapping[Path, bytes]) -> None:
+    """Write several files: all are written beside their places first and then renamed.
+
+    Parameters
+    ----------
+    contents : mapping of Path to bytes
+        What goes where.
+
+    Raises
+    ------
+    InvalidSetting
+        If a folder does not exist or cannot be written.
+    """
+    try:
+        with ExitStack() as leftovers:
+            waiting = []
+            for file, content in contents.items():
+                with tempfile.NamedTemporaryFile(
+                    prefix=f".{file.name}", suffix=".part", dir=file.parent, delete=False
+                ) as stream:
+                    part = Path(stream.name)
+                    leftovers.callback(part.unlink, missing_ok=True)
+                    stream.write(content)
+                part.chmod(0o644)
+                waiting.append((part, file))
+            for part, file in waiting:
+                part.replace(file)
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot write {', '.join(map(str, contents))}: {_reason(error)}") from error
+
+
+@contextmanager
+def filled_folder(target: Path) -> Iterator[Path]:
+    """Offer an empty folder beside `target` whose content becomes that of `target` if all goes well.
+
+    What `target` already holds stays, unless a new file has the same name.
+
+    Parameters
+    ----------
+    target : Path
+        The folder to make or to fill.
+
+    Yields
+    ------
+    Path
+        Where to write; it is gone afterwards.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder cannot be made or written.
+    """
+    try:
+        if target.exists() and not target.is_dir():
+            raise NotADirectoryError(0, "there is a file of that name")
+        parent = target.resolve().parent
+        made = [each for each in (parent, *parent.parents) if not each.exists()]
+        parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(tempfile.mkdtemp(prefix=f".{target.name}", suffix=".part", dir=parent))
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot make the folder {target}: {_reason(error)}") from error
+    try:
+        yield draft
+        _move(draft, target)
+    except BaseException:
+        for each in made:
+            shutil.rmtree(each, ignore_errors=True)
+        raise
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _move(draft: Path, target: Path) -> None:
+    try:
+        target.mkdir(exist_ok=True)
+        for source in sorted(draft.rglob("*")):
+            place = target / source.relative_to(draft)
+            if source.is_dir():
+                place.mkdir(exist_ok=True)
+            else:
+                source.chmod(0o644)
+                source.replace(place)
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot write into the folder {target}: {_reason(error)}") from error
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error)

@@ -1,0 +1,303 @@
+"""The command line does what its help says, and refuses with one sentence."""
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import servocore as sc
+from crane_fmu.cli import app
+from crane_fmu.feedforward import FORMULATIONS, METHODS, MODELS, PROFILES, LineRequest
+from crane_fmu.parameters_file import read_parameters
+
+HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
+LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def table(text):
+    lines = text.splitlines()
+    return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+
+
+def assert_refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("crane-fmu: ")
+    assert len(result.stderr.splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr
+
+
+def write(name, text):
+    Path(name).write_text(text, encoding="utf-8")
+    return name
+
+
+def reference_csv(name="path.csv", groups=5, count=41, change=None):
+    """Write the default manoeuvre with so many groups of columns."""
+    reference = sc.scenes.rotary_crane().reference
+    t = np.linspace(0.0, reference.duration, count)
+    values = np.column_stack([t, reference.jet(t, 4)[:, :groups].reshape(count, -1)])
+    if change is not None:
+        change(values)
+    names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s")[:groups] for axis in "xyz")]
+    rows = [",".join(repr(float(value)) for value in row) for row in values]
+    return write(name, "\n".join([",".join(names), *rows]) + "\n")
+
+
+class TestFeedforward:
+    def test_the_table_goes_to_the_standard_output_stream_without_an_output_file(self):
+        result = run("feedforward", *LINE)
+        header, values = table(result.stdout)
+        assert result.exit_code == 0
+        assert result.stderr == ""
+        assert header == HEADER
+        assert values.shape == (201, 11)  # duration/200 by default
+        assert values[0, 0] == 0.0
+        assert values[-1, 0] == 20.0
+        assert os.listdir() == []
+
+    def test_a_file_holds_what_solve_returns_to_the_last_bit(self):
+        assert run("feedforward", *LINE, "--step", 0.1, "--output", "inputs.csv").exit_code == 0
+        header, values = table(Path("inputs.csv").read_text())
+        solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
+        assert header == HEADER
+        np.testing.assert_array_equal(values[:, 0], solution.t)
+        for k, name in enumerate(HEADER.split(",")[1:], start=1):
+            np.testing.assert_array_equal(values[:, k], solution[name], err_msg=name)
+        assert os.listdir() == ["inputs.csv"]
+
+    def test_the_inputs_approach_the_closed_form_with_the_first_order_and_the_motion_is_exact(self):
+        crane, errors = sc.scenes.rotary_crane(), []
+        for step in (0.1, 0.05):
+            _, values = table(run("feedforward", *LINE, "--step", step).stdout)
+            exact = crane.exact(values[:, 0])
+            errors.append([np.abs(values[:, k] - exact[name]).max() for k, name in ((1, "M_b"), (2, "F"), (3, "M_w"))])
+            for k, name in ((4, "phi"), (5, "s"), (6, "l"), (7, "x"), (8, "y"), (9, "z")):
+                np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(np.divide(*errors), 2.0, rtol=0.05)
+
+    @pytest.mark.parametrize("model", MODELS)
+    def test_every_model_is_as_close_to_the_closed_form_as_its_step_is_small(self, model):
+        _, values = table(run("feedforward", *LINE, "--step", 0.0125, "--model", model).stdout)
+        exact = sc.scenes.rotary_crane().exact(values[:, 0])
+        for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
+            assert np.abs(values[:, k] - exact[name]).max() < 0.04 * np.abs(exact[name]).max(), name
+        for k, name in ((4, "phi"), (5, "s"), (6, "l")):
+            np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
+
+    @pytest.mark.parametrize("formulation", FORMULATIONS)
+    @pytest.mark.parametrize("method", METHODS)
+    def test_every_formulation_and_method_can_be_asked_for(self, formulation, method):
+        result = run("feedforward", *LINE, "--formulation", formulation, "--method", method)
+        assert result.exit_code == 0
+        assert table(result.stdout)[0] == HEADER
+
+    @pytest.mark.parametrize("profile", PROFILES)
+    def test_every_profile_can_be_asked_for(self, profile):
+        _, values = table(run("feedforward", *LINE, "--profile", profile).stdout)
+        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES[profile])
+        np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
+
+    def test_a_ramp_shapes_the_three_phase_profile(self):
+        options = ("--profile", "three-phase", "--ramp", 8)
+        _, values = table(run("feedforward", *LINE, *options).stdout)
+        path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, sc.three_phase(8.0))
+        np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
+
+    @pytest.mark.parametrize("groups", [1, 2, 5])
+    def test_a_reference_file_gives_what_the_line_gives(self, groups):
+        path = reference_csv(groups=groups, count=201)
+        _, values = table(run("feedforward", "--reference", path, "--step", 0.1).stdout)
+        _, expected = table(run("feedforward", *LINE, "--step", 0.1).stdout)
+        np.testing.assert_allclose(values[:, 4:10], expected[:, 4:10], atol=1e-6)
+        np.testing.assert_allclose(values[:, 1:4], expected[:, 1:4], atol=1e-2)
+
+    def test_rounded_positions_are_followed_within_a_tolerance(self):
+        path = reference_csv(groups=1, count=201, change=lambda values: values.round(5, out=values))
+        assert_refused(run("feedforward", "--reference", path), "path.csv", "tolerance")
+        result = run("feedforward", "--reference", path, "--tolerance", 1e-5)
+        assert result.exit_code == 0
+        line = table(run("feedforward", *LINE).stdout)[1]
+        np.testing.assert_allclose(table(result.stdout)[1][:, 7:10], line[:, 7:10], atol=2e-5)
+
+    def test_parameters_from_a_file_change_the_crane(self):
+        write("crane.toml", "load_mass = 50\n")
+        _, values = table(run("feedforward", *LINE, "--parameters", "crane.toml").stdout)
+        assert values[0, 10] == pytest.approx(50 * 9.81)
+        assert values[0, 3] == pytest.approx(-50 * 9.81 * 0.1)
+
+    @pytest.mark.parametrize(("name", "start"), [("p.png", b"\x89PNG"), ("p.svg", b"<?xml"), ("p.pdf", b"%PDF")])
+    def test_a_plot_is_drawn_beside_the_table(self, name, start):
+        assert run("feedforward", *LINE, "--plot", name, "--output", "inputs.csv").exit_code == 0
+        assert Path(name).read_bytes().startswith(start)
+        assert sorted(os.listdir()) == ["inputs.csv", name]
+
+    def test_an_older_output_is_replaced(self):
+        write("inputs.csv", "old")
+        assert run("feedforward", *LINE, "--output", "inputs.csv").exit_code == 0
+        assert Path("inputs.csv").read_text().startswith(HEADER)
+
+
+def _not_a_number(values):
+    values[3, 2] = np.nan
+
+
+def _back_in_time(values):
+    values[3, 0] = values[2, 0]
+
+
+REFUSED_PATHS = {
+    "load above the girder": (["--from", 5, 0, -5, "--to", 3, 0, 1, "--duration", 20], "girder"),
+    "slack rope": (["--from", 5, 0, -50, "--to", 5, 0, -1, "--duration", 4], "slack"),
+    "trolley over the axis": (["--from", 5, 0, -5, "--to", -5, 0, -5, "--duration", 20], "slewing axis"),
+    "no path": ([], "--reference"),
+    "two paths": (["--reference", "path.csv", *LINE], "either"),
+    "half a line": (["--from", 5, 0, -5], "--to"),
+    "no start": (["--to", 5, 0, -5, "--duration", 5], "--from"),
+    "profile without a line": (["--reference", "path.csv", "--profile", "degree9"], "--profile"),
+    "tolerance without a file": ([*LINE, "--tolerance", 1e-3], "--tolerance"),
+    "no duration": ([*LINE[:-1], "0"], "duration"),
+    "negative duration": ([*LINE[:-1], "-3"], "duration"),
+    "duration without end": ([*LINE[:-1], "inf"], "duration"),
+    "start that is no number": (["--from", "nan", 0, -5, *LINE[4:]], "start"),
+    "point with two numbers": (["--from", 5, 0, *LINE[4:]], "--help"),
+    "point with letters": (["--from", "a", 0, -5, *LINE[4:]], "--from"),
+    "ramp of another profile": ([*LINE, "--ramp", 3], "ramp"),
+    "ramp too long": ([*LINE, "--profile", "three-phase", "--ramp", 11], "20"),
+    "no ramp": ([*LINE, "--profile", "three-phase", "--ramp", 0], "ramp"),
+    "negative ramp": ([*LINE, "--profile", "three-phase", "--ramp", -1], "ramp"),
+    "unknown profile": ([*LINE, "--profile", "degree8"], "degree13"),
+    "unknown model": ([*LINE, "--model", "large"], "points"),
+    "unknown formulation": ([*LINE, "--formulation", "index9"], "projected"),
+    "unknown method": ([*LINE, "--method", "euler"], "backward-euler"),
+    "no step": ([*LINE, "--step", 0], "step"),
+    "negative step": ([*LINE, "--step", -0.1], "step"),
+    "step that is no number": ([*LINE, "--step", "nan"], "step"),
+    "step with letters": ([*LINE, "--step", "small"], "--step"),
+    "step beyond the duration": ([*LINE, "--step", 21], "duration"),
+    "step that does not divide": ([*LINE, "--step", 0.3], "divide"),
+    "missing reference": (["--reference", "nowhere.csv"], "nowhere.csv"),
+    "missing parameters": ([*LINE, "--parameters", "nowhere.toml"], "nowhere.toml"),
+    "unknown option": ([*LINE, "--speed", 3], "--speed"),
+    "stray argument": ([*LINE, "more"], "more"),
+    "output nowhere": ([*LINE, "--output", "nowhere/inputs.csv"], "nowhere"),
+    "plot nowhere": ([*LINE, "--plot", "nowhere/p.png", "--output", "o.csv"], "nowhere"),
+    "plot of no known kind": ([*LINE, "--plot", "p.gif", "--output", "o.csv"], "p.gif"),
+    "output and plot alike": ([*LINE, "--plot", "p.png", "--output", "p.png"], "p.png"),
+    "output into a folder": ([*LINE, "--output", "."], "folder"),
+}
+
+
+@pytest.mark.parametrize(("options", "word"), REFUSED_PATHS.values(), ids=REFUSED_PATHS)
+def test_refusals_are_one_sentence_and_leave_no_file(options, word):
+    assert_refused(run("feedforward", "--output", "o.csv", *options), word)
+    assert os.listdir() == []
+
+
+CONTENTS = {
+    "not a number": (lambda: reference_csv(change=_not_a_number), "line 5, column y"),
+    "time that stands still": (lambda: reference_csv(change=_back_in_time), "line 5, column time"),
+    "wrong header": (lambda: write("path.csv", "t,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "header"),
+    "no rows": (lambda: write("path.csv", "time,x,y,z\n"), "path.csv"),
+    "empty": (lambda: write("path.csv", ""), "path.csv"),
+    "too few rows": (lambda: write("path.csv", "time,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "path.csv"),
+    "row too short": (lambda: write("path.csv", "time,x,y,z\n0,1,2\n"), "line 2"),
+    "letters": (lambda: write("path.csv", "time,x,y,z\n0,1,2,deep\n"), "column z"),
+}
+
+
+@pytest.mark.parametrize(("make", "word"), CONTENTS.values(), ids=CONTENTS)
+def test_a_bad_reference_file_is_refused_with_its_name(make, word):
+    assert_refused(run("feedforward", "--reference", make(), "--output", "o.csv"), "path.csv", word)
+    assert os.listdir() == ["path.csv"]
+
+
+TOML = {
+    "unknown key": ("load_mas = 3", "load_mas"),
+    "negative mass": ("load_mass = -1", "load_mass"),
+    "beyond the bounds": ("load_mass = 1e12", "load_mass"),
+    "text": ('load_mass = "heavy"', "load_mass"),
+    "boolean": ("load_mass = true", "load_mass"),
+    "list": ("load_mass = [1, 2]", "load_mass"),
+    "table": ("[load_mass]\nvalue = 3", "load_mass"),
+    "date": ("load_mass = 2009-01-01", "load_mass"),
+    "not a number": ("load_mass = nan", "load_mass"),
+    "infinite": ("gravity = inf", "gravity"),
+    "huge integer": (f"gravity = {'9' * 400}", "gravity"),
+    "no TOML": ("load_mass 3", "TOML"),
+    "key given twice": ("load_mass = 3\nload_mass = 4", "TOML"),
+}
+
+
+@pytest.mark.parametrize(("text", "word"), TOML.values(), ids=TOML)
+def test_a_bad_parameter_file_is_refused_with_file_and_key(text, word):
+    write("crane.toml", text)
+    result = run("feedforward", *LINE, "--parameters", "crane.toml", "--output", "o.csv")
+    assert_refused(result, "crane.toml", word)
+    assert os.listdir() == ["crane.toml"]
+
+
+def test_a_negative_tolerance_is_refused():
+    assert_refused(run("feedforward", "--reference", reference_csv(groups=1), "--tolerance", -1), "tolerance")
+
+
+def test_a_parameter_file_that_is_no_text_is_refused():
+    Path("crane.toml").write_bytes(b"\xff\xfe\x00")
+    assert_refused(run("feedforward", *LINE, "--parameters", "crane.toml"), "crane.toml")
+
+
+def test_a_parameter_file_may_name_all_six_and_integers_count():
+    crane = sc.scenes.rotary_crane()
+    text = "\n".join(f"{name} = {value}" for name, value in crane.parameter_values().items())
+    assert read_parameters(Path(write("crane.toml", text)), crane) == crane.parameter_values()
+    assert tomllib.loads("load_mass = 3") == read_parameters(Path(write("one.toml", "load_mass = 3")), crane)
+
+
+def test_the_file_that_is_read_is_never_overwritten():
+    path = reference_csv()
+    before = Path(path).read_bytes()
+    assert_refused(run("feedforward", "--reference", path, "--output", path), path)
+    assert Path(path).read_bytes() == before
+
+
+def test_a_line_request_is_of_use_without_the_command_line():
+    assert LineRequest((5, 0, -5), (-2, 2, -2), 20.0).reference().duration == 20.0
+
+
+def test_no_command_and_an_unknown_one_are_refused():
+    assert_refused(run(), "--help")
+    assert_refused(run("fly"), "fly")
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["feedforward", "--help"], ["feedforward", "-h"]])
+def test_help_is_no_error(arguments):
+    result = run(*arguments)
+    assert result.exit_code == 0
+    assert "Usage" in result.stdout
+
+
+def test_the_module_runs_as_a_program():
+    result = subprocess.run(
+        [sys.executable, "-m", "crane_fmu", "feedforward", *LINE, "--step", "-1"],
+        capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr == "crane-fmu: the step must be positive and finite, not -1.0 s\n"
