@@ -125,8 +125,8 @@ class Assembly:
         constraints: Mapping[str, ca.SX],
         inputs: Mapping[Quantity, ca.SX],
         outputs: Mapping[Quantity, ca.SX],
-        guess: Callable[[ca.SX], Configuration] | None = None,
-        home: tuple[float, ...] | None = None,
+        guess: Callable[[ca.SX], Configuration],
+        home: tuple[float, ...] = (),
         multipliers: Mapping[str, ca.SX] | None = None,
         observables: Mapping[Quantity, ca.SX] | None = None,
         force: ca.SX | None = None,
@@ -144,11 +144,11 @@ class Assembly:
             u grad e(q). A torque drives an angle, a force drives a displacement.
         outputs : mapping of Quantity to casadi.SX
             For every component of the servo output the function of q that follows the reference.
-        guess : callable, optional
-            The configuration near a reference y: a function of y, shape (m,), that returns what
-            `configuration` takes. Needed for Newton's method: zero directors are no start.
+        guess : callable
+            The configuration near a reference y: a function of y, shape (m,), that returns what `configuration`
+            takes. Newton's method starts there, so it decides between branches.
         home : tuple of float, optional
-            A regular value of the servo output.
+            A regular value of the servo output; ones when not given.
         multipliers : mapping of str to casadi.SX, optional
             What `multipliers` returned, if observables use them.
         observables : mapping of Quantity to casadi.SX, optional
@@ -170,11 +170,11 @@ class Assembly:
             output=ca.vertcat(ca.SX(0, 1), *outputs.values()),
             input_matrix=ca.sparsify(-ca.jacobian(driven, q)),
             potential=self.potential,
-            force=force,
+            force=ca.SX.zeros(q.numel()) if force is None else force,
             constraints=ca.vertcat(self.orthonormality, *constraints.values()),
             multipliers=ca.vertcat(lam[""], *[lam[key] for key in constraints]),
             gamma=gamma,
-            guess=None if guess is None else self.configuration(guess(gamma[:, 0])),
+            guess=self.configuration(guess(gamma[:, 0])),
             home=home,
             observables=observables or {},
         )
