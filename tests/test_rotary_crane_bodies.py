@@ -63,9 +63,7 @@ def test_it_has_the_paper_s_42_coordinates_37_constraints_and_five_degrees_of_fr
 
 def test_its_constraints_are_independent_and_hold_above_any_load():
     system = crane()
-    residual = ca.Function(
-        "g", [system.gamma, system.p], [ca.substitute(system.constraints, system.q, system.guess)]
-    )
+    residual = ca.Function("g", [system.gamma, system.p], [ca.substitute(system.constraints, system.q, system.guess)])
     gamma = np.zeros(system.gamma.shape)
     for load in random_jets()[:, 0]:
         gamma[:, 0] = load
@@ -154,7 +152,7 @@ def test_observables_read_angle_distance_length_tension_and_swing_of_the_rope():
 
 def test_projected_backward_euler_follows_the_path_with_errors_of_first_order():
     coarse, fine = worst_input_errors(200), worst_input_errors(400)
-    # The drum turns by up to 0.4 rad a step, which its directors feel: M_w errs more than with nine coordinates.
+    # The drum turns by up to 0.4 rad a step; its directors feel that, so M_w errs more than with `points`.
     assert (coarse < (0.3, 0.01, 0.01)).all()
     np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
 
