@@ -14,7 +14,7 @@ from servocore.errors import (
     InvalidSetting,
     ServocoreError,
 )
-from servocore.formulations import Formulation, Original, Projected
+from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BackwardEuler, Method
 from servocore.program import Program, StepReport
 from servocore.references import (
@@ -66,6 +66,7 @@ __all__ = [
     "Program",
     "Projected",
     "Quantity",
+    "Reduced",
     "Reference",
     "Scene",
     "ServocoreError",

@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.newton import SquareSystem, compile_solver
-from servocore.structure import Signature, analyse_structure
+from servocore.projection import pivot_columns
+from servocore.structure import Signature, analyse_structure, system_jacobian_at_home
 from servocore.system import MechanicalSystem
 
 _REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
@@ -33,6 +34,8 @@ class DerivativeArray:
         Equation and order of every row.
     residual : casadi.SX
         As many rows as `rows`.
+    states : tuple of (int, int)
+        Unknowns left free: the states of the internal dynamics. Given these, the rest is a square system.
     """
 
     signature: Signature
@@ -40,11 +43,7 @@ class DerivativeArray:
     unknowns: tuple[tuple[int, int], ...]
     rows: tuple[tuple[int, int], ...]
     residual: ca.SX
-
-    @property
-    def symbols(self) -> ca.SX:
-        """The unknowns as a column."""
-        return ca.vertcat(*[self.y[j, order] for j, order in self.unknowns])
+    states: tuple[tuple[int, int], ...]
 
     @property
     def system(self) -> MechanicalSystem:
@@ -63,6 +62,15 @@ class DerivativeArray:
         columns = ca.jacobian_sparsity(self.residual, ca.vec(gamma)).get_col()
         return max((column // gamma.size1() for column in columns), default=0)
 
+    @property
+    def determined(self) -> tuple[tuple[int, int], ...]:
+        """The unknowns without the states."""
+        return tuple(each for each in self.unknowns if each not in self.states)
+
+    def column(self, entries: tuple[tuple[int, int], ...]) -> ca.SX:
+        """Return the symbols of `entries`."""
+        return ca.vertcat(ca.SX(0, 1), *[self.y[j, order] for j, order in entries])
+
     def position(self, variable: str, order: int) -> int:
         """Place of a derivative of a named variable among the unknowns."""
         return self.unknowns.index((self.names.index(variable), order))
@@ -77,11 +85,12 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     extra = max(0, 1 - min(found.variable_offsets[:n], default=1))
     c = [offset + extra for offset in found.equation_offsets]
     d = [offset + extra for offset in found.variable_offsets]
-    y = ca.SX.sym("y", len(d), max(d) + 1)
+    orders = max(2, *d) + 1
+    y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
-        for order in range(max(d) + 1):
+        for order in range(orders):
             y[j, order] = ca.SX.sym(name + "'" * order)
-    current = ca.substitute(equations.residual, equations.y, y[:, :3]) if max(d) >= 2 else equations.residual
+    current = ca.substitute(equations.residual, equations.y, y[:, :3])
     rows: list[tuple[int, int]] = []
     residual: list[ca.SX] = []
     gamma = system.gamma
@@ -100,31 +109,53 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         unknowns=tuple((j, order) for j in range(len(d)) for order in range(d[j] + 1)),
         rows=tuple(rows),
         residual=ca.vertcat(*residual),
+        states=choose_states(found, c, d) if sum(d) > sum(c) else (),
     )
+
+
+def choose_states(found: Signature, c: list[int], d: list[int]) -> tuple[tuple[int, int], ...]:
+    """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
+
+    At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
+    column pivoting on the system Jacobian and nested from level to level; the others are states.
+    """
+    J = system_jacobian_at_home(found)
+    chosen = list(range(len(d)))
+    states: list[tuple[int, int]] = []
+    for level in range(1, max(d) + 1):
+        rows = [i for i in range(len(c)) if c[i] >= level]
+        candidates = [j for j in chosen if d[j] >= level]
+        picked = pivot_columns(J[np.ix_(rows, candidates)])
+        chosen = sorted(candidates[k] for k in picked)
+        states += [(j, d[j] - level) for j in range(len(d)) if d[j] >= level and j not in chosen]
+    return tuple(sorted(states))
 
 
 def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.Function:
     """Compile (gamma, p) -> (unknowns of the array, counts, residual), by Newton from the system's guess.
 
     gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
-    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
+    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero. States of
+    the internal dynamics keep their guess.
     """
     system = array.system
     orders = array.reference_order + 1
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
+    guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     reference = system.gamma[:, :orders]
-    scale = np.array([_nominal(system, j) for j, _ in array.unknowns])
+    scale = np.array([nominal(system, j) for j, _ in array.determined])
+    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
     solver = compile_solver(
         name + "_newton",
         SquareSystem(
-            unknowns=array.symbols,
+            unknowns=array.column(array.determined),
             givens=ca.vertcat(ca.vec(reference), system.p, guess_symbols),
-            residual=array.residual,
-            guess=guess_symbols,
+            residual=ca.substitute(array.residual, array.column(array.states), pinned),
+            guess=ca.vertcat(*[guessed[each] for each in array.determined]),
             unknown_scale=ca.SX(scale),
             residual_scale=ca.SX.ones(len(array.rows)),
         ),
-        [array.symbols],
+        [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)],
     )
     gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
     guess = _first_guess(array)(gamma, p)
@@ -132,7 +163,8 @@ def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.
     return ca.Function(name, [gamma, p], [found, counts, residual], ["gamma", "p"], ["y", "counts", "residual"])
 
 
-def _nominal(system: MechanicalSystem, variable: int) -> float:
+def nominal(system: MechanicalSystem, variable: int) -> float:
+    """Typical magnitude of a variable (q, lam, u) in SI units."""
     n, m_h = len(system.coordinates), system.lam.numel()
     if variable < n:
         return system.coordinates.nominal[variable]

@@ -85,7 +85,7 @@ def dependent_columns(system: MechanicalSystem) -> list[int]:
     if math.comb(n, m) <= _MOST_MINORS:
         candidates = list(itertools.combinations(range(n), m))
     else:
-        candidates = [tuple(sorted(_pivot_columns(C)))]
+        candidates = [tuple(sorted(pivot_columns(C)))]
     minors = np.array([abs(np.linalg.det(C[:, columns])) for columns in candidates])
     if not minors.max(initial=0.0) > 1e-9 * max(1.0, float(np.abs(C).max(initial=0.0))) ** m:
         raise InvalidModel(f"{system.name}: the servo outputs are dependent at the home configuration")
@@ -93,8 +93,8 @@ def dependent_columns(system: MechanicalSystem) -> list[int]:
     return list(candidates[good[-1]])
 
 
-def _pivot_columns(C: Array) -> list[int]:
-    """Return m columns by greedy orthogonalisation (QR with column pivoting)."""
+def pivot_columns(C: Array) -> list[int]:
+    """Return as many columns as there are rows, by greedy orthogonalisation (QR with column pivoting)."""
     rest, chosen = C.copy(), []
     for _ in range(len(C)):
         k = int(np.linalg.norm(rest, axis=0).argmax())

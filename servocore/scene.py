@@ -15,6 +15,9 @@ from servocore.system import MechanicalSystem
 ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 """(reference jets (N, orders, m), parameter values) -> arrays (N,) by name."""
 
+IndependentSolution = Callable[[Array, Reference, Mapping[str, float]], dict[str, Array]]
+"""(times (N,), reference, parameter values) -> arrays (N,) by name, computed without this library's solvers."""
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -54,6 +57,9 @@ class Scene:
         The path to follow.
     closed_form : callable, optional
         Exact answer by name for reference jets with `closed_form_order` derivatives.
+    independent_solution : callable, optional
+        For scenes with internal dynamics, which no formula of the jets answers: their own differential equation,
+        derived by hand and integrated to near round-off by SciPy.
     limits : tuple of Limit
         Where the scene ends.
     parameters : mapping of str to float
@@ -65,6 +71,7 @@ class Scene:
     reference: Reference
     closed_form: ClosedForm | None = None
     closed_form_order: int = 4
+    independent_solution: IndependentSolution | None = None
     limits: tuple[Limit, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
 
@@ -101,7 +108,9 @@ class Scene:
         return dict(zip(parameters.names, map(float, parameters.values(self.parameters)), strict=True))
 
     def exact(self, t: Array) -> dict[str, Array]:
-        """Evaluate the closed form at the times `t`; raises `InvalidModel` if there is none."""
+        """Evaluate the exact answer at the times `t`; raises `InvalidModel` if the scene has none."""
+        if self.independent_solution is not None:
+            return self.independent_solution(t, self.reference, self.parameter_values())
         if self.closed_form is None:
             raise InvalidModel(f"{self.name} has no closed form")
         return self.closed_form(self.reference.jet(t, self.closed_form_order), self.parameter_values())

@@ -89,7 +89,7 @@ def simulate(
     found = scipy.integrate.solve_ivp(
         rate, (float(t[0]), float(t[-1])), start, method="DOP853", rtol=rtol, atol=atol, dense_output=True
     )
-    if found.status != 0 or not np.isfinite(found.y).all():
+    if found.status != 0 or found.sol is None or not np.isfinite(found.y).all():
         raise IntegrationFailed(
             f"{system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
         )

@@ -31,16 +31,19 @@ def compile_program(
     array = derivative_array(system)
     start_order = max(array.reference_order, dae.reference_order, 2)
     known = _observed(system)
+    start = _compile_start(array, dae, discretisation, start_order)
+    # Without differential states every instant stands alone: a step is a start.
+    pointwise = dae.x.numel() == 0
     return Program(
-        name=f"{dae.name}, {method.name}",
-        start=_compile_start(array, dae, discretisation, start_order),
-        step=_compile_step(discretisation),
+        name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
+        start=start,
+        step=_compile_pointwise_step(start, discretisation) if pointwise else _compile_step(discretisation),
         observe=_compile_observe(system, dae, discretisation, known, start_order),
         margins=_compile_margins(system, limits, start_order),
         guess_residual=_compile_guess_residual(discretisation),
-        order=dae.reference_order,
+        order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
-        nodes=discretisation.nodes,
+        nodes=(1.0,) if pointwise else discretisation.nodes,
         channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
         parameters=system.parameters.names,
         equations=tuple(each.name for each in dae.equations),
@@ -76,6 +79,12 @@ def _compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order
 def _compile_step(step: Discretisation) -> ca.Function:
     solver = compile_solver("sc_solve", step.equations, [step.next_state])
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
+
+
+def _compile_pointwise_step(start: ca.Function, step: Discretisation) -> ca.Function:
+    state, h = ca.MX.sym("state", step.state.numel()), ca.MX.sym("h")
+    gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(1))
+    return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, p)))
 
 
 def _compile_guess_residual(step: Discretisation) -> ca.Function:

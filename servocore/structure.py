@@ -190,12 +190,21 @@ def system_jacobian(found: Signature) -> ca.SX:
     return ca.sparsify(J)
 
 
+def system_jacobian_at_home(found: Signature) -> Array:
+    """Return the system Jacobian as numbers, at a point without symmetry near the system's home."""
+    return _jacobian_at_probes(found, None)[0]
+
+
 def regular(found: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
+    matrices = _jacobian_at_probes(found, p)
+    return any(np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in matrices if np.isfinite(J).all())
+
+
+def _jacobian_at_probes(found: Signature, p: Array | None) -> list[Array]:
     equations = found.equations
     evaluate = ca.Function("J", [equations.y, equations.system.gamma, equations.system.p], [system_jacobian(found)])
-    matrices = [np.asarray(evaluate(*point)) for point in _probe_points(equations, p)]
-    return any(np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in matrices if np.isfinite(J).all())
+    return [np.asarray(evaluate(*point)) for point in _probe_points(equations, p)]
 
 
 def _equilibrated(matrix: Array) -> Array:

@@ -62,8 +62,11 @@ class Method(Protocol):
 def scales(dae: Dae, h: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the magnitudes of unknowns and equations, by which Newton's system becomes well conditioned.
 
-    An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs.
+    An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index one
+    or less nothing is divided by h, and nothing needs scaling.
     """
+    if dae.index <= 1:
+        return ca.vertcat(*[each.nominal for each in dae.unknowns]), ca.SX.ones(len(dae.equations))
     unknowns = [each.nominal * h**-each.level for each in dae.unknowns]
     equations = [h**-each.level for each in dae.equations]
     return ca.vertcat(*unknowns), ca.vertcat(*equations)

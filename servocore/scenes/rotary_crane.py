@@ -119,7 +119,6 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 @cache
 def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
-
     return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 

@@ -1,0 +1,60 @@
+"""The index-reduced problem: the derivative array of the signature method, solved as it stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from servocore.dae import Dae, Equation, Unknown
+from servocore.derivative_array import derivative_array, nominal
+from servocore.system import MechanicalSystem
+
+
+@dataclass(frozen=True)
+class Reduced:
+    """The derivative array as a `Dae` of index at most one; exact where there are no internal dynamics.
+
+    The equations and their derivatives, as many as the signature method asks for, determine all derivatives of all
+    variables but the states of the internal dynamics; those become the differential unknowns. Without internal
+    dynamics (every crane here) nothing is left to integrate: the inputs at an instant follow from the reference and its
+    derivatives at that instant, to round-off, whatever the step.
+    """
+
+    name: str = "reduced"
+
+    def dae(self, system: MechanicalSystem) -> Dae:
+        """Return x_dot = next derivative of x, 0 = derivative array."""
+        array = derivative_array(system)
+        unknowns = (*array.states, *array.determined)
+        n = len(system.coordinates)
+        size_x = len(array.states)
+        return Dae(
+            name=f"{system.name}, reduced",
+            x=array.column(array.states),
+            z=array.column(array.determined),
+            H=ca.SX.eye(size_x),
+            f=array.column(tuple((j, order + 1) for j, order in array.states)),
+            h=array.residual,
+            gamma=system.gamma,
+            p=system.p,
+            unknowns=tuple(Unknown(array.names[j], order, nominal(system, j)) for j, order in unknowns),
+            equations=(
+                *(Equation(f"rate of {array.names[j]}" + "'" * order, 0) for j, order in array.states),
+                *(
+                    Equation(array.signature.equations.equations[i] + _times_differentiated(order), 0)
+                    for i, order in array.rows
+                ),
+            ),
+            physical={
+                "q": array.y[:n, 0],
+                "v": array.y[:n, 1],
+                "lam": array.y[n : n + system.lam.numel(), 0],
+                "u": array.y[n + system.lam.numel() :, 0],
+            },
+            index=1 if size_x else 0,
+        )
+
+
+def _times_differentiated(order: int) -> str:
+    return f", differentiated {order} times" if order > 1 else (", differentiated" if order else "")
