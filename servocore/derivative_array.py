@@ -77,14 +77,10 @@ class DerivativeArray:
 
 
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
-    """Differentiate the equations of `system` as often as their offsets ask, at least to give all velocities."""
+    """Differentiate the equations of `system` as often as their offsets ask."""
     found = analyse_structure(system)
     equations = found.equations
-    n = len(system.coordinates)
-    # Offsets may be raised together; a velocity that no equation determines otherwise then comes with them.
-    extra = max(0, 1 - min(found.variable_offsets[:n], default=1))
-    c = [offset + extra for offset in found.equation_offsets]
-    d = [offset + extra for offset in found.variable_offsets]
+    c, d = found.equation_offsets, found.variable_offsets
     orders = max(2, *d) + 1
     y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
@@ -109,17 +105,17 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         unknowns=tuple((j, order) for j in range(len(d)) for order in range(d[j] + 1)),
         rows=tuple(rows),
         residual=ca.vertcat(*residual),
-        states=choose_states(found, c, d) if sum(d) > sum(c) else (),
+        states=choose_states(found) if found.degrees_of_freedom else (),
     )
 
 
-def choose_states(found: Signature, c: list[int], d: list[int]) -> tuple[tuple[int, int], ...]:
+def choose_states(found: Signature) -> tuple[tuple[int, int], ...]:
     """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
 
     At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
     column pivoting on the system Jacobian and nested from level to level; the others are states.
     """
-    J = system_jacobian_at_home(found)
+    J, c, d = system_jacobian_at_home(found), found.equation_offsets, found.variable_offsets
     chosen = list(range(len(d)))
     states: list[tuple[int, int]] = []
     for level in range(1, max(d) + 1):
@@ -135,9 +131,19 @@ def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.
     """Compile (gamma, p) -> (unknowns of the array, counts, residual), by Newton from the system's guess.
 
     gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
-    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero. States of
-    the internal dynamics keep their guess.
+    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
+    States of the internal dynamics keep their guess.
     """
+    system = array.system
+    solver = compile_array_solver(array)
+    gamma = ca.MX.sym("gamma", system.gamma.size1(), array.reference_order + 1)
+    p = ca.MX.sym("p", system.p.numel())
+    found = solver(gamma, p, first_guess(array)(gamma, p))
+    return ca.Function(name, [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
+
+
+def compile_array_solver(array: DerivativeArray) -> ca.Function:
+    """Compile (gamma, p, guess) -> (unknowns of the array, counts, residual); states keep their guess."""
     system = array.system
     orders = array.reference_order + 1
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
@@ -146,7 +152,7 @@ def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.
     scale = np.array([nominal(system, j) for j, _ in array.determined])
     pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
     solver = compile_solver(
-        name + "_newton",
+        "sc_array",
         SquareSystem(
             unknowns=array.column(array.determined),
             givens=ca.vertcat(ca.vec(reference), system.p, guess_symbols),
@@ -158,9 +164,9 @@ def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.
         [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)],
     )
     gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
-    guess = _first_guess(array)(gamma, p)
-    found, counts, residual = solver(ca.vertcat(ca.vec(gamma), p, guess))
-    return ca.Function(name, [gamma, p], [found, counts, residual], ["gamma", "p"], ["y", "counts", "residual"])
+    guess = ca.MX.sym("guess", len(array.unknowns))
+    found = solver(ca.vertcat(ca.vec(gamma), p, guess))
+    return ca.Function("sc_array_solver", [gamma, p, guess], list(found))
 
 
 def nominal(system: MechanicalSystem, variable: int) -> float:
@@ -171,7 +177,7 @@ def nominal(system: MechanicalSystem, variable: int) -> float:
     return 1.0 if variable < n + m_h else system.inputs[variable - n - m_h].nominal
 
 
-def _first_guess(array: DerivativeArray) -> ca.Function:
+def first_guess(array: DerivativeArray) -> ca.Function:
     """Return (gamma, p) -> guess of the unknowns: configuration at rest, with the forces that hold it."""
     system = array.system
     n, orders = len(system.coordinates), array.reference_order + 1

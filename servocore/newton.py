@@ -28,6 +28,8 @@ STEP_TOLERANCE = 1e-9
 MAX_ITERATIONS = 30
 """A block that needs as many Newton iterations has failed."""
 
+_EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
+
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
 _TEARING_FILL = 0  # a substitution must not leave more entries than it removes
 
@@ -119,10 +121,11 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
         If the equations are structurally singular.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    assembly = _Assembly(system, system.givens, givens)
+    full, (system, constants) = system, _without_constants(system)
+    assembly = _Assembly(system, system.givens, givens, explicit=constants)
     for rows, columns in _blocks(system):
         _solve_block(assembly, rows, columns)
-    worst = ca.norm_inf(system.residual / system.residual_scale) if system.unknowns.numel() else ca.SX(0)
+    worst = ca.norm_inf(full.residual / full.residual_scale) if full.unknowns.numel() else ca.SX(0)
     finish = ca.Function(
         "sc_finish",
         [assembly.symbols],
@@ -136,6 +139,43 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
     for count in assembly.iterations:
         most, total = ca.fmax(most, count), total + count
     return ca.Function(name, [givens], [*found, ca.vertcat(most, total), residual])
+
+
+def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
+    """Take out unknowns that a single equation fixes to a number, again and again: what they held together falls apart.
+
+    Mechanisms have many: coordinates that joints to the ground keep at zero. Returns the rest and (unknown, number)
+    pairs.
+    """
+    constants: list[tuple[ca.SX, ca.SX]] = []
+    while system.unknowns.numel():
+        jacobian = ca.jacobian(system.residual, system.unknowns)
+        by_row = jacobian.sparsity().T
+        starts, columns = by_row.colind(), by_row.row()
+        found: dict[int, tuple[int, ca.SX]] = {}
+        for i in range(system.unknowns.numel()):
+            if starts[i + 1] - starts[i] != 1 or not jacobian[i, columns[starts[i]]].is_constant():
+                continue
+            j = columns[starts[i]]
+            value = -ca.substitute(system.residual[i], system.unknowns[j], ca.SX(0)) / jacobian[i, j]
+            if value.is_constant() and j not in found:
+                found[j] = (i, value)
+        if not found:
+            break
+        symbols, values = system.unknowns[list(found)], ca.vertcat(*[value for _, value in found.values()])
+        constants += list(zip(ca.vertsplit(symbols), ca.vertsplit(values), strict=True))
+        rows = {i for i, _ in found.values()}
+        kept_rows = [i for i in range(system.residual.numel()) if i not in rows]
+        kept = [j for j in range(system.unknowns.numel()) if j not in found]
+        system = SquareSystem(
+            unknowns=system.unknowns[kept],
+            givens=system.givens,
+            residual=ca.substitute(system.residual[kept_rows], symbols, values),
+            guess=system.guess[kept],
+            unknown_scale=system.unknown_scale[kept],
+            residual_scale=system.residual_scale[kept_rows],
+        )
+    return system, constants
 
 
 def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
@@ -157,7 +197,7 @@ def _solve_block(assembly: _Assembly, rows: list[int], columns: list[int]) -> No
     residual = assembly.system.residual[rows]
     jacobian = ca.jacobian(residual, unknowns)
     linear = not ca.depends_on(jacobian, unknowns)
-    if linear and len(rows) <= 2:
+    if linear and len(rows) <= _EXPLICIT_SIZE:
         jacobian, constant = assembly.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(len(rows))))
         solution = -_small_inverse_times(jacobian, constant)
         assembly.explicit += [(unknowns[k], solution[k]) for k in range(len(rows))]
@@ -171,12 +211,16 @@ def _solve_block(assembly: _Assembly, rows: list[int], columns: list[int]) -> No
 
 
 def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """matrix^-1 right for one or two rows, by Cramer's rule."""
+    """Return matrix^-1 right for up to three rows, by Cramer's rule."""
     if matrix.size1() == 1:
         return right / matrix
-    (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
-    determinant = a * d - b * c
-    return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / determinant
+    if matrix.size1() == 2:
+        (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
+        return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / (a * d - b * c)
+    rows = [matrix[i, :].T for i in range(3)]
+    # The columns of the adjugate are the cross products of the rows.
+    adjugate = ca.horzcat(*[ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)])
+    return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
 def _solve_linear(assembly: _Assembly, unknowns: ca.SX, residual: ca.SX, jacobian: ca.SX) -> None:

@@ -11,7 +11,8 @@ that no input enters, less what the servo constraints say of the same accelerati
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -43,6 +44,10 @@ class SecondOrderEquations:
         What the variables and the rows are called.
     embedded : tuple of int
         How often the servo constraint was differentiated to make each row: 2 for combined rows, else 0.
+    remedy : str
+        What was done to the equations first; empty if nothing.
+    special : bool
+        Whether that holds for the home parameters only.
     """
 
     system: MechanicalSystem
@@ -51,6 +56,8 @@ class SecondOrderEquations:
     names: tuple[str, ...]
     equations: tuple[str, ...]
     embedded: tuple[int, ...]
+    remedy: str = ""
+    special: bool = False
 
 
 def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
@@ -94,15 +101,12 @@ class Signature:
         Shape (N, N); `ABSENT` where a variable does not occur.
     equation_offsets, variable_offsets : tuple of int
         c and d.
-    remedy : str
-        What was done to the equations first; empty if nothing.
     """
 
     equations: SecondOrderEquations
     sigma: npt.NDArray[np.int64]
     equation_offsets: tuple[int, ...]
     variable_offsets: tuple[int, ...]
-    remedy: str = ""
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -118,8 +122,9 @@ class Signature:
         return max(differentiated, default=0) + int(0 in self.variable_offsets)
 
 
-def analyse_structure(system: MechanicalSystem, p: Array | None = None) -> Signature:
-    """Apply the signature method, with the remedy if the equations as they stand mislead it.
+@lru_cache(maxsize=64)
+def analyse_structure(system: MechanicalSystem) -> Signature:
+    """Apply the signature method at the system's home, with a remedy if the equations as they stand mislead it.
 
     Raises
     ------
@@ -127,21 +132,51 @@ def analyse_structure(system: MechanicalSystem, p: Array | None = None) -> Signa
         If the equations are structurally singular, or the system Jacobian stays singular.
     """
     equations = second_order_equations(system)
-    found = signature(equations)
-    if regular(found, p):
-        return found
-    combined = combine(equations, p)
-    if combined is not None:
-        found = signature(combined, "momentum equations without inputs combined with servo accelerations")
-        if regular(found, p):
+    tried = []
+    for remedy in (None, leave_out_vanishing, combine):
+        changed = equations if remedy is None else remedy(equations)
+        if changed is None:
+            continue
+        try:
+            found = signature(changed)
+        except InvalidModel as error:
+            tried.append(str(error))
+            continue
+        if regular(found):
             return found
+        tried.append(_left_over(found))
     raise InvalidModel(
-        f"{system.name}: the system Jacobian of the signature method is singular, also after combining equations;"
-        f" its offsets would be wrong"
+        f"{system.name}: the system Jacobian of the signature method is singular, with every remedy; {tried[-1]}"
     )
 
 
-def signature(equations: SecondOrderEquations, remedy: str = "") -> Signature:
+def specialised(system: MechanicalSystem, p: Array) -> MechanicalSystem:
+    """Return `system` with its home moved to the parameter values `p`, if these change its structure.
+
+    A parameter can decide about the index: an inclination of zero, a damper of zero. Where the structure stays the
+    same the same object is returned, and what was compiled for it serves on.
+    """
+    return _specialised(system, tuple(float(value) for value in p))
+
+
+@lru_cache(maxsize=256)
+def _specialised(system: MechanicalSystem, p: tuple[float, ...]) -> MechanicalSystem:
+    if p == system.home_parameters:
+        return system
+    found = _structure_or_none(system)
+    if found is not None and not found.equations.special and regular(found, np.array(p)):
+        return system
+    return replace(system, home_parameters=p)
+
+
+def _structure_or_none(system: MechanicalSystem) -> Signature | None:
+    try:
+        return analyse_structure(system)
+    except InvalidModel:
+        return None
+
+
+def signature(equations: SecondOrderEquations) -> Signature:
     """Apply the signature method to equations as they stand.
 
     Raises
@@ -161,17 +196,19 @@ def signature(equations: SecondOrderEquations, remedy: str = "") -> Signature:
     missing = [equations.equations[i] for i, j in zip(rows, columns, strict=True) if sigma[i, j] == ABSENT]
     if missing:
         raise InvalidModel(f"{equations.system.name}: structurally singular, nothing is left for {missing[0]}")
-    return Signature(equations, sigma, *_smallest_offsets(sigma, columns), remedy)
+    # Velocities are wanted too, also of a coordinate that no equation differentiates.
+    floor = np.array([int(name.startswith("q.")) for name in equations.names])
+    return Signature(equations, sigma, *_smallest_offsets(sigma, columns, floor))
 
 
 def _smallest_offsets(
-    sigma: npt.NDArray[np.int64], transversal: npt.NDArray[np.intp]
+    sigma: npt.NDArray[np.int64], transversal: npt.NDArray[np.intp], floor: npt.NDArray[np.int64]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the smallest c, d >= 0 with d_j - c_i >= sigma_ij, equality on the transversal."""
+    """Return the smallest c >= 0, d >= floor with d_j - c_i >= sigma_ij, equality on the transversal."""
     rows = np.arange(len(sigma))
     c = np.zeros(len(sigma), dtype=np.int64)
     while True:
-        d = np.where(sigma == ABSENT, ABSENT, sigma + c[:, None]).max(axis=0, initial=0)
+        d = np.maximum(floor, np.where(sigma == ABSENT, ABSENT, sigma + c[:, None]).max(axis=0))
         new = d[transversal] - sigma[rows, transversal]
         if (new == c).all():
             return tuple(int(k) for k in c), tuple(int(k) for k in d)
@@ -197,14 +234,33 @@ def system_jacobian_at_home(found: Signature) -> Array:
 
 def regular(found: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
-    matrices = _jacobian_at_probes(found, p)
-    return any(np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in matrices if np.isfinite(J).all())
+    return any(
+        np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in _jacobian_at_probes(found, p) if np.isfinite(J).all()
+    )
+
+
+def _left_over(found: Signature) -> str:
+    """Name the equations and variables between which a singular system Jacobian has lost rank."""
+    J = _equilibrated(_jacobian_at_probes(found, None)[0])
+    left, _, right = np.linalg.svd(np.nan_to_num(J))
+    names = found.equations.equations, found.equations.names
+    worst = [
+        ", ".join(labels[k] for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())[:4])
+        for labels, vector in zip(names, (left[:, -1], right[-1]), strict=True)
+    ]
+    return f"it loses rank in the equations {worst[0]} and the variables {worst[1]}"
+
+
+@lru_cache(maxsize=64)
+def _system_jacobian_function(found: Signature) -> ca.Function:
+    equations = found.equations
+    arguments = [equations.y, equations.system.gamma, equations.system.p]
+    return ca.Function("sc_system_jacobian", arguments, [system_jacobian(found)])
 
 
 def _jacobian_at_probes(found: Signature, p: Array | None) -> list[Array]:
-    equations = found.equations
-    evaluate = ca.Function("J", [equations.y, equations.system.gamma, equations.system.p], [system_jacobian(found)])
-    return [np.asarray(evaluate(*point)) for point in _probe_points(equations, p)]
+    evaluate = _system_jacobian_function(found)
+    return [np.asarray(evaluate(*point)) for point in _probe_points(found.equations, p)]
 
 
 def _equilibrated(matrix: Array) -> Array:
@@ -216,10 +272,15 @@ def _equilibrated(matrix: Array) -> Array:
     return scaled
 
 
-def _probe_points(equations: SecondOrderEquations, p: Array | None) -> list[tuple[Array, Array, Array]]:
-    """Points (y, gamma, p) near the system's home: fixed numbers without symmetry."""
+def _probe_points(
+    equations: SecondOrderEquations, p: Array | None = None, *, disturbed: bool = False
+) -> list[tuple[Array, Array, Array]]:
+    """Return points (y, gamma, p) near the system's home: fixed numbers without symmetry.
+
+    With `disturbed` the parameters leave their home as well, by a few per cent of themselves and of one.
+    """
     system = equations.system
-    q, defaults = system.home_configuration()
+    q, home = system.home_configuration()
     generator = np.random.default_rng(20090601)
     points = []
     for _ in range(_PROBES):
@@ -227,11 +288,22 @@ def _probe_points(equations: SecondOrderEquations, p: Array | None) -> list[tupl
         y[: len(q), 0] += q
         gamma = generator.uniform(-0.3, 0.3, system.gamma.shape)
         gamma[:, 0] = system.home
-        points.append((y, gamma, defaults if p is None else p))
+        values = home if p is None else p
+        if disturbed:
+            values = values * generator.uniform(1.01, 1.05, len(values)) + generator.uniform(0.01, 0.05, len(values))
+        points.append((y, gamma, values))
     return points
 
 
-def combine(equations: SecondOrderEquations, p: Array | None = None) -> SecondOrderEquations | None:
+def leave_out_vanishing(equations: SecondOrderEquations) -> SecondOrderEquations | None:
+    """Take derivatives out of equations where their coefficients vanish, if there are any."""
+    residual, special, changed = _without_vanishing(equations, equations.residual)
+    if not changed:
+        return None
+    return replace(equations, residual=residual, remedy="vanishing coefficients left out", special=special)
+
+
+def combine(equations: SecondOrderEquations) -> SecondOrderEquations | None:
     """Subtract servo accelerations from the momentum equations that no input enters.
 
     With C = [C_d, C_i] split into dependent and independent columns, a momentum row without inputs loses the
@@ -256,23 +328,43 @@ def combine(equations: SecondOrderEquations, p: Array | None = None) -> SecondOr
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     rows = system.momentum_balance(acceleration)[unactuated] - ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)
-    residual[unactuated] = _without_vanishing(equations, _in_variables(system, rows, y), p)
-    names = [
+    residual[unactuated] = _in_variables(system, rows, y)
+    residual, special, _ = _without_vanishing(equations, residual)
+    names = (
         f"{name} less servo accelerations" if k in unactuated else name for k, name in enumerate(equations.equations)
-    ]
-    embedded = tuple(2 if k in unactuated else order for k, order in enumerate(equations.embedded))
-    return SecondOrderEquations(system, residual, y, equations.names, tuple(names), embedded)
+    )
+    return replace(
+        equations,
+        residual=residual,
+        equations=tuple(names),
+        embedded=tuple(2 if k in unactuated else order for k, order in enumerate(equations.embedded)),
+        remedy="momentum equations without inputs combined with servo accelerations",
+        special=special,
+    )
 
 
-def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX, p: Array | None) -> ca.SX:
-    """Set accelerations and velocities to zero in the rows whose derivatives by them vanish at all probes."""
-    y = equations.y
+def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX) -> tuple[ca.SX, bool, bool]:
+    """Set velocities and accelerations to zero in the rows whose derivatives by them vanish at all probes.
+
+    Returns the rows, whether something vanishes for the home parameters only, and whether anything changed.
+    """
+    y, system = equations.y, equations.system
     derivatives = ca.vertcat(ca.vec(y[:, 1]), ca.vec(y[:, 2]))
-    jacobian = ca.Function("by", [y, equations.system.gamma, equations.system.p], [ca.jacobian(rows, derivatives)])
-    values = np.stack([np.abs(np.asarray(jacobian(*point))) for point in _probe_points(equations, p)])
-    present = values.max(axis=0) > _VANISHING * (1.0 + values.max())
+    by_derivatives = ca.jacobian(rows, derivatives)
+    evaluate = ca.Function("by", [y, system.gamma, system.p], [by_derivatives])
+
+    def present(disturbed: bool) -> npt.NDArray[np.bool_]:
+        points = _probe_points(equations, disturbed=disturbed)
+        values = np.stack([np.abs(np.asarray(evaluate(*point))) for point in points]).max(axis=0)
+        found: npt.NDArray[np.bool_] = values > _VANISHING * (1.0 + values.max(axis=1, keepdims=True))
+        return found
+
+    structural = np.zeros(by_derivatives.shape, dtype=bool)
+    structural[tuple(np.array(by_derivatives.sparsity().get_triplet()))] = True
+    here = present(disturbed=False)
     cleaned = []
     for k in range(rows.numel()):
-        absent = [int(j) for j in np.flatnonzero(~present[k])]
-        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX.zeros(len(absent))))
-    return ca.vertcat(*cleaned)
+        absent = [int(j) for j in np.flatnonzero(structural[k] & ~here[k])]
+        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX.zeros(len(absent))) if absent else rows[k])
+    special = bool((present(disturbed=True) & structural & ~here).any())
+    return ca.vertcat(*cleaned), special, bool((structural & ~here).any())

@@ -75,6 +75,10 @@ class MechanicalSystem:
         decide there which coordinates they treat as dependent.
     observables : mapping of Quantity to casadi.SX
         What else a solution reports: expressions of q, v, lam, u, p and gamma.
+    u : casadi.SX, optional
+        Symbols of the inputs, shape (m,), if observables use them; made when not given.
+    home_parameters : tuple of float, optional
+        Parameter values at which the structure is analysed; the defaults when not given.
 
     Raises
     ------
@@ -99,7 +103,8 @@ class MechanicalSystem:
     guess: ca.SX = DERIVED
     home: tuple[float, ...] = ()
     observables: Mapping[Quantity, ca.SX] = field(default_factory=dict)
-    u: ca.SX = field(init=False)
+    u: ca.SX = DERIVED
+    home_parameters: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
@@ -109,7 +114,8 @@ class MechanicalSystem:
         self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
         self._fill("guess", ca.SX.zeros(n))
         object.__setattr__(self, "home", self.home or (1.0,) * m)
-        object.__setattr__(self, "u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        self._fill("u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
         self._require_shapes(n, m, m_h)
         self._require_own_symbols()
         self._require_symmetric_mass()
@@ -125,7 +131,7 @@ class MechanicalSystem:
             raise InvalidModel(f"{self.name}: {m} inputs exceed the {n - m_h} degrees of freedom")
         expected = {
             "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
-            "gyroscopic": (n, 1), "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1),
+            "gyroscopic": (n, 1), "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
             "gamma": (m, MAX_REFERENCE_ORDER + 1),
         }  # fmt: skip
         for attribute, shape in expected.items():
@@ -209,8 +215,8 @@ class MechanicalSystem:
         return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
 
     def home_configuration(self) -> tuple[Array, Array]:
-        """Return (q, p): the guess at `home` with default parameters."""
-        p = self.parameters.values()
+        """Return (q, p): the guess at `home` with `home_parameters`."""
+        p = np.array(self.home_parameters, dtype=np.float64)
         gamma = np.zeros(self.gamma.shape)
         gamma[:, 0] = self.home
         guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
