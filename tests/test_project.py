@@ -1,0 +1,209 @@
+"""The project keeps its own rules: sizes, names, pages whose examples run, versions that agree."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import subprocess
+import tomllib
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import pytest
+
+import servocore as sc
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+PACKAGES = ("servocore", "crane_fmu")
+LONGEST_FUNCTION, LONGEST_FILE = 60, 400
+CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+PUBLIC = [(name, getattr(sc, name)) for name in sc.__all__]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+
+
+def short(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def tracked_texts() -> Iterator[tuple[str, str]]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a git clone")
+    for name in filter(None, listed.stdout.decode().split("\0")):
+        path = ROOT / name
+        if path.suffix in {".png", ".ico", ".fmu"} or not path.exists():
+            continue
+        yield name, path.read_text(encoding="utf-8")
+
+
+# Code ----------------------------------------------------------------------------------------------------------------
+
+
+def test_files_are_short():
+    lengths = {short(path): len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
+    assert {name: length for name, length in lengths.items() if length >= LONGEST_FILE} == {}
+
+
+def test_functions_are_short():
+    lengths = {
+        f"{short(path)}:{node.lineno} {node.name}": lines_without_docstring(node)
+        for path in SOURCES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert {name: length for name, length in lengths.items() if length >= LONGEST_FUNCTION} == {}
+
+
+def lines_without_docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    first = node.body[0]
+    length = node.end_lineno - node.lineno + 1
+    if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+        length -= first.end_lineno - first.lineno + 1
+    return length
+
+
+def test_crane_fmu_uses_public_names_of_servocore_only():
+    strangers = [
+        f"{short(path)}:{node.lineno} {name}"
+        for path in (ROOT / "crane_fmu").rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in used_names(node)
+        if name not in {*sc.__all__, "__version__"}
+    ]
+    assert strangers == []
+
+
+def used_names(node: ast.AST) -> list[str]:
+    """Return what a node takes out of servocore; program.py is left out, since it travels into the FMU."""
+    if isinstance(node, ast.ImportFrom) and node.module == "servocore":
+        return [each.name for each in node.names]
+    if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("servocore."):
+        return [] if node.module == "servocore.program" else [node.module]
+    if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "sc":
+        return [node.attr]
+    return []
+
+
+def test_nothing_mentions_the_machine_it_was_written_on():
+    places = ("/" + "work/", "/" + "home/", "/" + "root/", "share" + "d/design", "share" + "d/theory", "bash" + "_jobs")
+    found = [f"{name} mentions {place}" for name, text in tracked_texts() for place in places if place in text]
+    assert found == []
+
+
+# Public names --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "value"), PUBLIC, ids=[name for name, _ in PUBLIC])
+def test_a_public_name_says_what_it_is_and_what_it_takes(name, value):
+    if not (inspect.isclass(value) or inspect.isfunction(value) or inspect.ismodule(value)):
+        return  # a constant; its type says what it is
+    text = inspect.getdoc(value) or ""
+    assert text.splitlines()[0].endswith((".", ":")), f"{name} has no summary sentence"
+    if inspect.isfunction(value):
+        taken = list(inspect.signature(value).parameters)
+    elif is_dataclass(value) and not issubclass(value, Exception):
+        taken = [each.name for each in fields(value) if each.init]
+    else:
+        return
+    if len(taken) < 2:
+        return
+    section = re.search(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.DOTALL | re.MULTILINE)
+    assert section, f"{name} takes {', '.join(taken)}, but its docstring has no such section"
+    if inspect.isfunction(value):
+        described = set(re.findall(r"\w+", " ".join(re.findall(r"^(\w[\w, *]*?)(?: :|$)", text, re.MULTILINE))))
+        assert set(taken) <= described
+
+
+def exported_by(attribute: str) -> list[str]:
+    return [
+        name
+        for name, value in PUBLIC
+        if inspect.isclass(value) and hasattr(value, attribute) and not getattr(value, "_is_protocol", False)
+    ]
+
+
+@pytest.mark.parametrize("name", [*exported_by("dae"), *exported_by("discretise")])
+def test_a_formulation_or_method_is_explained(name):
+    assert f"`{name}`" in (DOCS / "theory.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+def test_a_scene_has_a_sketch_a_closed_form_and_a_place_in_the_theory(name):
+    factory = sc.scenes.REGISTRY[name]
+    text = inspect.getmodule(factory).__doc__
+    drawn = [line for line in text.splitlines() if line.startswith("    ") and re.search(r"[|/\\=\[]", line)]
+    assert len(drawn) >= 3, "the head of its file has no sketch"
+    assert factory().closed_form is not None or "closed form" in text, "neither a closed form nor a reason"
+    assert f"`{name}`" in (DOCS / "theory.md").read_text(encoding="utf-8")
+
+
+# Pages ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if CODE_BLOCK.search(p.read_text(encoding="utf-8"))], ids=short)
+def test_python_blocks_of_a_page_run_one_after_another(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {"__name__": "page"}
+    text = page.read_text(encoding="utf-8")
+    for block in CODE_BLOCK.finditer(text):
+        run(block[1], page, text[: block.start(1)].count("\n"), names)
+
+
+def run(block: str, page: Path, line: int, names: dict[str, object]) -> None:
+    """Run a block as if it stood alone, with line numbers of its page."""
+    exec(compile("\n" * line + block, str(page), "exec", dont_inherit=True), names)
+
+
+def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (block,) = CODE_BLOCK.findall(text)
+    assert len(block.strip().splitlines()) <= 10
+    run(block, ROOT / "README.md", 0, {})
+    assert f"`{capsys.readouterr().out.strip()}`" in text
+    assert (tmp_path / "inputs.csv").read_text(encoding="utf-8").startswith("time,M_b,F,M_w\n")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=short)
+def test_links_of_a_page_lead_somewhere(page):
+    text = CODE_BLOCK.sub("", page.read_text(encoding="utf-8"))
+    targets = re.findall(r"\]\((?!https?://)([^)#]+)", text)
+    assert [target for target in targets if not (page.parent / target).exists()] == []
+
+
+def test_the_index_names_every_page():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name != "index.md"]
+    assert [page for page in pages if f"({page})" not in index] == []
+
+
+def test_sections_of_the_theory_that_are_referred_to_exist():
+    sections = set(re.findall(r"^## (\d+)\.", (DOCS / "theory.md").read_text(encoding="utf-8"), re.MULTILINE))
+    wanted = {
+        (name, number)
+        for name, text in tracked_texts()
+        for number in re.findall(r"theory(?:\.md)?\]?(?:\([^)]*\))?,? section (\d+)", text)
+    }
+    assert {each for each in wanted if each[1] not in sections} == set()
+
+
+# Versions ------------------------------------------------------------------------------------------------------------
+
+
+def test_all_say_the_same_version_and_the_changelog_has_an_entry_for_it():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert sc.__version__ == project["version"]
+    assert f"\nversion: {sc.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    entry = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8").split(f"## [{sc.__version__}]")
+    assert len(entry) == 2
+    assert re.search(r"^\* \w", entry[1], re.MULTILINE)
+
+
+def test_every_target_of_the_makefile_explains_itself():
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE)[1].split()
+    assert [each for each in targets if not re.search(rf"^{each}:.*## \w", text, re.MULTILINE)] == []
