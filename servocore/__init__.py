@@ -6,6 +6,7 @@
 """
 
 from servocore import scenes
+from servocore.analysis import StructureReport, analyse
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -74,6 +75,8 @@ __all__ = [
     "Statistics",
     "StepReport",
     "Stepper",
+    "StructureReport",
+    "analyse",
     "from_csv",
     "generalise",
     "rest_to_rest",

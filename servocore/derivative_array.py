@@ -8,6 +8,7 @@ It gives consistent initial values to every formulation, and is itself the `Redu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -76,6 +77,7 @@ class DerivativeArray:
         return self.unknowns.index((self.names.index(variable), order))
 
 
+@lru_cache(maxsize=64)
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     """Differentiate the equations of `system` as often as their offsets ask."""
     found = analyse_structure(system)

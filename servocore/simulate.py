@@ -13,6 +13,7 @@ from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSettin
 from servocore.program import Channel
 from servocore.scene import Scene
 from servocore.solution import Solution, Statistics
+from servocore.structure import specialised
 from servocore.symbols import Array, Quantity
 from servocore.system import MechanicalSystem
 
@@ -69,8 +70,9 @@ def simulate(
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    system = scene.model(model)
-    p = system.parameters.values(scene.parameters)
+    base = scene.model(model)
+    p = base.parameters.values(scene.parameters)
+    system = specialised(base, p)
     if isinstance(inputs, Solution):
         t = inputs.t if t is None else t
         evaluate = interpolated(inputs, system)

@@ -61,6 +61,8 @@ class Solution:
         Model, formulation and method that produced it.
     fit_error : float or None
         The reference's own estimate of its distance from the sampled positions it was fitted to, in m.
+    advice : str
+        What the analysis said when it chose the formulation; empty when the caller chose.
     """
 
     t: Array
@@ -69,6 +71,7 @@ class Solution:
     route: str
     statistics: Statistics | None = None
     fit_error: float | None = None
+    advice: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:

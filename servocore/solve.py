@@ -8,16 +8,13 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.calls import Call
-from servocore.errors import (
-    InconsistentStart,
-    IntegrationFailed,
-    InvalidReference,
-    InvalidSetting,
-)
-from servocore.formulations import Formulation, Projected
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, InvalidSetting
+from servocore.feasibility import require_feasible, side_by_side
+from servocore.formulations import Formulation, Reduced
 from servocore.methods import BackwardEuler, Method
-from servocore.program import Program, require_margins
+from servocore.program import Program
 from servocore.references import Reference
 from servocore.scene import Scene
 from servocore.solution import Solution, Statistics
@@ -31,9 +28,6 @@ CHUNK = 512
 """Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
 
 _DEFAULT_STEPS = 200
-_SURVEY_POINTS = 2001
-_REFINED_POINTS = 41
-_REFINEMENTS = 3
 
 
 def solve(
@@ -52,7 +46,7 @@ def solve(
     scene : Scene
         The problem, with its reference and parameters.
     formulation : Formulation, optional
-        `Projected` when not given.
+        What the analysis recommends when not given (`Reduced`, unless the internal dynamics are unstable).
     method : Method, optional
         `BackwardEuler` when not given.
     step : float, optional
@@ -79,10 +73,13 @@ def solve(
         If a step is not solved.
     """
     t, step = time_grid(scene.reference, step)
-    stepper = Stepper(scene, formulation or Projected(), method or BackwardEuler(), step, model)
+    advice = ""
+    if formulation is None:
+        formulation, advice = recommended(scene, model)
+    stepper = Stepper(scene, formulation, method or BackwardEuler(), step, model)
     program, p = stepper.program, stepper.parameters
     _require_derivatives(scene.reference, program)
-    require_feasible(scene.reference, program, p)
+    require_feasible(scene.reference, stepper.system, scene.limits, p)
     jets = scene.reference.jet(t, program.start_order)
     state, report = program.begin(jets[0], p)
     if not report.converged or not report.residual < np.inf:
@@ -96,7 +93,24 @@ def solve(
         float(max(report.residual, residuals.max(initial=0.0))),
         *(float(each) for each in violations.max(axis=1)),
     )
-    return Solution(t, program.channels, values, program.name, statistics, scene.reference.fit_error)
+    return Solution(t, program.channels, values, program.name, statistics, scene.reference.fit_error, advice)
+
+
+def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, str]:
+    """Return the formulation that the analysis recommends and what it says.
+
+    Raises
+    ------
+    InvalidSetting
+        If the internal dynamics are unstable, so that no integration forward in time can succeed.
+    """
+    kind, rate = internal_dynamics(scene, model)
+    if kind == NON_MINIMUM_PHASE:
+        raise InvalidSetting(
+            f"{scene.name} has unstable internal dynamics (non-minimum phase): integrating forward in time, errors grow"
+            f" like exp({rate:.3g} t); name a formulation and a method to do it all the same"
+        )
+    return Reduced(), f"{kind}: {ADVICE[kind]}"
 
 
 def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:
@@ -135,34 +149,6 @@ def _require_derivatives(reference: Reference, program: Program) -> None:
         )
 
 
-def require_feasible(reference: Reference, program: Program, p: Array) -> None:
-    """Raise `InvalidReference` if the path breaks a limit anywhere, also between the instants of a grid.
-
-    The margins are surveyed on a fine grid; around the smallest of each the grid is refined.
-    """
-    if not program.limits:
-        return
-    survey = np.linspace(reference.start_time, reference.end_time, _SURVEY_POINTS)
-    surveyed = _margins(reference, program, p, survey)
-    for k, limit in enumerate(program.limits):
-        broken = ~(surveyed[k] > 0.0)
-        if broken.any():
-            first = int(broken.argmax())
-            require_margins((limit,), surveyed[k, [first]], float(survey[first]))
-        t, lowest = survey, int(surveyed[k].argmin())
-        for _ in range(_REFINEMENTS):
-            t = np.linspace(t[max(0, lowest - 1)], t[min(len(t) - 1, lowest + 1)], _REFINED_POINTS)
-            margin = _margins(reference, program, p, t)[k]
-            lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
-            require_margins((limit,), margin[[lowest]], float(t[lowest]))
-
-
-def _margins(reference: Reference, program: Program, p: Array, t: Array) -> Array:
-    jets = reference.jet(t, program.start_order)
-    (margins,) = _mapped(program.margins, len(t))(_columns(jets), np.tile(p[:, None], len(t)))
-    return margins.reshape(len(program.limits), len(t))
-
-
 def _run(
     scene: Scene, program: Program, p: Array, t: Array, step: float, state: Array, progress: Progress | None
 ) -> tuple[Array, Array, Array]:
@@ -180,7 +166,7 @@ def _run(
         gamma = np.concatenate(nodes, axis=1)
         found, count_rows, worst = loop(
             states[-1][:, -1],
-            _columns(gamma),
+            side_by_side(gamma),
             np.full((1, length), step),
             np.tile(p[:, None], length),
         )
@@ -211,17 +197,12 @@ def _fail(scene: Scene, program: Program, p: Array, state: Array, time: float, s
 def _observe(program: Program, states: Array, jets: Array, p: Array) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
     count = len(jets)
-    values, violations = _mapped(program.observe, count)(states, _columns(jets), np.tile(p[:, None], count))
+    values, violations = _mapped(program.observe, count)(states, side_by_side(jets), np.tile(p[:, None], count))
     table = values.T
     for k, channel in enumerate(program.channels):
         if channel.wraps:
             table[:, k] = np.unwrap(table[:, k])
     return table, violations
-
-
-def _columns(jets: Array) -> Array:
-    """Lay reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
-    return jets.reshape(-1, jets.shape[2]).T
 
 
 @lru_cache(maxsize=128)

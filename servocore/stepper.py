@@ -11,12 +11,14 @@ import numpy as np
 
 from servocore.dae import Dae
 from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array
-from servocore.errors import InvalidModel, InvalidSetting
+from servocore.errors import InvalidSetting
+from servocore.feasibility import compile_margins, limit_texts
 from servocore.formulations import Formulation
 from servocore.methods import Discretisation, Method
 from servocore.newton import compile_solver
-from servocore.program import Channel, LimitText, Program, StepReport
+from servocore.program import Channel, Program, StepReport
 from servocore.scene import Limit, Scene
+from servocore.structure import specialised
 from servocore.symbols import Array, Quantity
 from servocore.system import MechanicalSystem
 
@@ -39,7 +41,7 @@ def compile_program(
         start=start,
         step=_compile_pointwise_step(start, discretisation) if pointwise else _compile_step(discretisation),
         observe=_compile_observe(system, dae, discretisation, known, start_order),
-        margins=_compile_margins(system, limits, start_order),
+        margins=compile_margins(system, limits, start_order),
         guess_residual=_compile_guess_residual(discretisation),
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
@@ -47,7 +49,7 @@ def compile_program(
         channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
         parameters=system.parameters.names,
         equations=tuple(each.name for each in dae.equations),
-        limits=tuple(LimitText(each.quantity, each.unit, each.reason, each.bound) for each in limits),
+        limits=limit_texts(limits),
     )
 
 
@@ -135,12 +137,6 @@ def _violations(system: MechanicalSystem) -> ca.SX:
     return ca.vertcat(*[ca.norm_inf(group) if group.numel() else ca.SX(0) for group in groups])
 
 
-def _compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
-    gamma = system.gamma[:, : order + 1]
-    margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
-    return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])
-
-
 @dataclass(frozen=True, eq=False)
 class Stepper:
     """The step function of a problem, to be called instant by instant.
@@ -168,18 +164,20 @@ class Stepper:
     method: Method
     step: float
     model: str | None = None
+    system: MechanicalSystem = field(init=False)
     program: Program = field(init=False)
     parameters: Array = field(init=False)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step < float("inf"):
             raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
-        system = self.scene.model(self.model)
-        if len(system.outputs) != len(system.inputs):
-            raise InvalidModel(f"{system.name} has no servo output")
+        base = self.scene.model(self.model)
+        p = base.parameters.values(self.scene.parameters)
+        system = specialised(base, p)
         program = compile_program(system, self.formulation, self.method, self.scene.limits)
         object.__setattr__(self, "program", program)
-        object.__setattr__(self, "parameters", system.parameters.values(self.scene.parameters))
+        object.__setattr__(self, "system", system)
+        object.__setattr__(self, "parameters", p)
 
     @property
     def start_order(self) -> int:
