@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from servocore.scene import Limit, Scene
+from servocore.scenes.cars import cars
 from servocore.scenes.gantry_crane import gantry_crane
 from servocore.scenes.overhead_crane import overhead_crane
 from servocore.scenes.rotary_crane import rotary_crane
@@ -11,7 +12,8 @@ REGISTRY: dict[str, Callable[[], Scene]] = {
     "rotary_crane": rotary_crane,
     "overhead_crane": overhead_crane,
     "gantry_crane": gantry_crane,
+    "cars": cars,
 }
 """All scenes by name; what is listed here inherits the whole test suite."""
 
-__all__ = ["REGISTRY", "Limit", "Scene", "gantry_crane", "overhead_crane", "rotary_crane"]
+__all__ = ["REGISTRY", "Limit", "Scene", "cars", "gantry_crane", "overhead_crane", "rotary_crane"]
