@@ -1,0 +1,451 @@
+"""Tests that every scene, model, formulation and method inherits: `test_scenes`, `test_formulations` and
+`test_methods` run them over the registry in `problems`.
+
+What is claimed: exactness where theory gives it, order of convergence elsewhere, refusal where nothing can be right.
+The truth is each scene's closed form, which knows nothing of systems, formulations and methods.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from problems import SCENES, exact, jets_near_home, largest_errors, scene, solved
+
+from servocore.dae import Dae, Equation, Unknown
+from servocore.derivative_array import compile_inversion, derivative_array
+from servocore.errors import InvalidModel, InvalidReference
+from servocore.methods import BackwardEuler
+from servocore.newton import compile_solver
+from servocore.program import Program
+from servocore.projection import project
+from servocore.references import DEGREE3, rest_to_rest
+from servocore.stepper import compile_program
+from servocore.structure import analyse_structure
+
+ORDERS = 7  # of random reference jets: more than any scene needs
+
+
+def perturbations(m: int):
+    """Draw jets of shape (orders, m) with all entries within 1 of zero."""
+    return arrays(float, (ORDERS, m), elements=st.floats(-1.0, 1.0))
+
+
+@cache
+def inversion(system):
+    array = derivative_array(system)
+    return array, compile_inversion(array)
+
+
+def inverted(system, jet, p):
+    """Return q, v, v_dot, lam, u of the exact inversion at a reference jet, by (variable, order)."""
+    array, invert = inversion(system)
+    y, _, residual = invert(jet[: array.reference_order + 1].T, p)
+    assert float(residual) < 1e-8
+    return {
+        (array.names[j], order): value for (j, order), value in zip(array.unknowns, np.asarray(y).ravel(), strict=True)
+    }
+
+
+def angle_difference(a, b):
+    return np.angle(np.exp(1j * (np.asarray(a) - np.asarray(b))))
+
+
+class SceneSuite:
+    """What every scene promises; parametrized over `scene_name`."""
+
+    def test_models_are_made_once(self, scene_name):
+        one, other = scene(scene_name), scene(scene_name)
+        for name in one.models:
+            assert one.model(name) is other.model(name)
+
+    def test_models_agree_on_inputs_outputs_and_parameters(self, scene_name):
+        first, *others = (scene(scene_name).model(name) for name in scene(scene_name).models)
+        for system in others:
+            assert system.inputs == first.inputs
+            assert system.outputs == first.outputs
+            assert system.parameters.declared == first.parameters.declared
+
+    def test_closed_form_answers_for_every_input_and_follows_the_path(self, scene_name):
+        found, system = exact(scene_name, 40), scene(scene_name).model()
+        reference = scene(scene_name).reference
+        path = reference.jet(np.linspace(reference.start_time, reference.end_time, 41), 0)[:, 0]
+        for each in system.inputs:
+            assert np.isfinite(found[each.name]).all()
+        for k, each in enumerate(system.outputs):
+            np.testing.assert_array_equal(found[each.name], path[:, k])
+
+    def test_every_parameter_has_a_unit_a_description_and_a_default_inside_its_bounds(self, scene_name):
+        for each in scene(scene_name).model().parameters.declared:
+            assert each.unit
+            assert each.description
+            assert each.lower < each.default < each.upper
+
+    def test_other_parameters_make_another_scene_and_leave_this_one_alone(self, scene_name):
+        one = scene(scene_name)
+        name, value = next(iter(one.parameter_values().items()))
+        other = one.with_parameters(**{name: 2 * value})
+        assert other.parameter_values()[name] == 2 * value
+        assert one.parameter_values()[name] == value
+
+    @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
+    def test_parameters_that_are_no_numbers_are_refused_by_name(self, scene_name, value):
+        name = scene(scene_name).model().parameters.names[0]
+        with pytest.raises(InvalidModel, match=rf"parameter {name} = .* outside its range"):
+            scene(scene_name).with_parameters(**{name: value})
+
+    def test_unknown_parameters_are_refused_and_the_known_ones_listed(self, scene_name):
+        name = scene(scene_name).model().parameters.names[0]
+        with pytest.raises(InvalidModel, match=rf"no parameter is called colour; there are .*{name}"):
+            scene(scene_name).with_parameters(colour=1.0)
+
+    def test_unknown_models_are_refused_and_the_known_ones_listed(self, scene_name):
+        with pytest.raises(InvalidModel, match=f"has no model clay; it has .*{scene(scene_name).default_model}"):
+            scene(scene_name).model("clay")
+
+    def test_paths_of_another_dimension_are_refused(self, scene_name):
+        m = len(scene(scene_name).model().outputs)
+        path = rest_to_rest((0.0,) * (m + 1), (1.0,) * (m + 1), 1.0, DEGREE3)
+        with pytest.raises(InvalidReference, match=f"needs a path with {m} components, this one has {m + 1}"):
+            scene(scene_name).with_reference(path)
+
+
+class ModelSuite:
+    """What every model promises; parametrized over `scene_name, model`."""
+
+    @pytest.fixture
+    def system(self, scene_name, model):
+        return scene(scene_name).model(model)
+
+    def test_index_and_internal_degrees_of_freedom_are_those_of_the_literature(self, scene_name, system):
+        found = analyse_structure(system)
+        assert found.index == SCENES[scene_name].index
+        assert found.degrees_of_freedom == SCENES[scene_name].internal_degrees_of_freedom
+
+    def test_constraints_are_independent_at_home(self, system):
+        system.require_full_rank(*system.home_configuration())
+
+    def test_mass_matrix_is_positive_semidefinite_at_home(self, system):
+        M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])(*system.home_configuration()))
+        assert np.linalg.eigvalsh(M).min() >= -1e-12 * np.abs(M).max()
+
+    def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, system):  # noqa: N802
+        found = project(system)
+        evaluate = ca.Function("CDWM", [system.q, system.p], [found.C, found.D, found.W, system.mass])
+        q, p = system.home_configuration()
+        q = q + 0.1 * np.sin(1.0 + np.arange(len(q)))
+        C, D, W, M = (np.asarray(each) for each in evaluate(q, p))
+        n, m = len(q), len(system.outputs)
+        assert D.shape == (n, n - m)
+        assert np.linalg.matrix_rank(D) == n - m
+        np.testing.assert_allclose(C @ D, 0.0, atol=1e-13)
+        np.testing.assert_allclose(M @ W, C.T, atol=1e-12)
+
+    @settings(max_examples=15)
+    @given(data=st.data())
+    def test_exact_inversion_gives_the_closed_form_at_any_instant(self, scene_name, model, data):
+        system, this = scene(scene_name).model(model), scene(scene_name)
+        m = len(system.outputs)
+        jet = jets_near_home(system, data.draw(perturbations(m)))
+        found = inverted(system, jet, system.parameters.values())
+        expected = this.closed_form(jet[None], this.parameter_values())
+        for each in system.inputs:
+            scale = max(1.0, *(abs(float(expected[other.name][0])) for other in system.inputs))
+            assert found[f"u.{each.name}", 0] == pytest.approx(expected[each.name][0], abs=1e-10 * scale)
+        for each in system.coordinates.quantities:
+            if each.name in expected:
+                difference = found[f"q.{each.name}", 0] - expected[each.name][0]
+                assert abs(angle_difference(difference, 0.0) if each.unit == "rad" else difference) < 1e-10
+
+    @settings(max_examples=10)
+    @given(data=st.data())
+    def test_motion_of_the_inversion_keeps_the_equations_of_motion(self, scene_name, model, data):
+        system = scene(scene_name).model(model)
+        jet = jets_near_home(system, data.draw(perturbations(len(system.outputs))))
+        p = system.parameters.values()
+        found = inverted(system, jet, p)
+        names = system.coordinates.names
+        # Derivatives of coordinates that the inversion does not speak of carry no inertia: NaN times an absent entry.
+        q, v, a = ([found.get((f"q.{name}", k), np.nan) for name in names] for k in range(3))
+        lam = [found[f"lam.{k + 1}", 0] for k in range(system.lam.numel())]
+        u = [found[f"u.{each.name}", 0] for each in system.inputs]
+        acceleration = ca.SX.sym("a", len(names))
+        balance = ca.Function(
+            "balance",
+            [system.q, system.v, acceleration, system.lam, system.u, system.p],
+            [system.momentum_balance(acceleration), ca.mtimes(system.G, system.v), ca.mtimes(system.C, system.v)],
+        )
+        momentum, g_dot, y_dot = (np.asarray(each).ravel() for each in balance(q, v, np.nan_to_num(a), lam, u, p))
+        scale = max(1.0, np.abs(u).max(), np.abs(lam).max(initial=0.0))
+        np.testing.assert_allclose(momentum, 0.0, atol=1e-10 * scale)
+        np.testing.assert_allclose(g_dot, 0.0, atol=1e-10)
+        np.testing.assert_allclose(y_dot, jet[1], atol=1e-12)
+
+
+class FormulationSuite:
+    """What every formulation makes of every model; parametrized over `scene_name, model, of`."""
+
+    @settings(max_examples=8)
+    @given(data=st.data())
+    def test_the_exact_motion_satisfies_its_equations(self, scene_name, model, of, data):
+        """H x_dot = f and 0 = h hold, to rounding, where the exact inversion puts the system."""
+        system = scene(scene_name).model(model)
+        dae = of.formulation.dae(system)
+        jet = jets_near_home(system, data.draw(perturbations(len(system.outputs))))
+        p = system.parameters.values()
+        found = inverted(system, jet, p)
+        nx = dae.x.numel()
+        values = [found[each.variable, each.order] for each in dae.unknowns]
+        rates = np.array([found.get((each.variable, each.order + 1), np.nan) for each in dae.unknowns[:nx]])
+        gamma = np.zeros(system.gamma.shape)
+        gamma[:, :ORDERS] = jet.T
+        evaluate = ca.Function("dae", [ca.vertcat(dae.x, dae.z), dae.gamma, dae.p], [dae.H, dae.f, dae.h])
+        H, f, h = (np.asarray(each) for each in evaluate(values, gamma, p))
+        assert not np.abs(H[:, np.isnan(rates)]).any(), "a rate enters that the motion does not determine"
+        scale = max(1.0, *np.abs(values))
+        np.testing.assert_allclose(H @ np.nan_to_num(rates), f.ravel(), atol=1e-9 * scale)
+        np.testing.assert_allclose(h, 0.0, atol=1e-9 * scale)
+
+    def test_it_describes_every_unknown_and_equation_once(self, scene_name, model, of):
+        dae = of.formulation.dae(scene(scene_name).model(model))
+        for described in ([each.name for each in dae.unknowns], [each.name for each in dae.equations]):
+            assert len(described) == dae.x.numel() + dae.z.numel()
+            assert len(set(described)) == len(described)
+
+    def test_equal_settings_share_one_compiled_program(self, scene_name, model, of):
+        system = scene(scene_name).model(model)
+        again = type(of.formulation)()
+        first = compile_program(system, of.formulation, BackwardEuler(), ())
+        assert compile_program(system, again, BackwardEuler(), ()) is first
+
+
+class ProblemSuite:
+    """What every scene, model, formulation and method give together; parametrized over `problem`."""
+
+    def test_inputs_converge_to_the_closed_form_with_the_order_of_the_method(self, problem):
+        coarse, middle, fine = (largest_errors(problem, steps, problem.inputs) for steps in problem.case.steps)
+        if problem.of.pointwise:
+            peaks = [np.abs(exact(problem.scene_name, problem.case.steps[0])[name]).max() for name in problem.inputs]
+            for errors in (coarse, middle, fine):
+                assert (errors < 1e-10 * np.array(peaks)).all()
+            return
+        expected = 2.0**problem.by.order
+        np.testing.assert_allclose(coarse / middle, expected, rtol=0.1)
+        np.testing.assert_allclose(middle / fine, expected, rtol=0.05)
+
+    def test_what_servo_constraints_fix_is_exact_at_every_step_size(self, problem):
+        """Unless the form differentiates positions numerically: there it converges as the inputs do."""
+        names = problem.case.algebraic
+        if problem.of.projected or problem.of.pointwise:
+            for steps in (50, 200, problem.case.steps[0]):
+                peaks = [np.abs(exact(problem.scene_name, steps)[name]).max() for name in names]
+                assert (largest_errors(problem, steps, names) < 1e-10 * np.maximum(1.0, peaks)).all()
+        else:
+            coarse, fine = (largest_errors(problem, steps, names) for steps in problem.case.steps[:2])
+            wrong = coarse > 1e-10
+            np.testing.assert_allclose(coarse[wrong] / fine[wrong], 2.0**problem.by.order, rtol=0.1)
+
+    def test_it_follows_the_path_and_keeps_the_constraints(self, problem):
+        solution, system = solved(problem, 200), problem.system
+        path = problem.scene.reference.jet(solution.t, 0)[:, 0]
+        for k, each in enumerate(system.outputs):
+            np.testing.assert_allclose(solution[each.name], path[:, k], rtol=0.0, atol=1e-9)
+        assert solution.statistics.servo_violation < 1e-9
+        assert solution.statistics.constraint_violation < 1e-9
+        assert solution.statistics.worst_residual < 1e-8
+
+    def test_it_starts_with_the_exact_inputs(self, problem):
+        solution, expected = solved(problem, 200), exact(problem.scene_name, 200)
+        for name in problem.inputs:
+            assert solution[name][0] == pytest.approx(expected[name][0], abs=1e-9 * max(1.0, abs(expected[name][0])))
+
+    def test_every_step_takes_few_newton_iterations(self, problem):
+        statistics = solved(problem, 200).statistics
+        assert statistics.steps == 200
+        # A pointwise form starts every instant from the configuration at rest, the others from the last instants.
+        most = (8 if problem.of.pointwise else 4) * statistics.steps
+        assert statistics.newton_iterations <= most
+        assert statistics.factorisations > 0  # linear blocks need no iteration, but they count
+
+    def test_solution_lists_inputs_first_and_every_quantity_with_its_unit(self, problem):
+        solution, system = solved(problem, 200), problem.system
+        assert solution.names[: len(system.inputs)] == problem.inputs
+        quantities = (*system.inputs, *system.observables, *system.outputs, *system.coordinates.quantities)
+        for each in quantities:
+            assert each.name in solution
+        for each in (*system.inputs, *system.outputs):
+            assert solution.unit(each.name) == each.unit
+        assert np.isfinite(solution.values).all()
+
+    def test_stepping_by_hand_gives_the_same_as_solve(self, problem):
+        solution, steps = solved(problem, 50), 50
+        stepper = problem.stepper(problem.scene.reference.duration / steps)
+        jets = problem.scene.reference.jet(solution.t, stepper.start_order)
+        state, report = stepper.start(jets[0])
+        assert report.converged
+        for k in range(steps + 1):
+            if k:
+                state, report = stepper.advance(state, self._node_jets(stepper, problem, solution.t[k]))
+                assert report.converged
+            found = stepper.values(state, jets[k])
+            for name in problem.inputs:
+                assert found[name] == pytest.approx(solution[name][k], rel=1e-14, abs=1e-11)
+
+    def test_state_is_a_flat_vector_that_steps_do_not_change(self, problem):
+        stepper, state, jets = self._started(problem)
+        assert isinstance(state, np.ndarray)
+        assert (state.dtype, state.ndim, state.size) == (np.float64, 1, stepper.program.state_size)
+        state.setflags(write=False)
+        stepper.advance(state, jets[0])
+
+    def test_going_back_to_a_copied_state_repeats_the_future_exactly(self, problem):
+        stepper, state, jets = self._started(problem)
+        state, _ = stepper.advance(state, jets[0])
+        saved = state.copy()
+        first = self._future(stepper, state, jets[1:])
+        stepper.advance(saved * 1.01, jets[3])  # an excursion that must leave no trace
+        restored = np.array([float(repr(float(each))) for each in saved])  # as a list of numbers in a file
+        np.testing.assert_array_equal(self._future(stepper, restored, jets[1:]), first)
+
+    def test_program_read_back_from_json_gives_identical_results(self, problem):
+        stepper, state, jets = self._started(problem)
+        copy = Program.from_json(stepper.program.to_json())
+        there, _ = copy.advance(
+            state, np.atleast_3d(jets[0]).reshape(-1, *jets[0].shape[-2:]), stepper.step, stepper.parameters
+        )
+        here, _ = stepper.advance(state, jets[0])
+        np.testing.assert_array_equal(there, here)
+        gamma = problem.scene.reference.jet(0.3 * problem.scene.reference.duration, stepper.start_order)
+        np.testing.assert_array_equal(copy.begin(gamma, stepper.parameters)[0], stepper.start(gamma)[0])
+        for attribute in ("name", "order", "start_order", "nodes", "channels", "parameters", "equations", "limits"):
+            assert getattr(copy, attribute) == getattr(stepper.program, attribute)
+
+    def _started(self, problem):
+        """Return a stepper, its state in the middle of the path and reference jets of the next four steps."""
+        duration = problem.scene.reference.duration
+        stepper = problem.stepper(duration / 200)
+        t = problem.scene.reference.start_time + 0.4 * duration
+        state, _ = stepper.start(problem.scene.reference.jet(t, stepper.start_order))
+        return stepper, state, [self._node_jets(stepper, problem, t + k * stepper.step) for k in range(1, 5)]
+
+    @staticmethod
+    def _node_jets(stepper, problem, t):
+        times = [t - (1.0 - c) * stepper.step for c in stepper.nodes]
+        return problem.scene.reference.jet(np.array(times), stepper.start_order)
+
+    @staticmethod
+    def _future(stepper, state, jets):
+        states = []
+        for jet in jets:
+            state, _ = stepper.advance(state, jet)
+            states.append(state)
+        return np.array(states)
+
+
+def march(method, dae, start, path, h, count):
+    """Take `count` steps of a bare `Dae` without parameters from t = 0; returns the unknowns, shape (count + 1, N).
+
+    `path` gives the reference and its derivatives at a time, shape (orders,).
+    """
+    step = method.discretise(dae)
+    solver = compile_solver("sc_march", step.equations, [step.next_state])
+    unknowns = ca.vertcat(dae.x, dae.z)
+    first = ca.Function("first", [unknowns], [step.first_state])
+    read = ca.Function("read", [step.state], [ca.vertcat(step.x, step.z)])
+    orders = step.reference.size2() // len(step.nodes)
+    state, found = np.asarray(first(start)).ravel(), [np.asarray(start, dtype=float)]
+    for k in range(count):
+        gamma = [path((k + c) * h)[:orders] for c in step.nodes]
+        state, _, residual = solver(np.concatenate([state, *gamma, [h]]))
+        assert np.isfinite(float(residual)), "the step was not solved"
+        state = np.asarray(state).ravel()
+        found.append(np.asarray(read(state)).ravel())
+    return np.array(found)
+
+
+def small_dae(x, z, rate, constraint, gamma, H=None):
+    """A `Dae` without parameters from x_dot = rate, 0 = constraint, all unknowns of the level of positions."""
+    x, z, rate, constraint = (ca.vertcat(ca.SX(0, 1), each) for each in (x, z, rate, constraint))
+    nx, nz = x.numel(), z.numel()
+    return Dae(
+        name="small",
+        x=x,
+        z=z,
+        H=ca.SX.eye(nx) if H is None else H,
+        f=rate,
+        h=constraint,
+        gamma=gamma,
+        p=ca.SX(0, 1),
+        unknowns=tuple(Unknown(f"q.{k}") for k in range(nx + nz)),
+        equations=tuple(Equation(f"row {k}", 0) for k in range(nx + nz)),
+        physical={},
+        index=1,
+    )
+
+
+def polynomial(coefficients):
+    """Return t -> value and derivatives of a polynomial, lowest power first."""
+
+    def path(t):
+        return np.array(
+            [np.polynomial.polynomial.polyval(t, np.polynomial.polynomial.polyder(coefficients, k)) for k in range(4)]
+        )
+
+    return path
+
+
+class MethodSuite:
+    """What every method promises, whatever the `Dae`; parametrized over `by`."""
+
+    def _quadrature_error(self, by, degree):
+        """Integrate x_dot = gamma(t) to x = t^degree from t = 0 to 2."""
+        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+        dae = small_dae(x, z, gamma[0], z - x, gamma)
+        rate = polynomial([0.0] * (degree - 1) + [float(degree)])
+        found = march(by.method, dae, [0.0, 0.0], rate, 0.25, 8)[:, 0]
+        return np.abs(found - (0.25 * np.arange(9)) ** degree).max()
+
+    def test_it_integrates_polynomials_up_to_its_order_exactly_and_no_further(self, by):
+        for degree in range(1, by.order + 1):
+            assert self._quadrature_error(by, degree) < 1e-12
+        assert self._quadrature_error(by, by.order + 1) > 1e-3
+
+    def test_it_converges_with_its_order_on_a_nonlinear_problem_of_index_one(self, by):
+        """x_dot = -2 z, z = x sqrt(x) / 2: x = 4/(t + 2)^2."""
+        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+        dae = small_dae(x, z, -2 * z, 4 * z**2 - x**3, gamma)
+        errors = []
+        for count in (80, 160, 320):
+            t = np.linspace(0.0, 2.0, count + 1)
+            found = march(by.method, dae, [1.0, 0.5], polynomial([0.0]), 2.0 / count, count)
+            errors.append(np.abs(found - np.column_stack([4 / (t + 2) ** 2, 4 / (t + 2) ** 3])).max(axis=0))
+        np.testing.assert_allclose(errors[0] / errors[1], 2.0**by.order, rtol=0.05)
+        np.testing.assert_allclose(errors[1] / errors[2], 2.0**by.order, rtol=0.03)
+
+    def test_it_forgets_a_wrong_start_of_a_stiff_problem_within_its_history(self, by):
+        """L-stability: x_dot = -1e9 (x - gamma) from x = 1 with gamma = 0."""
+        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+        dae = small_dae(x, z, -1e9 * (z - gamma[0]), z - x, gamma)
+        found = march(by.method, dae, [1.0, 1.0], polynomial([0.0]), 0.1, 8)[:, 0]
+        assert np.abs(found[-1]) < 1e-6
+
+    def test_without_differential_states_it_solves_every_instant_by_itself(self, by):
+        z, gamma = ca.SX.sym("z", 2), ca.SX.sym("gamma", 1, 4)
+        dae = small_dae(ca.SX(0, 1), z, ca.SX(0, 1), ca.vertcat(z[0] ** 3 + z[0] - gamma[0], z[1] - z[0] ** 2), gamma)
+        path = polynomial([2.0, 3.0, -1.0])
+        one, square = march(by.method, dae, [1.0, 1.0], path, 0.5, 6).T
+        expected = [path(0.5 * k)[0] for k in range(7)]
+        np.testing.assert_allclose(one**3 + one, expected, atol=1e-12)
+        np.testing.assert_allclose(square, one**2, atol=1e-12)
+
+    def test_its_last_node_is_the_end_of_the_step(self, by):
+        x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+        nodes = by.method.discretise(small_dae(x, z, gamma[0], z - x, gamma)).nodes
+        assert nodes[-1] == 1.0
+        assert all(0.0 <= a < b for a, b in pairwise(nodes))
