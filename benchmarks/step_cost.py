@@ -20,6 +20,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -59,8 +60,8 @@ def measure(model: str, formulation: sc.Formulation, count: int) -> Row:
         "undivided": undivided_step(discretisation).mapaccum(count),
         "step": stepper.program.step.mapaccum(count),
     }
-    runs: dict[str, Callable[[], object]] = {name: lambda loop=loop: loop(*arguments) for name, loop in loops.items()}
-    runs["solve"] = lambda: sc.solve(SCENE, formulation, METHOD, step=step, model=model)
+    runs: dict[str, Callable[[], object]] = {name: partial(loop, *arguments) for name, loop in loops.items()}
+    runs["solve"] = partial(sc.solve, SCENE, formulation, METHOD, step=step, model=model)
     states = {name: np.asarray(loop(*arguments)[0]) for name, loop in loops.items()}
     differences = np.abs(states["step"] - states["undivided"]) / np.maximum(1.0, np.abs(states["step"]))
     if not differences.max() < 1e-6:

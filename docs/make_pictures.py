@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 
@@ -15,7 +16,7 @@ from matplotlib.axes import Axes
 import servocore as sc
 
 TARGET = Path(__file__).parent / "pictures" / "rotary_crane.png"
-STYLE = {
+STYLE: Any = {
     "font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25,
     "savefig.dpi": 160, "svg.hashsalt": "servocore",
 }  # fmt: skip
