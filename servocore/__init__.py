@@ -16,7 +16,7 @@ from servocore.errors import (
     ServocoreError,
 )
 from servocore.formulations import Formulation, Original, Projected, Reduced
-from servocore.methods import BackwardEuler, Method
+from servocore.methods import BDF, BackwardEuler, Gauss, Method, Orders, RadauIIA, Trapezoidal
 from servocore.program import Program, StepReport
 from servocore.references import (
     DEGREE3,
@@ -44,6 +44,7 @@ from servocore.system import MechanicalSystem, generalise
 __version__ = "0.1.0"
 
 __all__ = [
+    "BDF",
     "DEGREE3",
     "DEGREE5",
     "DEGREE7",
@@ -52,6 +53,7 @@ __all__ = [
     "BackwardEuler",
     "Coordinates",
     "Formulation",
+    "Gauss",
     "InconsistentStart",
     "IntegrationFailed",
     "InvalidModel",
@@ -60,6 +62,7 @@ __all__ = [
     "Limit",
     "MechanicalSystem",
     "Method",
+    "Orders",
     "Original",
     "Parameter",
     "Parameters",
@@ -67,6 +70,7 @@ __all__ = [
     "Program",
     "Projected",
     "Quantity",
+    "RadauIIA",
     "Reduced",
     "Reference",
     "Scene",
@@ -76,6 +80,7 @@ __all__ = [
     "StepReport",
     "Stepper",
     "StructureReport",
+    "Trapezoidal",
     "analyse",
     "from_csv",
     "generalise",

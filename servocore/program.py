@@ -74,7 +74,7 @@ class Program:
     name : str
         Model, formulation and method, for messages.
     start : casadi.Function
-        (gamma (m, `start_order` + 1), p) -> (state, counts (2,), residual).
+        (gamma (m, (`start_order` + 1) * instants), h, p) -> (state, counts (2,), residual).
     step : casadi.Function
         (state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual).
     observe : casadi.Function
@@ -94,6 +94,7 @@ class Program:
     order: int
     start_order: int
     nodes: tuple[float, ...]
+    start_instants: tuple[float, ...]
     channels: tuple[Channel, ...]
     parameters: tuple[str, ...]
     equations: tuple[str, ...]
@@ -108,9 +109,21 @@ class Program:
     def _calls(self) -> dict[str, Call]:
         return {name: Call(getattr(self, name)) for name in _FUNCTIONS}
 
-    def begin(self, gamma: Array, p: Array) -> tuple[Array, StepReport]:
-        """Return consistent initial values for a reference jet, shape (orders, m), as a state."""
-        return _outcome(*self._calls["start"](gamma[: self.start_order + 1].T, p))
+    def begin(self, gamma: Array, p: Array, h: float = 0.0) -> tuple[Array, StepReport]:
+        """Return consistent initial values as a state.
+
+        Parameters
+        ----------
+        gamma : ndarray, shape (orders, m), or (instants, orders, m) for a method with several `start_instants`
+            Reference jets.
+        p : ndarray
+            Parameters.
+        h : float
+            Step size; only a method with several `start_instants` needs it.
+        """
+        jets = gamma[None] if gamma.ndim == 2 else gamma
+        used = jets[:, : self.start_order + 1]
+        return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
 
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
         """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
@@ -164,7 +177,7 @@ class Program:
         del saved_with
         document["channels"] = tuple(Channel(**each) for each in document["channels"])
         document["limits"] = tuple(LimitText(**each) for each in document["limits"])
-        for attribute in ("nodes", "parameters", "equations"):
+        for attribute in ("nodes", "start_instants", "parameters", "equations"):
             document[attribute] = tuple(document[attribute])
         return cls(**document)
 

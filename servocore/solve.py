@@ -81,7 +81,8 @@ def solve(
     _require_derivatives(scene.reference, program)
     require_feasible(scene.reference, stepper.system, scene.limits, p)
     jets = scene.reference.jet(t, program.start_order)
-    state, report = program.begin(jets[0], p)
+    past = scene.reference.jet(t[0] + step * np.array(program.start_instants), program.start_order)
+    state, report = program.begin(past, p, step)
     if not report.converged or not report.residual < np.inf:
         raise InconsistentStart(f"{program.name}: no consistent initial values at t = {t[0]:.6g} s")
     states, counts, residuals = _run(scene, program, p, t, step, state, progress)

@@ -10,14 +10,16 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array
+from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidSetting
 from servocore.feasibility import compile_margins, limit_texts
 from servocore.formulations import Formulation
 from servocore.methods import Discretisation, Method
+from servocore.methods.base import instantaneous
 from servocore.newton import compile_solver
 from servocore.program import Channel, Program, StepReport
 from servocore.scene import Limit, Scene
+from servocore.start import compile_start, start_instants
 from servocore.structure import specialised
 from servocore.symbols import Array, Quantity
 from servocore.system import MechanicalSystem
@@ -29,13 +31,13 @@ def compile_program(
 ) -> Program:
     """Compile a model with a formulation and a method; repeated calls return the same program."""
     dae = formulation.dae(system)
-    discretisation = method.discretise(dae)
+    # Without differential states every instant stands alone: a step is a start.
+    pointwise = dae.x.numel() == 0
+    discretisation = instantaneous(dae) if pointwise else method.discretise(dae)
     array = derivative_array(system)
     start_order = max(array.reference_order, dae.reference_order, 2)
     known = _observed(system)
-    start = _compile_start(array, dae, discretisation, start_order)
-    # Without differential states every instant stands alone: a step is a start.
-    pointwise = dae.x.numel() == 0
+    start = compile_start(array, dae, discretisation, start_order)
     return Program(
         name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
         start=start,
@@ -45,7 +47,8 @@ def compile_program(
         guess_residual=_compile_guess_residual(discretisation),
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
-        nodes=(1.0,) if pointwise else discretisation.nodes,
+        nodes=discretisation.nodes,
+        start_instants=start_instants(array, discretisation),
         channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
         parameters=system.parameters.names,
         equations=tuple(each.name for each in dae.equations),
@@ -67,17 +70,6 @@ def _observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
     return list(seen.values())
 
 
-def _compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
-    system = array.system
-    inversion = compile_inversion(array, "sc_inversion")
-    gamma = ca.MX.sym("gamma", system.gamma.size1(), order + 1)
-    p = ca.MX.sym("p", system.p.numel())
-    found, counts, residual = inversion(gamma[:, : array.reference_order + 1], p)
-    places = [array.position(each.variable, each.order) for each in dae.unknowns]
-    first = ca.Function("sc_first", [ca.vertcat(dae.x, dae.z)], [ca.densify(step.first_state)])
-    return ca.Function("sc_start", [gamma, p], [first(found[places]), counts, residual])
-
-
 def _compile_step(step: Discretisation) -> ca.Function:
     solver = compile_solver("sc_solve", step.equations, [step.next_state])
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
@@ -85,8 +77,8 @@ def _compile_step(step: Discretisation) -> ca.Function:
 
 def _compile_pointwise_step(start: ca.Function, step: Discretisation) -> ca.Function:
     state, h = ca.MX.sym("state", step.state.numel()), ca.MX.sym("h")
-    gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(1))
-    return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, p)))
+    gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(2))
+    return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
 
 
 def _compile_guess_residual(step: Discretisation) -> ca.Function:
@@ -185,13 +177,24 @@ class Stepper:
         return self.program.start_order
 
     @property
+    def start_instants(self) -> tuple[float, ...]:
+        """Instants, in steps from the initial time, at which `start` needs the reference."""
+        return self.program.start_instants
+
+    @property
     def nodes(self) -> tuple[float, ...]:
         """Fractions of the step at which `advance` needs the reference."""
         return self.program.nodes
 
     def start(self, reference_jet: Array) -> tuple[Array, StepReport]:
-        """Return the consistent initial state for a reference jet of shape (start_order + 1, m)."""
-        return self.program.begin(np.asarray(reference_jet), self.parameters)
+        """Return the consistent initial state.
+
+        Parameters
+        ----------
+        reference_jet : ndarray, shape (start_order + 1, m), or (instants, start_order + 1, m)
+            Reference at the initial time; for a method with `start_instants`, at each of them.
+        """
+        return self.program.begin(np.asarray(reference_jet), self.parameters, self.step)
 
     def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
         """Return the state one step later.

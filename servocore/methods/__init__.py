@@ -1,6 +1,9 @@
 """Methods turn a `Dae` into the equations of one time step: one file each."""
 
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Discretisation, Method
+from servocore.methods.base import Discretisation, Method, Orders
+from servocore.methods.bdf import BDF
+from servocore.methods.collocation import Gauss, RadauIIA
+from servocore.methods.trapezoidal import Trapezoidal
 
-__all__ = ["BackwardEuler", "Discretisation", "Method"]
+__all__ = ["BDF", "BackwardEuler", "Discretisation", "Gauss", "Method", "Orders", "RadauIIA", "Trapezoidal"]

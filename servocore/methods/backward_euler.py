@@ -7,7 +7,14 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation, scales
+from servocore.methods.base import (
+    Discretisation,
+    Orders,
+    at,
+    reference_symbols,
+    scales,
+    start_symbols,
+)
 from servocore.newton import SquareSystem
 
 
@@ -18,40 +25,42 @@ class BackwardEuler:
         H(x1) (x1 - x0) = h f(x1, z1, t1),    0 = h(x1, z1, t1)
 
     First order in all variables of a projected form (index 3) at constant step; L-stable. With H(x) evaluated at the
-    new instant. On a `Dae` without differential states it degenerates to the solution of 0 = h per instant.
+    new instant. Starts from consistent values at the initial time alone.
 
     The state holds the unknowns at the last two instants: the older one serves to extrapolate the first guess.
     """
 
     name: str = "backward-euler"
 
+    def orders(self, index: int) -> Orders:  # noqa: ARG002 - the same on every form up to index 3
+        """Return the orders of convergence on a form of the given index."""
+        return Orders(1, 1, 1)
+
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step of (31)."""
-        nx, nz = dae.x.numel(), dae.z.numel()
-        old, older = ca.SX.sym("old", nx + nz), ca.SX.sym("older", nx + nz)
-        h, p = ca.SX.sym("h"), dae.p
-        gamma = ca.SX.sym("gamma1", dae.gamma.size1(), dae.reference_order + 1)
-        rate = (dae.x - old[:nx]) / h
-        residual = ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h)
-        residual = ca.substitute(residual, dae.gamma[:, : dae.reference_order + 1], gamma)
-        unknowns, state = ca.vertcat(dae.x, dae.z), ca.vertcat(old, older)
+        size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
+        old, older, h = ca.SX.sym("old", size), ca.SX.sym("older", size), ca.SX.sym("h")
+        reference, (gamma,) = reference_symbols(dae, 1)
+        rate = (dae.x - old[:size_x]) / h
+        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
             unknowns=unknowns,
-            givens=ca.vertcat(state, ca.vec(gamma), h, p),
-            residual=residual,
+            givens=ca.vertcat(old, older, ca.vec(reference), h, dae.p),
+            residual=at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma),
             guess=2 * old - older,
             unknown_scale=unknown_scale,
             residual_scale=residual_scale,
         )
         return Discretisation(
             equations=equations,
-            state=state,
+            state=ca.vertcat(old, older),
             next_state=ca.vertcat(unknowns, old),
-            first_state=ca.vertcat(unknowns, unknowns),
-            x=old[:nx],
-            z=old[nx:],
+            start=start,
+            first_state=ca.repmat(start.values[:, 0], 2, 1),
+            x=old[:size_x],
+            z=old[size_x:],
             nodes=(1.0,),
-            reference=gamma,
+            reference=reference,
             step=h,
         )

@@ -11,6 +11,35 @@ from servocore.dae import Dae
 from servocore.newton import SquareSystem
 
 
+@dataclass(frozen=True)
+class Orders:
+    """Orders of convergence by kind of variable, at constant step on a reference that is smooth enough."""
+
+    positions: int
+    velocities: int
+    forces: int
+    """Of multipliers and inputs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """What a method needs to begin with, as symbols: values at instants in the past and rates at the first.
+
+    Attributes
+    ----------
+    instants : tuple of float
+        Where values are needed, in steps from the initial time: 0, -1, -2, ...
+    values : casadi.SX
+        [x; z] at the instants, shape (len x + len z, number of instants).
+    rates : casadi.SX
+        x_dot at the initial time, shape (len x,).
+    """
+
+    instants: tuple[float, ...]
+    values: ca.SX
+    rates: ca.SX
+
+
 @dataclass(frozen=True, eq=False)
 class Discretisation:
     """One time step of a method on a `Dae`: a square system, and how the state of the step moves on.
@@ -23,12 +52,14 @@ class Discretisation:
         The flat state at the start of the step, history included.
     next_state : casadi.SX
         The state at the end, an expression of unknowns and givens.
+    start : Start
+        What `first_state` is made of.
     first_state : casadi.SX
-        The state from consistent values at the initial time, an expression of ``dae.x`` and ``dae.z``.
+        The state at the initial time, an expression of `start` and `step`.
     x, z : casadi.SX
         Unknowns of the `Dae` within `state`: what the state says of its own instant.
     nodes : tuple of float
-        Fractions of the step at which the reference is needed; the last is 1.
+        Fractions of the step at which the reference is needed.
     reference : casadi.SX
         Symbols of the reference at the nodes, shape (m, orders * len nodes), node after node.
     step : casadi.SX
@@ -38,6 +69,7 @@ class Discretisation:
     equations: SquareSystem
     state: ca.SX
     next_state: ca.SX
+    start: Start
     first_state: ca.SX
     x: ca.SX
     z: ca.SX
@@ -55,8 +87,34 @@ class Method(Protocol):
 
     def __hash__(self) -> int: ...
 
+    def orders(self, index: int) -> Orders:
+        """Return the orders of convergence on a form of the given index."""
+
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
+
+
+def start_symbols(dae: Dae, instants: int = 1) -> Start:
+    """Make the symbols of a start from values at 0, -1, ..., 1 - instants steps."""
+    size_x, size_z = dae.x.numel(), dae.z.numel()
+    return Start(
+        tuple(-float(k) for k in range(instants)),
+        ca.SX.sym("history", size_x + size_z, instants),
+        ca.SX.sym("rates", size_x),
+    )
+
+
+def reference_symbols(dae: Dae, nodes: int) -> tuple[ca.SX, list[ca.SX]]:
+    """Make symbols of the reference at the nodes of a step; returns all of them and one block a node."""
+    orders = dae.reference_order + 1
+    reference = ca.SX.sym("gamma_at", dae.gamma.size1(), orders * nodes)
+    return reference, [reference[:, k * orders : (k + 1) * orders] for k in range(nodes)]
+
+
+def at(dae: Dae, expression: ca.SX, x: ca.SX, z: ca.SX, reference: ca.SX) -> ca.SX:
+    """Evaluate an expression of a `Dae` at other unknowns and another instant."""
+    old = ca.vertcat(dae.x, dae.z, ca.vec(dae.gamma[:, : reference.size2()]))
+    return ca.substitute(expression, old, ca.vertcat(x, z, ca.vec(reference)))
 
 
 def scales(dae: Dae, h: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -70,3 +128,19 @@ def scales(dae: Dae, h: ca.SX) -> tuple[ca.SX, ca.SX]:
     unknowns = [each.nominal * h**-each.level for each in dae.unknowns]
     equations = [h**-each.level for each in dae.equations]
     return ca.vertcat(*unknowns), ca.vertcat(*equations)
+
+
+def instantaneous(dae: Dae) -> Discretisation:
+    """Return the one discretisation of a `Dae` without differential states: its equations, at the new instant."""
+    reference, (gamma,) = reference_symbols(dae, 1)
+    old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), start_symbols(dae)
+    unknown_scale, residual_scale = scales(dae, h)
+    equations = SquareSystem(
+        unknowns=dae.z,
+        givens=ca.vertcat(old, ca.vec(reference), h, dae.p),
+        residual=at(dae, dae.h, dae.x, dae.z, gamma),
+        guess=old,
+        unknown_scale=unknown_scale,
+        residual_scale=residual_scale,
+    )
+    return Discretisation(equations, old, dae.z, start, start.values[:, 0], old[:0], old, (1.0,), reference, h)

@@ -1,0 +1,186 @@
+"""Collocation methods: Radau IIA, which ends its steps on the constraints, and Gauss, which does not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.polynomial import legendre
+
+from servocore.dae import Dae
+from servocore.errors import InvalidSetting
+from servocore.methods.base import (
+    Discretisation,
+    Orders,
+    at,
+    reference_symbols,
+    scales,
+    start_symbols,
+)
+from servocore.newton import SquareSystem
+from servocore.symbols import Array
+
+_MOST_STAGES = 7
+
+
+@dataclass(frozen=True, eq=False)
+class Tableau:
+    """Runge-Kutta coefficients of a collocation method; refuses to exist when its order conditions fail.
+
+    Attributes
+    ----------
+    c, A, b : ndarray
+        Nodes, shape (s,), matrix, shape (s, s), weights, shape (s,).
+    order : int
+        Order on ordinary differential equations: quadrature is exact to this degree.
+    """
+
+    c: Array
+    A: Array
+    b: Array
+    order: int
+
+    def __post_init__(self) -> None:
+        for k in range(1, len(self.c) + 1):
+            if np.abs(self.A @ self.c ** (k - 1) - self.c**k / k).max() > 1e-13:
+                raise InvalidSetting(f"the stage condition C({k}) fails")
+        for k in range(1, self.order + 1):
+            if abs(self.b @ self.c ** (k - 1) - 1.0 / k) > 1e-13:
+                raise InvalidSetting(f"the quadrature condition B({k}) fails")
+
+
+@lru_cache(maxsize=32)
+def tableau(family: str, stages: int) -> Tableau:
+    """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven."""
+    polynomial = np.zeros(stages + 1)
+    polynomial[stages] = 1.0
+    if family == "radau":
+        polynomial[stages - 1] = -1.0  # the roots of P_s - P_{s-1} include the right end
+    c: Array = (np.sort(np.real(legendre.legroots(polynomial))) + 1.0) / 2.0
+    for _ in range(3):  # polish the roots
+        value = legendre.legval(2 * c - 1, polynomial)
+        c -= value / (2.0 * legendre.legval(2 * c - 1, legendre.legder(polynomial)))
+    if family == "radau":
+        c[-1] = 1.0
+    powers = np.arange(1.0, stages + 1)
+    vandermonde: Array = c[:, None] ** (powers - 1)
+    A: Array = np.linalg.solve(vandermonde.T, (c[:, None] ** powers / powers).T).T
+    b: Array = np.linalg.solve(vandermonde.T, 1.0 / powers)
+    return Tableau(c, A, b, 2 * stages - (family == "radau"))
+
+
+def lagrange(nodes: Array, points: Array) -> Array:
+    """Return L with L @ values(nodes) = values(points) for polynomials, shape (points, nodes)."""
+    powers = np.arange(len(nodes))
+    weights: Array = np.linalg.solve((nodes[:, None] ** powers).T, (points[:, None] ** powers).T).T
+    return weights
+
+
+def _require_stages(stages: int) -> None:
+    if stages not in range(1, _MOST_STAGES + 1):
+        raise InvalidSetting(f"{stages} stages are not offered; use 1 to {_MOST_STAGES}")
+
+
+@dataclass(frozen=True)
+class RadauIIA:
+    """Radau IIA with s stages: collocation at nodes of which the last is the end of the step.
+
+        H(X_i) sum_j w_ij (X_j - x0) = h f(X_i, Z_i, t0 + c_i h),    0 = h(X_i, Z_i, t0 + c_i h),    W = A^-1
+
+    Stiffly accurate and L-stable: order 2 s - 1 on forms of index one. On projected forms (index 3) velocities have
+    order s and multipliers and inputs s - 1, at least one (Hairer, Lubich & Roche 1989).
+    """
+
+    stages: int = 3
+
+    def __post_init__(self) -> None:
+        _require_stages(self.stages)
+
+    @property
+    def name(self) -> str:
+        """Name on command lines and in tables."""
+        return f"radau{self.stages}"
+
+    def orders(self, index: int) -> Orders:
+        """Return the orders of convergence on a form of the given index."""
+        s = self.stages
+        if index <= 1:
+            return Orders(2 * s - 1, 2 * s - 1, 2 * s - 1)
+        return Orders(s, s, max(1, s - 1))
+
+    def discretise(self, dae: Dae) -> Discretisation:
+        """Return the equations of one step."""
+        return _discretise(dae, tableau("radau", self.stages))
+
+
+@dataclass(frozen=True)
+class Gauss:
+    """Gauss collocation with s stages; one stage is the implicit midpoint rule.
+
+    Order 2 s on ordinary differential equations, symplectic, not stiffly accurate: on projected forms nothing damps
+    an error of the inputs from step to step. Kept to show that; not a route to results.
+    """
+
+    stages: int = 1
+
+    def __post_init__(self) -> None:
+        _require_stages(self.stages)
+
+    @property
+    def name(self) -> str:
+        """Name on command lines and in tables."""
+        return f"gauss{self.stages}"
+
+    def orders(self, index: int) -> Orders:
+        """Return the orders of convergence on a form of the given index."""
+        s = self.stages
+        return Orders(2 * s, 2 * s, s) if index <= 1 else Orders(s, s - 1, s - 2)
+
+    def discretise(self, dae: Dae) -> Discretisation:
+        """Return the equations of one step."""
+        return _discretise(dae, tableau("gauss", self.stages))
+
+
+def _discretise(dae: Dae, method: Tableau) -> Discretisation:
+    """Discretise by stage values; the state is the unknowns at the end of the last step and at its stages."""
+    s, size_x = len(method.c), dae.x.numel()
+    size = size_x + dae.z.numel()
+    old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
+    h, start = ca.SX.sym("h"), start_symbols(dae)
+    reference, at_nodes = reference_symbols(dae, s)
+    W = np.linalg.inv(method.A)
+    residual = []
+    for i, gamma in enumerate(at_nodes):
+        rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
+        x, z = unknowns[:size_x, i], unknowns[size_x:, i]
+        H, f, algebraic = (at(dae, each, x, z, gamma) for each in (dae.H, dae.f, dae.h))
+        residual.append(ca.vertcat(ca.mtimes(H, rate) - f, algebraic))
+    unknown_scale, residual_scale = scales(dae, h)
+    equations = SquareSystem(
+        unknowns=ca.vec(unknowns),
+        givens=ca.vertcat(old, ca.vec(past), ca.vec(reference), h, dae.p),
+        residual=ca.vertcat(*residual),
+        guess=ca.vec(ca.mtimes(past, ca.DM(lagrange(method.c, method.c + 1.0)).T)),
+        unknown_scale=ca.repmat(unknown_scale, s, 1),
+        residual_scale=ca.repmat(residual_scale, s, 1),
+    )
+    # What the collocation polynomial through old and the stages gives at the end of the step.
+    weights = method.b @ W
+    end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
+    if method.c[-1] == 1.0:
+        end = unknowns[:, -1]
+    first = start.values[:, 0]
+    return Discretisation(
+        equations=equations,
+        state=ca.vertcat(old, ca.vec(past)),
+        next_state=ca.vertcat(end, ca.vec(unknowns)),
+        start=start,
+        first_state=ca.repmat(first, s + 1, 1),
+        x=old[:size_x],
+        z=old[size_x:],
+        nodes=tuple(float(c) for c in method.c),
+        reference=reference,
+        step=h,
+    )
