@@ -1,0 +1,290 @@
+"""Build ``RotaryCrane.fmu``: compile the models, bundle what the slave needs, pack, check, put in place.
+
+PythonFMU packs; what it leaves open is settled here. All FMUs of one Python process share its modules, so the
+bundled sources become one package whose name holds a hash of all its content: builds never meet each other, nor an
+installed servocore. The archive is packed again in fixed order with fixed dates: equal sources give equal bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import io
+import re
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+
+from pythonfmu.builder import FmuBuilder
+
+import servocore as sc
+from crane_fmu.description import complete
+from crane_fmu.description_page import documentation_page
+from crane_fmu.interface import Interface, crane_interface
+from crane_fmu.slave import INTERFACE_FILE, program_file
+from crane_fmu.writing import write_together
+
+FILE_NAME = "RotaryCrane.fmu"
+FORMULATIONS: Mapping[str, sc.Formulation] = {
+    "projected": sc.Projected(),
+    "original": sc.Original(),
+}
+"""Formulations that the FMU offers; the first is the default."""
+
+Progress = Callable[[str], None]
+"""Called with what is being done."""
+
+_HERE = Path(__file__).parent
+_OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_motion", "slave_paths")
+_SERVOCORE_SOURCES = ("calls", "errors", "program")
+_PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
+_REQUIREMENTS = ("numpy", "casadi")
+_CHECK_SECONDS = 300.0
+
+_SERVOCORE_FACE = '''"""The part of servocore that an FMU needs."""
+
+from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
+    InvalidReference,
+    InvalidSetting,
+    ServocoreError,
+)
+from servocore.program import Program
+'''
+
+_ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
+
+import ctypes as _ctypes
+
+try:
+    import {bundle}.crane_fmu.slave as _slave
+except ImportError as error:
+    raise ImportError(
+        f"RotaryCrane.fmu needs NumPy and CasADi in the Python that runs it, but: {{error}};"
+        " install what resources/requirements.txt in the FMU lists"
+    ) from error
+
+# For every instance PythonFMU 0.7 gives away a reference to this module's names that it does not own; without one
+# more each time, they would be destroyed when none is left, and a later instance would find an empty module.
+_ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
+
+
+class RotaryCrane(_slave.CraneSlave):
+    """Inputs of the rotary crane for a path of its load."""
+'''
+
+
+@dataclass(frozen=True)
+class Content:
+    """What goes into the bundle: text by path inside it, the table of variables and a hash of it all."""
+
+    files: Mapping[str, str]
+    interface: Interface
+    routes: tuple[tuple[str, str], ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the entry module, unique to the content."""
+        digest = hashlib.sha256(f"{_ENTRY}{metadata.version('pythonfmu')}".encode())
+        for path, text in sorted(self.files.items()):
+            digest.update(f"{path}\0{text}\0".encode())
+        return f"rotary_crane_{digest.hexdigest()[:16]}"
+
+    @property
+    def bundle(self) -> str:
+        """Name of the package with everything else."""
+        return f"{self.name}_bundle"
+
+
+def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
+    """Build the FMU, check it in a process of its own and only then rename it into place.
+
+    Parameters
+    ----------
+    directory : Path
+        Where `RotaryCrane.fmu` goes; made if it does not exist.
+    progress : callable, optional
+        Called with a phrase for every stage.
+
+    Returns
+    -------
+    Path
+        The FMU.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder cannot be made or written.
+    ServocoreError
+        If the FMU fails its check.
+    """
+    tell = progress or (lambda _: None)
+    directory = Path(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
+    content = collect(tell)
+    tell("packing")
+    archive = packed(content)
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        candidate = Path(folder) / FILE_NAME
+        candidate.write_bytes(archive)
+        tell("checking in a process of its own")
+        _check(candidate, content.routes)
+    target = directory / FILE_NAME
+    write_together({target: archive})
+    return target
+
+
+def collect(tell: Progress = lambda _: None) -> Content:
+    """Compile every model with every formulation and gather the sources that the slave needs."""
+    crane = sc.scenes.rotary_crane()
+    routes = tuple((m, f) for m in crane.models for f in FORMULATIONS if _can_be_read_back(m, f))
+    files = {
+        "__init__.py": '"""What RotaryCrane.fmu runs on."""\n',
+        "crane_fmu/__init__.py": "",
+        "servocore/__init__.py": _SERVOCORE_FACE,
+    }
+    files |= {f"crane_fmu/{name}.py": _text(_HERE / f"{name}.py") for name in _OWN_SOURCES}
+    servocore = Path(sc.__file__).parent
+    files |= {f"servocore/{name}.py": _text(servocore / f"{name}.py") for name in _SERVOCORE_SOURCES}
+    for model, formulation in routes:
+        tell(f"compiling {model}, {formulation}")
+        files[program_file(model, formulation)] = _program(model, formulation)
+    models = tuple(dict.fromkeys(model for model, _ in routes))
+    interface = crane_interface(crane.model().parameters.declared, models, tuple(FORMULATIONS))
+    files[INTERFACE_FILE] = interface.to_json()
+    return Content(files, interface, routes)
+
+
+@cache
+def _program(model: str, formulation: str) -> str:
+    crane = sc.scenes.rotary_crane()
+    return sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model).program.to_json()
+
+
+def _can_be_read_back(model: str, formulation: str) -> bool:
+    """CasADi 3.8 writes functions that it cannot read: those that solve with a diagonal matrix."""
+    try:
+        sc.Program.from_json(_program(model, formulation))
+    except sc.ServocoreError:
+        return False
+    return True
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def packed(content: Content) -> bytes:
+    """Return the archive: PythonFMU's, completed and reproducible."""
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        raw = _packed_by_pythonfmu(content, Path(folder))
+    requirements = [f"{name}>={metadata.version(name)}" for name in _REQUIREMENTS]
+    notes = {name: metadata.version(name) for name in (*_REQUIREMENTS, "pythonfmu")}
+    members = _rearranged(raw, content.bundle)
+    members["modelDescription.xml"] = complete(members["modelDescription.xml"], content.interface, notes)
+    members["resources/requirements.txt"] = "\n".join([*requirements, ""]).encode()
+    members["documentation/index.html"] = documentation_page(content.interface).encode()
+    members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()
+    return _zipped(members)
+
+
+def _packed_by_pythonfmu(content: Content, folder: Path) -> dict[str, bytes]:
+    """Stage the bundle, let PythonFMU pack it and return the members of its archive."""
+    bundle = folder / content.bundle
+    for path, text in content.files.items():
+        target = bundle / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(_privately(text, content.bundle) if path.endswith(".py") else text, encoding="utf-8")
+    entry = folder / f"{content.name}.py"
+    entry.write_text(_ENTRY.format(bundle=content.bundle), encoding="utf-8")
+    options = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
+    with _no_traces(content.name):
+        archive = FmuBuilder.build_FMU(entry, folder / FILE_NAME, project_files=[bundle], **options)
+    with zipfile.ZipFile(archive) as packed_members:
+        return {name: packed_members.read(name) for name in packed_members.namelist()}
+
+
+def _privately(source: str, bundle: str, packages: str = "crane_fmu|servocore") -> str:
+    """Let a source import `packages` from the bundle."""
+    return re.sub(rf"^(\s*)from ({packages})\b", rf"\1from {bundle}.\2", source, flags=re.MULTILINE)
+
+
+@contextmanager
+def _no_traces(prefix: str) -> Iterator[None]:
+    """Undo what PythonFMU's builder leaves behind: its search path and the modules of the FMU."""
+    search_path, write_bytecode = list(sys.path), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
+    try:
+        yield
+    finally:
+        sys.path[:] = search_path
+        sys.dont_write_bytecode = write_bytecode
+        for name in [each for each in sys.modules if each.startswith(prefix)]:
+            del sys.modules[name]
+
+
+def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:
+    """Move PythonFMU's own modules into the bundle, those that are needed, and import them from there."""
+    kept = {f"resources/pythonfmu/{name}.py": f"resources/{bundle}/pythonfmu/{name}.py" for name in _PYTHONFMU_SOURCES}
+    result = {f"resources/{bundle}/pythonfmu/__init__.py": b""}
+    for name, data in members.items():
+        if name in kept:
+            result[kept[name]] = data
+        elif name.endswith(".py") and name.startswith(f"resources/{bundle}/"):
+            result[name] = _privately(data.decode(), bundle, "pythonfmu").encode()
+        elif not name.startswith("resources/pythonfmu/"):
+            result[name] = data
+    return result
+
+
+def _zipped(members: Mapping[str, bytes]) -> bytes:
+    """Pack with fixed order, dates and rights."""
+    stream = io.BytesIO()
+    first = "modelDescription.xml"
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name in sorted(members, key=lambda each: (each != first, each)):
+            entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            entry.create_system = 3
+            entry.external_attr = (0o755 if name.startswith("binaries/") else 0o644) << 16
+            archive.writestr(entry, members[name])
+    return stream.getvalue()
+
+
+def _check(file: Path, routes: tuple[tuple[str, str], ...]) -> None:
+    script = _HERE / "resources" / "check_fmu.py"
+    command = [sys.executable, "-I", str(script), str(file), *(":".join(route) for route in routes)]
+    try:
+        done = subprocess.run(
+            command, cwd=file.parent, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired as error:
+        raise sc.ServocoreError(f"the FMU did not finish its check in {_CHECK_SECONDS:g} s") from error
+    if done.returncode:
+        why = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
+        raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {why}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command ``python build_fmu.py``; returns its exit code."""
+    parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {FILE_NAME} and check it.")
+    parser.add_argument("-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)")
+    chosen = parser.parse_args(arguments)
+    try:
+        file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr))
+    except sc.ServocoreError as error:
+        print(f"build_fmu.py: {error}", file=sys.stderr)
+        return 2
+    print(file)
+    return 0

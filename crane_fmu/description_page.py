@@ -1,0 +1,2 @@
+def documentation_page(interface):
+    return "<html></html>"

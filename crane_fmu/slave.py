@@ -1,0 +1,337 @@
+"""The crane as an FMI 2.0 co-simulation slave on PythonFMU.
+
+What a host can do wrong is answered by one logged sentence and `fmi2Discard`; the slave is then as before and stays
+usable. An exception that leaves a callback would be fatal to the host, memory included: every callback is guarded.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from functools import partial, wraps
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import numpy as np
+from pythonfmu.default_experiment import DefaultExperiment
+from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
+from pythonfmu.fmi2slave import Fmi2Slave
+from pythonfmu.variables import Real, String
+
+from crane_fmu.interface import DIMENSION, Interface, Variable
+from crane_fmu.slave_checks import internal_steps, require_finite, require_legal, require_step
+from crane_fmu.slave_motion import Snapshot, advance, begin, told
+from crane_fmu.slave_paths import ROWS, Array, LoadPath, hermite, taylor
+from servocore import InvalidSetting, Program, ServocoreError
+
+INTERFACE_FILE = "interface.json"
+_STATE_FORMAT = "rotary crane state 1"
+_INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
+_BUNDLE = Path(__file__).parents[1].name
+_INPUTS = ROWS * DIMENSION
+
+P = ParamSpec("P")
+R = TypeVar("R")
+S = TypeVar("S", bound="CraneSlave")
+
+
+def program_file(model: str, formulation: str) -> str:
+    """Name of the file with the compiled functions."""
+    return f"{model}-{formulation}.json"
+
+
+def guarded(
+    fallback: Callable[P, R],
+) -> Callable[[Callable[Concatenate[S, P], R]], Callable[Concatenate[S, P], R]]:
+    """Make a callback log whatever is raised in it and return `fallback` of its arguments instead."""
+
+    def decorate(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
+        @wraps(method)
+        def call(self: S, *args: P.args, **kwargs: P.kwargs) -> R:
+            try:
+                return method(self, *args, **kwargs)
+            except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
+                self.report_error(method.__name__, error)
+                return fallback(*args, **kwargs)
+
+        return call
+
+    return decorate
+
+
+def _nothing(*_: Any) -> None:
+    return None
+
+
+def _not_numbers(vrs: list[int]) -> list[float]:
+    return [math.nan] * len(vrs)
+
+
+def _programs() -> Callable[[Path, str, str], Program]:
+    """Return a loader that reads each program once in a process; they do not change."""
+    loaded: dict[tuple[str, str], Program] = {}
+
+    def load(folder: Path, model: str, formulation: str) -> Program:
+        if (model, formulation) not in loaded:
+            text = (folder / program_file(model, formulation)).read_text(encoding="utf-8")
+            loaded[model, formulation] = Program.from_json(text)
+        return loaded[model, formulation]
+
+    return load
+
+
+_load_program = _programs()
+
+
+class CraneSlave(Fmi2Slave):  # type: ignore[misc]
+    """Inputs of the rotary crane for a path of its load."""
+
+    author = None
+    description = "Inverse dynamics of a rotary crane: bridge torque, trolley force and winch torque for a load path"
+    license = "MIT"
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._folder = Path(kwargs["resources"]) / _BUNDLE
+        self._interface = Interface.from_json((self._folder / INTERFACE_FILE).read_text(encoding="utf-8"))
+        self.guid = self._interface.guid
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=20.0, step_size=0.1)
+        variables = self._interface.variables
+        self._outputs = [k for k, each in enumerate(variables) if each.causality == "output"]
+        self._reals = [math.nan if each.is_text or each.start is None else float(each.start) for each in variables]
+        self._texts = [str(each.start) if each.is_text else "" for each in variables]
+        self._channels: list[int] = []
+        self._phase = _INSTANTIATED
+        self._stale = True  # outputs do not belong to the inputs: computed when leaving or reading
+        self._failure = ""
+        self._start_time = 0.0
+        self._snapshot: Snapshot | None = None
+        self._program: Program | None = None
+        self._at_end = False
+        self._numbers: list[int] = []
+        self._parameters: tuple[Array, float] | None = None  # checked, or None
+        for each in variables:
+            self.register_variable(_registered(each), nested=False)
+
+    # --- errors -------------------------------------------------------------------------------------------------
+
+    def report_error(self, callback: str, error: BaseException) -> None:
+        """Log an exception; one of servocore's is a sentence for the user, any other is a defect."""
+        expected = isinstance(error, ServocoreError)
+        sentence = str(error) if expected else f"internal error in {callback}: {type(error).__name__}: {error}"
+        self.log(sentence, Fmi2Status.discard if expected else Fmi2Status.error)
+
+    # --- phases -------------------------------------------------------------------------------------------------
+
+    @guarded(_nothing)
+    def setup_experiment(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """Take the start time; stop time and tolerance are of no use here."""
+        del stop_time, tolerance
+        self._start_time = float(start_time)
+
+    @guarded(_nothing)
+    def enter_initialization_mode(self) -> None:
+        """From now on outputs are computed when they are read."""
+        self._phase = _INITIALISING
+        self._stale = True
+
+    @guarded(_nothing)
+    def exit_initialization_mode(self) -> None:
+        """Compute the outputs at the start time; a failure is told again by every step."""
+        self._phase = _STEPPING
+        if self._stale:
+            self._initialise()
+
+    @guarded(_nothing)
+    def terminate(self) -> None:
+        """Refuse further steps."""
+        self._phase = _TERMINATED
+
+    def _initialise(self) -> None:
+        self._stale = False
+        self._snapshot = None
+        try:
+            if not math.isfinite(self._start_time):
+                raise InvalidSetting(f"the start time must be a finite number, not {self._start_time} s")
+            self._program = self._require_program()
+            jet = self._required_jet(self._start_time)
+            p, _ = self._required_parameters()
+            self._adopt(begin(self._program, jet, p, self._start_time))
+            self._failure = ""
+        except BaseException as error:
+            self._failure = f"the initialisation failed: {error}"
+            for k in self._outputs:
+                self._reals[k] = math.nan
+            raise type(error)(self._failure) if isinstance(error, ServocoreError) else error
+
+    # --- steps --------------------------------------------------------------------------------------------------
+
+    @guarded(lambda *_: False)
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Compute the outputs at `current_time` + `step_size`; False leaves everything as it was."""
+        now, program = self._ready()
+        require_step(now.time, current_time, step_size)
+        p, internal_step = self._required_parameters()
+        jet = self._required_jet(current_time + step_size if self._at_end else current_time)
+        count = internal_steps(internal_step, step_size)
+        path: LoadPath
+        if not self._at_end:
+            now = told(program, now, jet, p)
+            path = partial(taylor, jet)
+        elif count == 1 and program.nodes == (1.0,):
+            path = lambda _: jet  # noqa: E731
+        else:
+            path = hermite(now.jet, jet, step_size)
+        self._adopt(advance(program, now, path, step_size, count, p))
+        return True
+
+    def _ready(self) -> tuple[Snapshot, Program]:
+        if self._phase != _STEPPING:
+            raise InvalidSetting(f"doStep needs a finished initialisation, but the FMU is {self._phase}")
+        if self._snapshot is None or self._program is None:
+            raise InvalidSetting(self._failure or "the FMU has no state to step from")
+        return self._snapshot, self._program
+
+    def _adopt(self, snapshot: Snapshot) -> None:
+        """Make a snapshot the present; the only place where outputs change."""
+        self._snapshot = snapshot
+        for k, channel in zip(self._outputs, self._channels, strict=True):
+            self._reals[k] = float(snapshot.values[channel])
+
+    # --- what the variables say ----------------------------------------------------------------------------------
+
+    def _setting(self, name: str) -> str:
+        k = self._interface.index(name)
+        require_legal(self._interface.variables[k], self._texts[k])
+        return self._texts[k]
+
+    def _require_program(self) -> Program:
+        at_end = self._setting("input_time") == "end"
+        program = _load_program(self._folder, self._setting("model"), self._setting("formulation"))
+        names = [channel.name for channel in program.channels]
+        self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
+        self._numbers = [self._interface.index(name) for name in (*program.parameters, "internal_step")]
+        self._at_end, self._parameters = at_end, None
+        return program
+
+    def _required_jet(self, time: float) -> Array:
+        inputs = self._reals[:_INPUTS]
+        require_finite(inputs, self._interface.variables[:_INPUTS], time)
+        return np.array(inputs).reshape(ROWS, DIMENSION)
+
+    def _required_parameters(self) -> tuple[Array, float]:
+        """Return the program's parameters and the internal step, checked when they have changed."""
+        if self._parameters is None:
+            values = [self._reals[k] for k in self._numbers]
+            for k, value in zip(self._numbers, values, strict=True):
+                require_legal(self._interface.variables[k], value)
+            self._parameters = np.array(values[:-1]), values[-1]
+        return self._parameters
+
+    # --- setters and getters --------------------------------------------------------------------------------------
+
+    @guarded(_nothing)
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Take inputs and parameters; what they are worth is judged when they are used."""
+        reals = self._reals
+        for vr, value in zip(vrs, values, strict=True):
+            if vr < _INPUTS:
+                reals[vr] = value
+            elif self._settable(vr, text=False):
+                reals[vr] = value
+                self._parameters = None
+        self._stale = True
+
+    @guarded(_nothing)
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Take settings."""
+        for vr, value in zip(vrs, values, strict=True):
+            if self._settable(vr, text=True):
+                self._texts[vr] = str(value)
+        self._stale = True
+
+    def _settable(self, vr: int, *, text: bool) -> bool:
+        variable = self._interface.variables[vr]
+        late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
+        if late or variable.causality == "output" or variable.is_text != text:
+            reason = "cannot change after the initialisation" if late else "cannot be set as such"
+            self.log(f"{variable.name} {reason}; the new value is ignored", Fmi2Status.warning)
+            return False
+        return True
+
+    @guarded(_not_numbers)
+    def get_real(self, vrs: list[int]) -> list[float]:
+        """Return values; during initialisation the outputs follow the inputs set so far."""
+        if self._phase == _INITIALISING and self._stale and vrs and max(vrs) >= _INPUTS:
+            self._initialise()
+        reals = self._reals
+        return [reals[vr] for vr in vrs]
+
+    @guarded(lambda vrs: [""] * len(vrs))
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Return settings."""
+        return [self._texts[vr] for vr in vrs]
+
+    # --- state ----------------------------------------------------------------------------------------------------
+
+    @guarded(lambda: {})
+    def _get_fmu_state(self) -> dict[str, Any]:
+        snapshot = self._snapshot
+        return {
+            "format": _STATE_FORMAT,
+            "guid": self.guid,
+            "phase": self._phase,
+            "stale": self._stale,
+            "failure": self._failure,
+            "start_time": self._start_time,
+            "reals": list(self._reals),
+            "texts": list(self._texts),
+            "snapshot": None if snapshot is None else snapshot.to_plain(),
+        }
+
+    @guarded(_nothing)
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
+            raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
+        snapshot = None if state["snapshot"] is None else Snapshot.from_plain(state["snapshot"])
+        reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
+        phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
+        start_time = float(state["start_time"])
+        before = self._texts
+        self._texts = texts
+        try:
+            self._program = None if snapshot is None else self._require_program()
+        except BaseException:
+            self._texts = before
+            raise
+        self._reals, self._snapshot, self._parameters = reals, snapshot, None
+        self._phase, self._stale, self._failure, self._start_time = phase, stale, failure, start_time
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
+        return json.dumps(state).encode()
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
+        try:
+            found = json.loads(state.decode())
+        except ValueError:
+            return {}
+        return found if isinstance(found, dict) else {}
+
+
+def _registered(variable: Variable) -> Any:
+    """Return PythonFMU's object for a row of the table."""
+    kind = String if variable.is_text else Real
+    return kind(
+        variable.name,
+        causality=Fmi2Causality[variable.causality],
+        variability=Fmi2Variability[variable.variability],
+        initial=Fmi2Initial.calculated if variable.causality == "output" else None,
+        description=variable.description,
+        getter=_nothing,
+        setter=_nothing,
+    )

@@ -1,0 +1,62 @@
+"""What a host may ask of a step: each function raises one sentence with the time and the limit, or returns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from crane_fmu.interface import Variable
+from servocore import InvalidReference, InvalidSetting
+
+LONGEST_STEP = 3600.0
+"""A longer communication step, in s, is taken for a mistake of the host."""
+
+MOST_INTERNAL_STEPS = 100_000
+"""A communication step may be divided into this many steps at most."""
+
+
+def require_step(present: float, time: float, h: float) -> None:
+    """Raise `InvalidSetting` unless a communication step of h seconds at `time` continues from `present`."""
+    if not math.isfinite(time):
+        raise InvalidSetting(f"the communication point must be a finite number, not {time} s")
+    if not 0.0 < h <= LONGEST_STEP:
+        raise InvalidSetting(
+            f"at t = {time:.6g} s the communication step is {h:g} s,"
+            f" it must be above 0 s and at most {LONGEST_STEP:g} s"
+        )
+    if time + h <= time:
+        raise InvalidSetting(f"at t = {time:.17g} s a communication step of {h:g} s is lost in round-off")
+    if abs(time - present) > 1e-6 * h + 4.0 * math.ulp(max(abs(time), abs(present))):
+        direction = "behind" if time < present else "ahead of"
+        raise InvalidSetting(
+            f"the communication point t = {time:.9g} s lies {direction} the FMU's time {present:.9g} s;"
+            f" to repeat a step restore the FMU's state first"
+        )
+
+
+def internal_steps(wanted: float, h: float) -> int:
+    """Into how many steps of about `wanted` seconds a communication step is divided; raises `InvalidSetting`."""
+    if wanted == 0.0:
+        return 1
+    if h > wanted * (MOST_INTERNAL_STEPS + 0.5):
+        raise InvalidSetting(
+            f"an internal_step of {wanted:g} s divides the communication step of {h:g} s into more than"
+            f" {MOST_INTERNAL_STEPS} steps"
+        )
+    return max(1, round(h / wanted))
+
+
+def require_finite(inputs: Sequence[float], variables: Sequence[Variable], time: float) -> None:
+    """Raise `InvalidReference` naming the first input that is NaN or infinite."""
+    if math.isfinite(sum(inputs)):
+        return
+    for value, variable in zip(inputs, variables, strict=True):
+        if not math.isfinite(value):
+            raise InvalidReference(f"at t = {time:.6g} s the input {variable.name} is {value}, not a finite number")
+
+
+def require_legal(variable: Variable, value: float | str) -> None:
+    """Raise `InvalidSetting` if a parameter's value is outside its range or unknown."""
+    complaint = variable.complaint(value)
+    if complaint:
+        raise InvalidSetting(complaint)
