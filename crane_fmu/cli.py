@@ -7,10 +7,14 @@ stream. Whatever else is raised is a defect and ends with its traceback.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from time import monotonic
+from types import TracebackType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
 
+import rich.box
+import rich.table
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -19,16 +23,17 @@ from typer.core import TyperGroup
 import servocore as sc
 from crane_fmu import feedforward as ff
 from crane_fmu.parameters_file import read_parameters
-from crane_fmu.report.style import SUFFIXES, picture
-from crane_fmu.report.trajectories import inputs_and_motion
 from crane_fmu.writing import require_place, write_together
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from types import TracebackType
+    from crane_fmu.report.page import Table
+
+# What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
 NAME = "crane-fmu"
 REFUSED = 2
+WIDE = 120
+"""Columns of text for tables that do not go to a terminal."""
 
 UsageError: Any = typer.BadParameter.__mro__[1]
 """What the command line's own complaints have in common; Typer gives it no public name."""
@@ -88,14 +93,18 @@ class PatientProgress:
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` steps are done."""
-        if not self._started and self._progress.console.is_terminal and monotonic() - self._begin > 1.0:
-            self._progress.start()
-            self._started = True
+        self._show()
         self._progress.update(self._task, completed=done, total=total)
 
     def describe(self, label: str) -> None:
         """Change what is said to be going on."""
+        self._show()
         self._progress.update(self._task, description=label)
+
+    def _show(self) -> None:
+        if not self._started and self._progress.console.is_terminal and monotonic() - self._begin > 1.0:
+            self._progress.start()
+            self._started = True
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -157,7 +166,7 @@ OutputFile = Annotated[
 PlotFile = Annotated[
     Path | None,
     _option(_RESULTS, "--plot", metavar="FILE.png",
-            text=f"Draw inputs and motion; {', '.join(SUFFIXES)} are known."),
+            text=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
 ]  # fmt: skip
 
 _FEEDFORWARD_EXAMPLES = """[bold]Examples[/bold]
@@ -198,21 +207,73 @@ def feedforward(
     path = path_request(reference, tolerance, line)
     results = [each for each in (output, plot) if each is not None]
     _require_places(results, {each for each in (reference, parameters) if each is not None})
-    if plot is not None and plot.suffix.lower() not in SUFFIXES:
-        raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(SUFFIXES)}")
+    if plot is not None and plot.suffix.lower() not in ff.PICTURES:
+        raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
     changed = {} if parameters is None else read_parameters(parameters, sc.scenes.rotary_crane())
     contents = {}
     with PatientProgress("computing the inputs") as progress:
         solution = ff.feedforward(path, changed, ff.Route(model, formulation, method, step), progress)
         table = ff.csv_text(solution)
         if plot is not None:
-            contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower())
+            contents[plot] = _drawn(solution, plot.suffix.lower())
     if output is not None:
         contents[output] = table.encode()
     write_together(contents)
     if output is None:
         sys.stdout.write(table)
         sys.stdout.flush()
+
+
+def _drawn(solution: sc.Solution, suffix: str) -> bytes:
+    from crane_fmu.report.style import picture  # noqa: PLC0415
+    from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
+
+    return picture(inputs_and_motion(solution), suffix)
+
+
+OutputFolder = Annotated[
+    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.", show_default=True)
+]
+
+
+@app.command("build", epilog="The same as [cyan]python build_fmu.py[/cyan].")
+def build(output: OutputFolder = Path()) -> None:
+    """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
+    from crane_fmu.build import build_fmu  # noqa: PLC0415
+
+    with PatientProgress("building the FMU") as progress:
+        file = build_fmu(output, progress.describe)
+    print(file)
+
+
+@app.command("demo", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu demo -o out[/cyan]")
+def run_demo(output: OutputFolder = Path("out")) -> None:
+    """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.
+
+    The folder then holds RotaryCrane.fmu, inputs.csv, report.html and a folder of figures. Takes half a minute.
+    """
+    from crane_fmu.demo import REPORT, demo  # noqa: PLC0415
+
+    with PatientProgress("demo") as progress:
+        done = demo(output, progress.describe)
+    console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, WIDE)
+    for each in done.tables:
+        console.print(_terminal_table(each))
+    for note in done.notes:
+        console.print(note)
+    console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
+
+
+def _terminal_table(table: Table) -> rich.table.Table:
+    shown = rich.table.Table(title=table.title, caption=table.note or None, box=rich.box.SIMPLE_HEAD)
+    shown.title_justify = shown.caption_justify = "left"
+    for heading in table.headings:
+        shown.add_column(heading, no_wrap=True)
+    for row in table.rows:
+        shown.add_row(*row)
+    return shown
 
 
 class LineOptions(NamedTuple):

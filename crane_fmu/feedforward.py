@@ -6,17 +6,12 @@ What the command line calls, in pieces that are of use without it.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import servocore as sc
-from servocore.references import Profile, from_csv, three_phase
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from servocore.solve import Progress
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 """Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
@@ -24,6 +19,7 @@ COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 FORMULATIONS: Mapping[str, sc.Formulation] = {
     "projected": sc.Projected(),
     "original": sc.Original(),
+    "reduced": sc.Reduced(),
 }
 """Formulations that can be asked for by name; the first is the default."""
 
@@ -33,12 +29,15 @@ METHODS: Mapping[str, sc.Method] = {
 """Methods that can be asked for by name; the first is the default."""
 
 THREE_PHASE = "three-phase"
-PROFILES: Mapping[str, Profile] = {
+PROFILES: Mapping[str, sc.Profile] = {
     "degree9": sc.DEGREE9,
     "degree13": sc.DEGREE13,
-    THREE_PHASE: three_phase(),
+    THREE_PHASE: sc.three_phase(),
 }
 """Time laws of a straight line from rest to rest; the first is the default."""
+
+PICTURES = (".png", ".svg", ".pdf")
+"""Kinds of files that a picture of the result can be."""
 
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""
@@ -88,20 +87,20 @@ class LineRequest:
         if self.ramp is not None:
             if self.profile != THREE_PHASE:
                 raise sc.InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {self.profile}")
-            law = three_phase(self.ramp)
+            law = sc.three_phase(self.ramp)
         return sc.rest_to_rest(self.start, self.end, self.duration, law)
 
 
 @dataclass(frozen=True)
 class FileRequest:
-    """A path from a CSV file, as `servocore.references.from_csv` reads it."""
+    """A path from a CSV file, as `servocore.from_csv` reads it."""
 
     path: Path
     tolerance: float | None = None
 
     def reference(self) -> sc.Reference:
         """Return the path; see `PathRequest`."""
-        return from_csv(self.path, self.tolerance)
+        return sc.from_csv(self.path, self.tolerance)
 
 
 @dataclass(frozen=True)
@@ -121,7 +120,7 @@ def feedforward(
     path: PathRequest,
     parameters: Mapping[str, float],
     route: Route,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> sc.Solution:
     """Compute the inputs that move the load of the rotary crane along a path.
 

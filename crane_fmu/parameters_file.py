@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import tomllib
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import servocore as sc
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def read_parameters(path: Path, scene: sc.Scene) -> dict[str, float]:

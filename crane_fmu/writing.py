@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import servocore as sc
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 
 def require_place(file: Path) -> None:

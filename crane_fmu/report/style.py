@@ -7,16 +7,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+Array = npt.NDArray[np.float64]
 
-BLUE, VERMILLION, GREEN, PURPLE, BLACK = "#0072B2", "#D55E00", "#009E73", "#AA4499", "#000000"
-"""Colours that colour-blind readers tell apart (Okabe and Ito; purple by Tol)."""
+BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
+"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
 
 WIDTH = 6.7
 """Width of a figure in inches: the text width of an A4 page."""
@@ -56,8 +58,12 @@ LABELS = {
 SYMBOLS = {"M_b": "$M_b$", "F": "$F$", "M_w": "$M_w$", "phi": "$\\varphi$", "s": "$s$", "l": "$l$"}
 TIME = "time (s)"
 
-SUFFIXES = (".png", ".svg", ".pdf")
-"""Kinds of picture files."""
+
+class Trajectories(Protocol):
+    """Arrays over time by name: a `Solution`, or a closed form."""
+
+    def __getitem__(self, name: str, /) -> Array:
+        """Return one trajectory."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +79,7 @@ class Line:
         """Return keyword arguments for `Axes.plot`; marks are spread over a curve of `points` points."""
         chosen: dict[str, Any] = {"color": self.color, "linestyle": self.style, "linewidth": self.width}
         if self.marker:
-            every = max(1, points // 16)
+            every = max(1, points // 25)
             chosen |= {
                 "marker": self.marker,
                 "markevery": (int(phase * every), every),
@@ -107,7 +113,7 @@ def panels(rows: int, columns: int = 1, height: float = 1.75, width: float = WID
 
 
 def picture(figure: Figure, suffix: str) -> bytes:
-    """Return the figure as the content of a file, the same every time; suffix is one of `SUFFIXES`."""
+    """Return the figure as the content of a file, the same every time; suffix is .png, .svg or .pdf."""
     stream = BytesIO()
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
     with styled():

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
-from crane_fmu.report.style import BLACK, BLUE, GREEN, LABELS, TIME, VERMILLION, Line, panels, styled
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-    import servocore as sc
-    from servocore.symbols import Array
-
-INPUTS = ("M_b", "F", "M_w")
-MOTION = ("phi", "s", "l")
+import servocore as sc
+from crane_fmu.report.study import INPUTS, MOTION, Tracking
+from crane_fmu.report.style import BLACK, BLUE, GREEN, GREY, LABELS, TIME, VERMILLION, Array, Line, panels, styled
 
 EXACT = Line(BLACK, "-", 0.9)
 REDUNDANT = Line(VERMILLION, "none", 0.0, "o")
@@ -137,35 +129,42 @@ def closed_form_curve(scene: sc.Scene, label: str = "closed form") -> Curve:
     return Curve(label, t, scene.exact(t), EXACT)
 
 
+def cycle_inputs(solution: sc.Solution, scene: sc.Scene) -> Figure:
+    """Return the three inputs of a run, computed and in closed form."""
+    return stack(INPUTS, (curve("computed", solution, Line(BLUE, "--", 2.2)), closed_form_curve(scene)))
+
+
 def motion(solution: sc.Solution, scene: sc.Scene) -> Figure:
     """Return bridge angle, trolley position and rope length, computed and in closed form."""
     return stack(MOTION, (curve("computed", solution, Line(BLUE, "--", 2.2)), closed_form_curve(scene)))
 
 
-def tracking(paths: Sequence[tuple[str, sc.Solution]], reference: sc.Reference) -> Figure:
-    """Return the load's distance from its path over time for several forward simulations.
+def tracking(runs: Sequence[Tracking], reference: sc.Reference) -> Figure:
+    """Return where the load goes in forward simulations, and its distance from the path.
 
     Parameters
     ----------
-    paths : sequence of (str, Solution)
-        Label and forward simulation.
+    runs : sequence of Tracking
+        At most four; the last is shown against the path in the upper panel as well as the first.
     reference : Reference
         Where the load should be.
     """
-    lines = (Line(VERMILLION, "-", 1.5), Line(BLUE, "--", 1.5), Line(GREEN, "-.", 1.5), Line(BLACK, ":", 1.5))
+    lines = (Line(VERMILLION, "--", 1.6), Line(BLUE, "-.", 1.6), Line(BLACK, "-", 1.0), Line(GREEN, ":", 1.6))
     with styled():
-        figure, axes = panels(1, height=2.4)
-        for (label, solution), line in zip(paths, lines, strict=False):
-            axes[0].plot(solution.t, 1e3 * tracking_error(solution, reference), label=label, **line.options())
-        axes[0].set_yscale("log")
-        axes[0].set_ylabel("distance of the load from its path (mm)")
-        axes[0].set_xlabel(TIME)
-        axes[0].legend()
+        figure, (above, below) = panels(2, height=2.5)
+        t = np.linspace(reference.start_time, reference.end_time, 401)
+        for name, values in zip("xyz", reference.jet(t, 0)[:, 0].T, strict=True):
+            above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
+            above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
+        for run, line in zip(runs, lines, strict=False):
+            found = run.simulated
+            for name in "xyz":
+                above.plot(found.t, found[name], **line.options(), label=run.label if name == "x" else None)
+            below.semilogy(found.t[1:], 1e3 * found["tracking_error"][1:], **line.options())
+        above.set_ylabel("position of the load (m)")
+        below.set_ylabel("distance from the path (mm)")
+        below.set_xlabel(TIME)
+        below.margins(x=0.03)
+        figure.align_ylabels([above, below])
+        figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=2)
     return figure
-
-
-def tracking_error(simulated: sc.Solution, reference: sc.Reference) -> Array:
-    """Distance of the load from where it should be, in m, shape (N,)."""
-    found = np.column_stack([simulated[name] for name in "xyz"])
-    distance: Array = np.linalg.norm(found - reference.jet(simulated.t, 0)[:, 0], axis=1)
-    return distance

@@ -1,0 +1,118 @@
+"""The demo: build the FMU, run it, compare it with everything known, and leave a report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import servocore as sc
+from crane_fmu.build import build_fmu
+from crane_fmu.feedforward import csv_text
+from crane_fmu.report import contents
+from crane_fmu.report.page import Section, Table, page
+from crane_fmu.report.study import STEPS, Announce, Cycle, fmu_run, study, working_cycle
+from crane_fmu.run import run_fmu
+from crane_fmu.writing import filled_folder
+
+REPORT, INPUTS_FILE, FIGURES = "report.html", "inputs.csv", "figures"
+
+
+@dataclass(frozen=True)
+class Demo:
+    """What the demo left behind.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it is.
+    files : tuple of str
+        What is there, relative to `folder`.
+    tables : tuple of Table
+        The results as tables of texts.
+    notes : tuple of str
+        What was left out, as sentences.
+    """
+
+    folder: Path
+    files: tuple[str, ...]
+    tables: tuple[Table, ...]
+    notes: tuple[str, ...]
+
+
+def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[float] = STEPS) -> Demo:
+    """Run the demo.
+
+    Parameters
+    ----------
+    target : Path
+        Folder for FMU, table of inputs, figures and report; made if it is not there.
+    announce : callable
+        Is told what is going on.
+    steps : sequence of float
+        Step sizes in s, largest first: the first one for FMU, figures and table.
+
+    Returns
+    -------
+    Demo
+        Where everything is, and the tables.
+
+    Raises
+    ------
+    ServocoreError
+        If the folder cannot be made or filled, or a part of the demo does not run to its end.
+    """
+    with filled_folder(target) as draft:
+        scene = sc.scenes.rotary_crane()
+        fmu = build_fmu(draft, lambda stage: announce(f"building the FMU: {stage}"))
+        found = study(scene, announce, steps)
+        announce("running the FMU")
+        outputs = run_fmu(fmu, scene.reference, steps[0], model=found.models[0], formulation="projected")
+        run = fmu_run(scene, outputs, found.base)
+        announce("working cycle")
+        cycle = example_cycle(scene, examples_folder())
+        (draft / INPUTS_FILE).write_text(csv_text(found.base), encoding="utf-8")
+        announce("drawing figures")
+        write_report(draft, contents.sections(found, run, cycle))
+        files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
+    tables = (
+        contents.error_table(found),
+        contents.difference_table(found),
+        contents.fmu_table(run),
+        contents.tracking_table(found),
+        *([] if cycle is None else [contents.cycle_table(cycle)]),
+    )
+    missing = "the working cycle is left out: its example files are not installed"
+    return Demo(target, files, tables, () if cycle is not None else (missing,))
+
+
+def write_report(folder: Path, sections: Sequence[Section]) -> None:
+    """Write the page and, in a folder of their own, its pictures."""
+    drawings: dict[str, bytes] = {}
+    for section in sections:
+        for each in section.illustrations:
+            drawings |= each.files()
+    (folder / FIGURES).mkdir()
+    for name, content in drawings.items():
+        (folder / FIGURES / name).write_bytes(content)
+    (folder / REPORT).write_text(page(contents.TITLE, sections, drawings), encoding="utf-8")
+
+
+def examples_folder() -> Path | None:
+    """Return where the example paths are: in the installed package or beside it in a clone; None if neither."""
+    here = Path(__file__).resolve().parent
+    for folder in (here / "examples", here.parent / "examples"):
+        if (folder / "working_cycle_waypoints.csv").is_file():
+            return folder
+    return None
+
+
+def example_cycle(scene: sc.Scene, folder: Path | None) -> Cycle | None:
+    """Compute the working cycle of the examples, or return None if there are none."""
+    if folder is None:
+        return None
+    file = folder / "working_cycle_waypoints.csv"
+    through, samples = sc.waypoints_from_csv(file), sc.from_csv(folder / "working_cycle_sampled.csv")
+    return working_cycle(scene, through, samples, np.loadtxt(file, delimiter=",", skiprows=1))

@@ -1,0 +1,291 @@
+"""What the demo's page says: its sections with their tables and illustrations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from crane_fmu.report import convergence, postures, trajectories
+from crane_fmu.report.page import Illustration, Section, Table, number, parameter_table, percent
+from crane_fmu.report.study import INPUTS, MOTION, Cycle, ErrorRow, FmuRun, Study
+
+TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
+
+
+def sections(study: Study, fmu: FmuRun, cycle: Cycle | None) -> list[Section]:
+    """Return the whole page.
+
+    Parameters
+    ----------
+    study : Study
+        The default manoeuvre.
+    fmu : FmuRun
+        The same by the FMU.
+    cycle : Cycle or None
+        The working cycle; None if the examples are not at hand.
+    """
+    parts = (_introduction, _reference, _motion, _inputs, _postures, _errors)
+    written = [*(part(study) for part in parts), _fmu(fmu), _tracking(study)]
+    return written if cycle is None else [*written, _cycle(cycle)]
+
+
+def _introduction(study: Study) -> Section:
+    return Section(
+        "",
+        (
+            "A slewing bridge carries a trolley with a winch; a load hangs on the rope. The path of the load is"
+            " prescribed, and the bridge torque M_b, the trolley force F and the winch torque M_w that make it follow"
+            " that path are computed: a servo-constraint problem with five degrees of freedom and three inputs"
+            " (Betsch, Uhlar and Quasem 2009). Their projected formulation is stepped in time by backward Euler,"
+            " with three models of the same crane: points (9 coordinates), bodies (their 42 redundant coordinates,"
+            " RED) and generalized (their 5 coordinates, GEN).",
+            "The crane is differentially flat in the position of its load, so motion and inputs are also known in"
+            " closed form, and every number on this page is judged by it. The tables of the paper were not at hand:"
+            " the data below are a declared assumption, and no figure here claims to reproduce a printed curve.",
+        ),
+        (parameter_table(study.scene),),
+        (
+            Illustration(
+                "crane",
+                "The crane and its coordinates",
+                "Bridge angle φ, trolley position s, rope length l; the trolley runs in the plane z = 0 and the load"
+                " hangs below. Each input is positive in the direction of its coordinate; the winch torque pays out"
+                " rope, so it is negative at rest.",
+                postures.sketch(study.scene),
+            ),
+        ),
+    )
+
+
+def _reference(study: Study) -> Section:
+    reference = study.scene.reference
+    start, end = (reference.jet(t, 0)[0] for t in (reference.start_time, reference.end_time))
+    way = " to ".join(
+        "(" + ", ".join(f"{value:g}".replace("-", "−") for value in point) + ") m" for point in (start, end)
+    )
+    return Section(
+        "The manoeuvre",
+        (f"The load moves along the straight line from {way} in {reference.duration:g} s, from rest to rest.",),
+        (),
+        (
+            Illustration(
+                "reference_function",
+                "Reference function s(t) and its second derivative",
+                "The fraction of the line that the load has travelled: a polynomial of degree 9 whose first four"
+                " derivatives vanish at both ends, so that the inputs start and end without a jump.",
+                trajectories.reference_function(reference),
+            ),
+        ),
+    )
+
+
+def _motion(study: Study) -> Section:
+    return Section(
+        "The motion of the crane",
+        (
+            "Bridge angle, trolley position and rope length follow from the path of the load and the equations of"
+            " motion of the load alone. They are exact for every step, up to rounding.",
+        ),
+        (),
+        (
+            Illustration(
+                "motion",
+                "Bridge angle, trolley position and rope length",
+                f"Computed with the model {study.models[0]} and a step of {study.steps[0]:g} s, and in closed form.",
+                trajectories.motion(study.base, study.scene),
+            ),
+        ),
+    )
+
+
+def _inputs(study: Study) -> Section:
+    step = study.steps[0]
+    redundant, generalised = study.solutions["bodies", step], study.solutions["generalized", step]
+    return Section(
+        "The inputs",
+        (
+            "Redundant and generalised coordinates give practically the same inputs. Both have an error of the first"
+            " order in the step, seen here as a delay against the closed form; the table below says how large.",
+        ),
+        (),
+        (
+            Illustration(
+                "inputs",
+                "Slewing torque and trolley force",
+                f"Step {step:g} s; redundant coordinates: model bodies, generalised ones: model generalized.",
+                trajectories.inputs_compared(redundant, generalised, trajectories.closed_form_curve(study.scene)),
+            ),
+        ),
+    )
+
+
+def _postures(study: Study) -> Section:
+    return Section(
+        "The postures",
+        (),
+        (),
+        (
+            Illustration(
+                "initial_posture", "Initial posture", "The load hangs at rest.", postures.posture(study.base, 0)
+            ),
+            Illustration(
+                "final_posture",
+                "Final posture",
+                "The bridge has slewed by"
+                f" {trajectories.shown('phi', study.base['phi'])[-1]:.0f}°. Dotted: the path seen from above.",
+                postures.posture(study.base, -1),
+            ),
+        ),
+    )
+
+
+def _errors(study: Study) -> Section:
+    return Section(
+        "Errors",
+        (
+            "The error of every input halves with the step, in every model; so does the difference between any two"
+            " models. The motion is exact. The reduced formulation inverts the equations at every instant and has no"
+            " error of a step at all.",
+        ),
+        (error_table(study), difference_table(study)),
+        (
+            Illustration(
+                "error_against_step",
+                "Error of the inputs against the step",
+                "Both axes are logarithmic; a line of slope one is an error of the first order.",
+                convergence.error_against_step(study.errors),
+            ),
+        ),
+    )
+
+
+def error_table(study: Study) -> Table:
+    """Return the largest errors against the closed form; after the first step of a model with the halving factor."""
+    rows, before = [], None
+    for row in (*study.errors, study.reduced):
+        same = before is not None and before.model == row.model and row is not study.reduced
+        rows.append(_error_cells(row, before if same else None, "reduced" if row is study.reduced else ""))
+        before = row
+    return Table(
+        "Largest errors against the closed form",
+        ("model", "step (s)", "M_b", "F", "M_w", "φ (rad)", "s (m)", "l (m)"),
+        tuple(rows),
+        "Inputs: relative to the largest value of each; after ÷, the factor by which the error fell when the step was"
+        " halved. Motion: absolute. The last row is the reduced formulation, all others are the projected one.",
+    )
+
+
+def _error_cells(row: ErrorRow, before: ErrorRow | None, remark: str) -> tuple[str, ...]:
+    inputs = [
+        percent(row.inputs[name]) + (f" ÷{before.inputs[name] / row.inputs[name]:.2f}" if before else "")
+        for name in INPUTS
+    ]
+    motion = [number(row.motion[name], 1) for name in MOTION]
+    return (f"{row.model}, {remark}" if remark else row.model, f"{row.step:g}", *inputs, *motion)
+
+
+def difference_table(study: Study) -> Table:
+    """Return the largest differences between the models' inputs."""
+    rows = [
+        (" and ".join(row.models), f"{row.step:g}", *(percent(row.inputs[name]) for name in INPUTS))
+        for row in study.differences
+    ]
+    return Table(
+        "Largest differences between the models' inputs",
+        ("models", "step (s)", "M_b", "F", "M_w"),
+        tuple(rows),
+        "Relative to the largest value of each input.",
+    )
+
+
+def _fmu(fmu: FmuRun) -> Section:
+    return Section(
+        "The FMU",
+        (
+            "The same crane as a Functional Mock-up Unit (FMI 2.0, co-simulation) was run by FMPy along the same path:"
+            f" {fmu.rows} rows up to t = {fmu.last_time:g} s with a communication step of {fmu.step:g} s.",
+            "Beside this page lie the FMU, the inputs of the manoeuvre as a table (inputs.csv) and the figures.",
+        ),
+        (fmu_table(fmu),),
+    )
+
+
+def fmu_table(fmu: FmuRun) -> Table:
+    """Return the largest differences between the FMU's outputs and the library's."""
+    units = {"M_b": "N m", "F": "N", "M_w": "N m", "phi": "rad", "s": "m", "l": "m"}
+    rows = [
+        (
+            name.replace("phi", "φ"),
+            f"{number(fmu.differences[name], 2)} {units[name]}",
+            f"{number(fmu.errors[name], 2)} {units[name]}",
+        )
+        for name in (*INPUTS, *MOTION)
+    ]
+    return Table(
+        "Largest differences of the FMU's outputs",
+        ("output", "from the library", "from the closed form"),
+        tuple(rows),
+    )
+
+
+def _tracking(study: Study) -> Section:
+    return Section(
+        "Does the load go where it should?",
+        (
+            "The equations of motion are integrated forward in time under the computed inputs, without any control."
+            " An error of the inputs is integrated twice, so the load strays, by an amount of the first order in the"
+            " step; under the inputs of the closed form it stays on its path.",
+        ),
+        (tracking_table(study),),
+        (
+            Illustration(
+                "tracking",
+                "The load in forward simulations",
+                "Above: its position and, in grey, the path. Below: its distance from the path.",
+                trajectories.tracking(study.tracking, study.scene.reference),
+            ),
+        ),
+    )
+
+
+def tracking_table(study: Study) -> Table:
+    """Return how far the load strays in forward simulations."""
+    rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in study.tracking)
+    return Table("Forward simulation", ("under", "largest distance of the load from its path"), rows)
+
+
+def _cycle(cycle: Cycle) -> Section:
+    errors = ", ".join(f"{name} {percent(cycle.row.inputs[name])}" for name in INPUTS)
+    return Section(
+        "A working cycle",
+        (
+            f"A path through {len(cycle.waypoints)} waypoints, from rest to rest in"
+            f" {cycle.scene.reference.duration:g} s, as a spline of degree 9. The same path read from a file of samples"
+            f" is at most {number(cycle.apart, 1)} m away. Largest errors of the inputs with a step of"
+            f" {cycle.row.step:g} s: {errors}.",
+        ),
+        (),
+        (
+            Illustration(
+                "cycle_path",
+                "The working cycle",
+                "The crane half-way; the load is lifted, swung round and lowered.",
+                postures.posture(cycle.solution, len(cycle.solution.t) // 2),
+            ),
+            Illustration(
+                "cycle_inputs",
+                "Inputs of the working cycle",
+                f"Step {cycle.row.step:g} s.",
+                trajectories.cycle_inputs(cycle.solution, cycle.scene),
+            ),
+        ),
+    )
+
+
+def cycle_table(cycle: Cycle) -> Table:
+    """Return the errors of the working cycle."""
+    row: Mapping[str, float] = cycle.row.inputs
+    return Table(
+        "Working cycle: largest errors of the inputs",
+        ("step (s)", *INPUTS),
+        ((f"{cycle.row.step:g}", *(percent(row[name]) for name in INPUTS)),),
+    )

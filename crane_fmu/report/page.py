@@ -1,0 +1,138 @@
+"""The page: text, tables and pictures in one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+
+import jinja2
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+import servocore as sc
+from crane_fmu.report.style import picture
+
+MEANINGS = {
+    "bridge_inertia": ("J_b", "moment of inertia of bridge, trolley and winch about the slewing axis at s = 0"),
+    "trolley_mass": ("m_t", "mass of trolley and winch"),
+    "load_mass": ("m", "mass of the load"),
+    "winch_inertia": ("J_w", "moment of inertia of the winch about its own axis"),
+    "winch_radius": ("r_w", "radius of the winch"),
+    "gravity": ("g", "acceleration of free fall"),
+}
+"""Symbol and meaning of every parameter of the crane."""
+UNITS = {"kg.m2": "kg m²", "m/s2": "m/s²", "N.m": "N m"}
+
+
+@dataclass(frozen=True, eq=False)
+class Illustration:
+    """A figure of the report.
+
+    Attributes
+    ----------
+    name : str
+        Name of its files, without suffix.
+    title : str
+        What it shows, in a few words.
+    caption : str
+        What to see in it.
+    figure : Figure
+        The drawing.
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Figure
+
+    def files(self) -> dict[str, bytes]:
+        """Return the picture as the content of files by name."""
+        return {self.name + suffix: picture(self.figure, suffix) for suffix in (".png", ".svg")}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of the report: title, headings, rows of finished texts, and what to know about it."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """A part of the page: heading, paragraphs, then tables and illustrations."""
+
+    heading: str
+    paragraphs: tuple[str, ...]
+    tables: tuple[Table, ...] = ()
+    illustrations: tuple[Illustration, ...] = ()
+
+
+def page(title: str, sections: Sequence[Section], drawings: dict[str, bytes]) -> str:
+    """Return the HTML of the report.
+
+    Parameters
+    ----------
+    title : str
+        Heading of the page.
+    sections : sequence of Section
+        Its parts; tables and illustrations are numbered in this order.
+    drawings : dict of str to bytes
+        Content of the pictures' files by name, as `Illustration.files` returns it.
+    """
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    environment.filters["formula"] = formula
+    template = environment.from_string(files(__package__).joinpath("template.html").read_text(encoding="utf-8"))
+    illustrations = [each for section in sections for each in section.illustrations]
+    tables = [each for section in sections for each in section.tables]
+    return template.render(
+        title=title,
+        sections=sections,
+        figure_number={each.name: k for k, each in enumerate(illustrations, start=1)},
+        table_number={each.title: k for k, each in enumerate(tables, start=1)},
+        image={each.name: b64encode(drawings[f"{each.name}.svg"]).decode() for each in illustrations},
+        version=sc.__version__,
+    )
+
+
+def parameter_table(scene: sc.Scene) -> Table:
+    """Return the crane's data."""
+    values = scene.parameter_values()
+    rows = [
+        (symbol, f"{values[each.name]:g} {UNITS.get(each.unit, each.unit)}", each.name, meaning)
+        for each in scene.model().parameters.declared
+        for symbol, meaning in (MEANINGS[each.name],)
+    ]
+    return Table(
+        "Data of the crane, a declared assumption",
+        ("symbol", "value", "parameter", "meaning"),
+        tuple(rows),
+        "These values were chosen for this report; they are not those of a printed table. "
+        "Any of them can be replaced by a file (crane-fmu feedforward --parameters).",
+    )
+
+
+def formula(text: str) -> Markup:
+    """Escape a text and set symbols such as ``M_b`` with their index below the line."""
+    return Markup(re.sub(r"\b([A-Za-z])_([a-z])\b", r"<i>\1</i><sub>\2</sub>", str(escape(text))))
+
+
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Return a number in a few digits, small ones as 1.2·10⁻⁵."""
+    if value == 0.0 or abs(value) >= 1e-3:
+        return f"{value:.{digits}g}"
+    mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
+
+
+def percent(value: float) -> str:
+    """Return a fraction in per cent."""
+    return f"{number(100 * value)} %"

@@ -1,0 +1,89 @@
+"""Run the FMU in a simulation tool, FMPy, and make sure that it ran to the end."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import numpy.typing as npt
+
+import servocore as sc
+from crane_fmu.interface import DIMENSION, ORDERS
+
+Array = npt.NDArray[np.float64]
+
+
+def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: float | str) -> dict[str, Array]:
+    """Move the crane of an FMU along a path.
+
+    Parameters
+    ----------
+    fmu : Path
+        The FMU's file.
+    reference : Reference
+        Path of the load, at least four times differentiable.
+    step : float
+        Communication step in s; must divide the duration.
+    **start_values : float or str
+        Parameters of the FMU that differ from their defaults.
+
+    Returns
+    -------
+    dict of str to ndarray
+        The outputs by name, and ``time``, at the start of the path, one step later, ..., its end.
+
+    Raises
+    ------
+    IntegrationFailed
+        If the FMU does not reach the end of the path; the sentence holds what it said.
+    """
+    messages: list[str] = []
+
+    def listen(_component: object, _instance: object, status: int, _category: object, message: bytes | str) -> None:
+        if status > 0:  # not OK
+            messages.append(message.decode() if isinstance(message, bytes) else message)
+
+    try:
+        rows = fmpy.simulate_fmu(
+            str(fmu),
+            start_time=reference.start_time,
+            stop_time=reference.end_time,
+            output_interval=step,
+            input=input_rows(reference, step),
+            start_values=start_values,
+            logger=listen,
+            debug_logging=True,
+        )
+    except fmpy.fmi1.FMICallException as error:
+        raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
+    return _complete(fmu, rows, reference, step, messages)
+
+
+def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
+    """Return the path and its derivatives on a grid as FMPy reads inputs: one column a variable."""
+    count = round(reference.duration / step)
+    t = np.linspace(reference.start_time, reference.end_time, count + 1)
+    jets = reference.jet(t, len(ORDERS) - 1)
+    names = [f"load.{order}[{k + 1}]" for order in ORDERS for k in range(DIMENSION)]
+    rows = np.zeros(len(t), dtype=[("time", np.float64), *((name, np.float64) for name in names)])
+    rows["time"] = t
+    for name, column in zip(names, jets.reshape(len(t), -1).T, strict=True):
+        rows[name] = column
+    return rows
+
+
+def _complete(
+    fmu: Path, rows: Any, reference: sc.Reference, step: float, messages: list[str]
+) -> dict[str, Array]:
+    """Return the columns; FMPy ends a run silently where an FMU discards a step."""
+    wanted = round(reference.duration / step) + 1
+    last = float(rows["time"][-1]) if len(rows) else reference.start_time
+    if len(rows) != wanted or abs(last - reference.end_time) > 1e-6 * step:
+        said = messages[-1] if messages else "it did not say why"
+        raise sc.IntegrationFailed(
+            f"{fmu.name} stopped at t = {last:.6g} s of {reference.end_time:.6g} s after {len(rows)} of"
+            f" {wanted} rows: {said}"
+        )
+    return {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
