@@ -5,6 +5,7 @@ from collections.abc import Callable
 from servocore.scene import Limit, Scene
 from servocore.scenes.cars import cars
 from servocore.scenes.gantry_crane import gantry_crane
+from servocore.scenes.mass_on_car import mass_on_car
 from servocore.scenes.overhead_crane import overhead_crane
 from servocore.scenes.rotary_crane import rotary_crane
 
@@ -13,7 +14,8 @@ REGISTRY: dict[str, Callable[[], Scene]] = {
     "overhead_crane": overhead_crane,
     "gantry_crane": gantry_crane,
     "cars": cars,
+    "mass_on_car": mass_on_car,
 }
 """All scenes by name; what is listed here inherits the whole test suite."""
 
-__all__ = ["REGISTRY", "Limit", "Scene", "cars", "gantry_crane", "overhead_crane", "rotary_crane"]
+__all__ = ["REGISTRY", "Limit", "Scene", "cars", "gantry_crane", "mass_on_car", "overhead_crane", "rotary_crane"]

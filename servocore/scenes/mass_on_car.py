@@ -1,0 +1,191 @@
+r"""The mass on a car (Seifried & Blajer 2013): the mass is to follow a path, the force acts on the car.
+
+        y ---->     [m_2]
+                    //      s up the incline, from equilibrium; spring k, damper d
+                   //
+                  //  alpha
+      u   _______//____________
+    ---> |        m_1          |      y = x + s cos(alpha) is to follow the path
+         |___O___________O_____|
+        x ---->
+
+What the scene needs: m_1, m_2, k, d and the inclination alpha of two degrees of freedom, one input; model
+``generalized``, in x and s. ``points`` has y as a third coordinate, with a constraint: M is diagonal, C Boolean.
+Left out: friction; gravity, which only shifts the equilibrium from which s is measured.
+
+Small data decide what kind of problem this is. The mass alone has
+
+    m_2 sin(alpha)^2 s'' + d s' + k s = -m_2 cos(alpha) y'',    u = m_1 x'' + m_2 y'',
+
+    alpha in (0, 90 deg]      index 3, two internal states (minimum phase for k, d > 0)
+    alpha = 0, d > 0          index 4, one internal state
+    alpha = 0, d = 0          index 5, none: s = -m_2 y''/k
+
+There is no closed form, except in the last case: s depends on the history of the path. `exact` integrates the line
+above by SciPy. A negative k (a mass that its support pushes away) makes the internal dynamics unstable: the problem is
+then of non-minimum phase, and `exact` is the solution that stays bounded for all times. It moves before the path does.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.references import Reference, rest_to_rest
+from servocore.scene import Scene
+from servocore.scenes.internal_dynamics import backward, forward
+from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+
+PARAMETERS = Parameters(
+    Parameter("car_mass", 1.0, "kg", 1e-3, 1e9, "m_1"),
+    Parameter("mass", 2.0, "kg", 1e-3, 1e9, "m_2"),
+    Parameter("stiffness", 5.0, "N/m", -1e9, 1e9, "k; below zero the internal dynamics are unstable"),
+    Parameter("damping", 1.0, "N.s/m", 0.0, 1e9, "d"),
+    Parameter("inclination", math.pi / 4, "rad", 0.0, math.pi / 2, "alpha, of the incline"),
+)
+INPUT = Quantity("u", "N", "force on the car, positive forwards")
+OUTPUT = Quantity("y", "m", "horizontal position of the mass")
+CAR = Quantity("x", "m", "position of the car")
+SLIDE = Quantity("s", "m", "position of the mass on the incline, from equilibrium")
+
+
+@cache
+def points() -> MechanicalSystem:
+    """Three coordinates q = (x, s, y), one constraint y = x + s cos(alpha): M constant and diagonal.
+
+    The height s sin(alpha) of the mass is not a coordinate: its inertia is that of s.
+    """
+    coordinates = Coordinates(CAR, SLIDE, OUTPUT)
+    x, s, y = ca.vertsplit(coordinates.q)
+    p = PARAMETERS
+    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+    input_matrix = ca.SX(1, 3)
+    input_matrix[0, 0] = -1
+    force = ca.SX(3, 1)
+    force[1] = -p["damping"] * coordinates.velocity("s")
+    masses = (p["car_mass"], p["mass"] * ca.sin(p["inclination"]) ** 2, p["mass"])
+    return MechanicalSystem(
+        name="mass on car, points",
+        coordinates=coordinates,
+        parameters=p,
+        inputs=(INPUT,),
+        outputs=(OUTPUT,),
+        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        potential=p["stiffness"] * s**2 / 2,
+        force=force,
+        constraints=y - x - s * ca.cos(p["inclination"]),
+        input_matrix=input_matrix,
+        output=y,
+        gamma=gamma,
+        guess=ca.vertcat(gamma[0, 0], 0, gamma[0, 0]),
+    )
+
+
+@cache
+def generalized() -> MechanicalSystem:
+    """Two generalised coordinates x and s, derived from `points`."""
+    base = points()
+    coordinates = Coordinates(CAR, SLIDE)
+    x, s = ca.vertsplit(coordinates.q)
+    return generalise(
+        base,
+        coordinates,
+        ca.vertcat(x, s, x + s * ca.cos(base.parameters["inclination"])),
+        guess=ca.vertcat(base.gamma[0, 0], 0),
+        name="mass on car, generalized",
+    )
+
+
+def independent_solution(t: Array, reference: Reference, parameters: Mapping[str, float]) -> dict[str, Array]:
+    """Force and motion by the equation of the mass alone: the solution that stays bounded for all times.
+
+    With k >= 0 it rests until the path starts. With k < 0 it also moves before: see `internal_motion`.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times in s, increasing; outside the motion of the path as well.
+    reference : Reference
+        Path of the mass, with two derivatives (four for alpha = 0).
+    parameters : mapping of str to float
+        All five parameters.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        u, x, s, y.
+
+    Raises
+    ------
+    InvalidModel
+        If alpha, d and k are zero: then s is not determined by the path.
+    """
+    m_1, m_2, _, _, alpha = (parameters[name] for name in PARAMETERS.names)
+    s, s_second = internal_motion(t, reference, parameters)
+    y = reference.jet(t, 2)[:, :, 0].T
+    x_second = y[2] - math.cos(alpha) * s_second
+    return {"u": m_1 * x_second + m_2 * y[2], "x": y[0] - math.cos(alpha) * s, "s": s, "y": y[0]}
+
+
+def internal_motion(t: Array, reference: Reference, parameters: Mapping[str, float]) -> tuple[Array, Array]:
+    """Return s and s'' at the times `t`, each of shape (N,).
+
+    An unstable part of the motion is integrated backward in time from the end of the path: its only bounded solution.
+    """
+    _, m_2, k, d, alpha = (parameters[name] for name in PARAMETERS.names)
+    inertia, push = m_2 * math.sin(alpha) ** 2, -m_2 * math.cos(alpha)
+
+    def drive(time: float) -> float:
+        return push * float(reference.jet(time, 2)[2, 0])
+
+    if inertia:
+        position, speed = _second_order(t, reference, (inertia, d, k), drive)
+        forced = push * reference.jet(t, 2)[:, 2, 0]
+        return position, (forced - d * speed - k * position) / inertia
+    forces = push * np.moveaxis(reference.jet(t, 4)[:, 2:, 0], 1, 0)
+    if d:
+        integrate, limit = (forward, reference.start_time) if k >= 0.0 else (backward, reference.end_time)
+        (position,) = integrate(lambda time, s: np.array([(drive(time) - k * s[0]) / d]), t, limit, 1)
+        speed = (forces[0] - k * position) / d
+        return position, (forces[1] - k * speed) / d
+    if not k:
+        raise InvalidModel("mass on car: without inclination, spring and damper the path does not determine s")
+    return forces[0] / k, forces[2] / k
+
+
+def _second_order(
+    t: Array, reference: Reference, coefficients: tuple[float, float, float], drive: Callable[[float], float]
+) -> tuple[Array, Array]:
+    """Bounded solution of inertia s'' + d s' + k s = drive, as s and s' of shape (N,)."""
+    inertia, d, k = coefficients
+    start, end = reference.start_time, reference.end_time
+    if k >= 0.0:
+
+        def rate(time: float, state: Array) -> Array:
+            return np.array([state[1], (drive(time) - d * state[1] - k * state[0]) / inertia])
+
+        position, speed = forward(rate, t, start, 2)
+        return position, speed
+    # Real roots of opposite sign: two modes, each integrated in the direction in which it decays.
+    dominant = -(d + math.sqrt(d**2 - 4.0 * inertia * k)) / 2.0
+    stable, unstable = dominant / inertia, k / dominant
+    (decaying,) = forward(lambda time, z: stable * z + drive(time) / inertia, t, start, 1)
+    (growing,) = backward(lambda time, z: unstable * z + drive(time) / inertia, t, end, 1)
+    gap = unstable - stable
+    return (growing - decaying) / gap, (unstable * growing - stable * decaying) / gap
+
+
+def mass_on_car() -> Scene:
+    """Return the mass on a car with its default manoeuvre: the mass moves from 0 m to 2 m in 4 s."""
+    return Scene(
+        name="mass_on_car",
+        models={"generalized": generalized, "points": points},
+        reference=rest_to_rest((0.0,), (2.0,), 4.0),
+        independent_solution=independent_solution,
+    )

@@ -1,0 +1,174 @@
+"""The mass on a car: one scene whose data decide about index and internal dynamics."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.polynomial.legendre import leggauss
+from scipy.interpolate import make_interp_spline
+
+import servocore as sc
+from servocore.scenes.mass_on_car import internal_motion
+
+LEVEL = {"inclination": 0.0}
+FLAT = {"inclination": 0.0, "damping": 0.0}
+UNSTABLE = {"stiffness": -5.0}
+DURATION = 4.0
+MODELS = ("generalized", "points")
+
+
+@cache
+def scene(**changed) -> sc.Scene:
+    return sc.scenes.mass_on_car().with_parameters(**changed)
+
+
+@cache
+def scene_of(kind: str) -> sc.Scene:
+    changed = {"inclined": {}, "level": LEVEL, "flat": FLAT, "undamped": {"damping": 0.0}, "unstable": UNSTABLE}[kind]
+    return sc.scenes.mass_on_car().with_parameters(**changed)
+
+
+@cache
+def exact_on_grid(kind: str, steps: int):
+    return scene_of(kind).exact(np.linspace(0.0, DURATION, steps + 1))
+
+
+def errors(kind, formulation, steps, model, names=("u", "x", "s")):
+    """Largest errors of backward Euler, as fractions of the largest exact values."""
+    solution = sc.solve(scene_of(kind), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
+    exact = exact_on_grid(kind, steps)
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(
+    ("kind", "index", "states", "classification"),
+    [
+        ("inclined", 3, 2, "minimum phase"),
+        ("undamped", 3, 2, "weakly minimum phase"),
+        ("level", 4, 1, "minimum phase"),
+        ("flat", 5, 0, "flat"),
+        ("unstable", 3, 2, "non-minimum phase"),
+    ],
+)
+def test_inclination_damper_and_spring_decide_what_kind_of_problem_it_is(model, kind, index, states, classification):
+    report = sc.analyse(scene_of(kind), model=model)
+    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, classification)
+
+
+def test_the_eigenvalues_are_those_of_the_mass_on_its_spring():
+    p = scene_of("inclined").parameter_values()
+    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
+    expected = np.roots([inertia, p["damping"], p["stiffness"]])
+    found = sc.analyse(scene_of("inclined")).eigenvalues
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-9)
+    (level,) = sc.analyse(scene_of("level")).eigenvalues
+    assert level == pytest.approx(-p["stiffness"] / p["damping"])
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_without_internal_dynamics_the_reduced_form_is_exact_at_any_step(model):
+    for steps in (10, 100):
+        assert errors("flat", sc.Reduced(), steps, model, ("u", "x", "s", "y")).max() < 1e-12
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("kind", ["inclined", "level", "undamped"])
+@pytest.mark.parametrize("formulation", [sc.Reduced(), sc.Projected()], ids=lambda each: each.name)
+def test_with_internal_dynamics_backward_euler_converges_at_first_order(model, kind, formulation):
+    coarse, fine = (errors(kind, formulation, steps, model) for steps in (800, 1600))
+    np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
+    assert fine[0] < 0.01
+
+
+def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially():
+    this = scene_of("unstable")
+    solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)
+    exact = exact_on_grid("unstable", 800)
+    distance = np.abs(solution["s"] - exact["s"])
+    (rate,) = (value.real for value in sc.analyse(this).eigenvalues if value.real > 0.0)
+    late = solution.t > 3.0
+    slope = np.polyfit(solution.t[late], np.log(distance[late]), 1)[0]
+    assert slope == pytest.approx(rate, rel=0.05)
+    with pytest.raises(sc.InvalidSetting, match="non-minimum phase"):
+        sc.solve(this)
+
+
+def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response():
+    this = scene_of("inclined")
+    p = this.parameter_values()
+    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
+    decay = p["damping"] / (2 * inertia)
+    frequency = np.sqrt(p["stiffness"] / inertia - decay**2)
+    nodes, weights = leggauss(60)
+    t = np.array([0.3, 1.0, 2.5, 4.0, 6.0])
+    expected = []
+    for time in t:
+        half = min(time, DURATION) / 2
+        past = half * (1 + nodes)
+        force = -p["mass"] * np.cos(p["inclination"]) * this.reference.jet(past, 2)[:, 2, 0]
+        response = np.exp(-decay * (time - past)) * np.sin(frequency * (time - past)) / (inertia * frequency)
+        expected.append(half * weights @ (force * response))
+    np.testing.assert_allclose(this.exact(t)["s"], expected, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["inclined", "level", "flat", "unstable"])
+def test_the_independent_solution_keeps_both_equations_of_motion(kind):
+    this = scene_of(kind)
+    p = this.parameter_values()
+    cos, h = np.cos(p["inclination"]), 1e-3
+    t = np.linspace(0.5, 3.5, 7)
+    exact = this.exact(np.sort(np.concatenate([t + k * h for k in range(-2, 3)])))
+    x, s = (exact[name].reshape(len(t), 5) for name in ("x", "s"))
+    first, second = np.array([1, -8, 0, 8, -1]) / (12 * h), np.array([-1, 16, -30, 16, -1]) / (12 * h**2)
+    mass, car = p["mass"], p["car_mass"]
+    along = mass * (cos * x @ second + s @ second) + p["damping"] * s @ first + p["stiffness"] * s[:, 2]
+    forwards = (mass + car) * x @ second + mass * cos * s @ second - exact["u"].reshape(len(t), 5)[:, 2]
+    np.testing.assert_allclose(along, 0.0, atol=1e-6)
+    np.testing.assert_allclose(forwards, 0.0, atol=1e-6)
+
+
+def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_fades_on_both_sides():
+    this = scene_of("unstable")
+    exact = this.exact(np.array([-15.0, -1.0, 0.0, 4.0, 5.0, 19.0]))
+    far = np.abs(exact["s"][[0, -1]])
+    assert (far < 1e-10).all()
+    assert (np.abs(exact["s"][1:-1]) > 1e-3).all()
+    assert abs(exact["u"][1]) > 1e-3
+    level = scene(**LEVEL, **UNSTABLE).exact(np.array([-1.0, 0.0, 4.0, 5.0]))
+    assert (np.abs(level["s"][:2]) > 1e-4).all()
+    np.testing.assert_array_equal(level["s"][2:], 0.0)
+
+
+def test_a_mass_on_a_vertical_support_is_carried_along_and_its_spring_stays_at_rest():
+    exact = scene(inclination=np.pi / 2).exact(np.linspace(0.0, 4.0, 9))
+    np.testing.assert_allclose(exact["s"], 0.0, atol=1e-15)
+    np.testing.assert_allclose(exact["x"], exact["y"], atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["inclined", "level", "flat"])
+def test_under_the_exact_force_the_mass_returns_to_its_path(kind):
+    this = scene_of(kind)
+    t = np.linspace(0.0, DURATION, 401)
+    spline = make_interp_spline(t, this.exact(t)["u"], k=5)
+    for model in MODELS if kind == "inclined" else MODELS[:1]:
+        plant = sc.simulate(this, lambda time: spline([time])[0:1], t=t, model=model)
+        assert plant["tracking_error"].max() < 1e-7
+
+
+def test_without_inclination_spring_and_damper_nothing_determines_the_mass():
+    loose = scene(**FLAT, stiffness=0.0)
+    with pytest.raises(sc.InvalidModel, match="the path does not determine s"):
+        loose.exact(np.zeros(1))
+    assert sc.analyse(loose).classification == "singular here"
+
+
+def test_the_internal_motion_says_what_its_acceleration_is():
+    this = scene_of("level")
+    t = np.linspace(0.2, 3.8, 5)
+    h = 1e-3
+    before, at, after = (internal_motion(t + k * h, this.reference, this.parameter_values())[0] for k in (-1, 0, 1))
+    _, acceleration = internal_motion(t, this.reference, this.parameter_values())
+    np.testing.assert_allclose((before - 2 * at + after) / h**2, acceleration, atol=1e-5)
