@@ -20,11 +20,10 @@ demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tabl
 test: $(INSTALLED)  ## run the whole test suite
 	$(RUN) pytest -n $(TEST_PROCESSES)
 
-check: $(INSTALLED)  ## lint, format, types, direction of the imports
-	$(RUN) ruff check .
-	$(RUN) ruff format --check .
-	$(RUN) mypy --strict
-	$(BIN)/lint-imports
+check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
+	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
+	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(BIN)/lint-imports; \
+	exit $$status
 
 format: $(INSTALLED)  ## apply the formatter and the linter's safe corrections
 	$(RUN) ruff check --fix .
