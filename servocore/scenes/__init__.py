@@ -7,6 +7,7 @@ from servocore.scenes.cars import cars
 from servocore.scenes.gantry_crane import gantry_crane
 from servocore.scenes.mass_on_car import mass_on_car
 from servocore.scenes.overhead_crane import overhead_crane
+from servocore.scenes.passive_joint_arm import passive_joint_arm
 from servocore.scenes.rotary_crane import rotary_crane
 
 REGISTRY: dict[str, Callable[[], Scene]] = {
@@ -15,7 +16,18 @@ REGISTRY: dict[str, Callable[[], Scene]] = {
     "gantry_crane": gantry_crane,
     "cars": cars,
     "mass_on_car": mass_on_car,
+    "passive_joint_arm": passive_joint_arm,
 }
 """All scenes by name; what is listed here inherits the whole test suite."""
 
-__all__ = ["REGISTRY", "Limit", "Scene", "cars", "gantry_crane", "mass_on_car", "overhead_crane", "rotary_crane"]
+__all__ = [
+    "REGISTRY",
+    "Limit",
+    "Scene",
+    "cars",
+    "gantry_crane",
+    "mass_on_car",
+    "overhead_crane",
+    "passive_joint_arm",
+    "rotary_crane",
+]

@@ -6,13 +6,21 @@ from collections.abc import Callable
 
 import numpy as np
 
+from servocore.errors import IntegrationFailed, InvalidModel
 from servocore.symbols import Array
 
 Rate = Callable[[float, Array], Array]
 """(time in s, state (n,)) -> its rate (n,)."""
 
+Rates = Callable[[Array, Array], Array]
+"""(times in s (N,), states (n, N)) -> their rates (n, N)."""
+
 _RTOL, _ATOL = 1e-13, 1e-14
 _LONGEST_STEP = 1 / 100  # of the whole time, so that interpolation within a step is as accurate as the step
+
+_FADING = 32.0  # exp(-32) is round-off
+_BOUNDARY_TOLERANCE = 1e-10
+_UNDECIDED = 1e-12  # real parts of smaller magnitude, relative to the eigenvalue, count as zero
 
 
 def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
@@ -32,6 +40,11 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
     Returns
     -------
     ndarray, shape (n, N)
+
+    Raises
+    ------
+    IntegrationFailed
+        If the integrator gives up.
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
@@ -43,6 +56,7 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
             rate, span, np.zeros(size), method="DOP853", t_eval=t[later], rtol=_RTOL, atol=_ATOL,
             max_step=(span[1] - span[0]) * _LONGEST_STEP,
         )  # fmt: skip
+        _require_solved(solution.status == 0, solution.message)
         found[:, later] = solution.y
     return found
 
@@ -50,3 +64,63 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
 def backward(rate: Rate, t: Array, end: float, size: int) -> Array:
     """Solve x' = rate(t, x), x = 0 from `end` on, towards earlier times; otherwise as `forward`."""
     return forward(lambda reversed_time, x: -rate(-reversed_time, x), -t[::-1], -end, size)[:, ::-1]
+
+
+def two_sided(rate: Rates, t: Array, start: float, end: float, matrix: Array) -> Array:
+    """Solve x' = rate(t, x) for the solution that stays bounded for all times, with growing and decaying modes.
+
+    It leaves rest before `start` along the unstable directions and returns to rest after `end` along the stable ones:
+    a boundary value problem, given to SciPy's `solve_bvp`. Other arguments as in `forward`.
+
+    Parameters
+    ----------
+    rate : callable
+        Right-hand side for many times (N,) and states (n, N) at once; autonomous before `start` and after `end`, with
+        rest at x = 0.
+    t : ndarray, shape (N,)
+        In s, increasing.
+    start, end : float
+        Between these times the path moves, in s.
+    matrix : ndarray, shape (n, n)
+        Jacobian of `rate` at rest, without eigenvalues on the imaginary axis.
+
+    Returns
+    -------
+    ndarray, shape (n, N)
+
+    Raises
+    ------
+    InvalidModel
+        If an eigenvalue lies on the imaginary axis, or none in the left half plane.
+    IntegrationFailed
+        If the boundary value problem is not solved.
+    """
+    import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    values, left = np.linalg.eig(matrix.T)
+    decided = np.abs(values.real) > _UNDECIDED * np.abs(values)
+    stable, unstable = decided & (values.real < 0.0), decided & (values.real > 0.0)
+    if not (decided.all() and stable.any() and unstable.any()):
+        raise InvalidModel(
+            "a two-sided solution needs internal dynamics with decaying and growing modes and no others; their"
+            f" eigenvalues are {', '.join(f'{value:.4g}' for value in values)}"
+        )
+    before = start - _FADING / values[unstable].real.min()
+    after = end - _FADING / values[stable].real.max()
+
+    def boundary(first: Array, last: Array) -> Array:
+        conditions: Array = np.concatenate([left.T[stable] @ first, left.T[unstable] @ last])
+        return conditions
+
+    mesh = np.unique(np.concatenate([np.linspace(before, start, 100), np.linspace(start, end, 400),
+                                     np.linspace(end, after, 100)]))  # fmt: skip
+    found = scipy.integrate.solve_bvp(
+        rate, boundary, mesh, np.zeros((len(matrix), len(mesh))), tol=_BOUNDARY_TOLERANCE, max_nodes=100_000
+    )
+    _require_solved(found.status == 0, found.message)
+    return np.where((t >= before) & (t <= after), found.sol(np.clip(t, before, after)), 0.0)
+
+
+def _require_solved(solved: bool, message: str) -> None:
+    if not solved:
+        raise IntegrationFailed(f"the equation of the internal dynamics was not solved: {message}")

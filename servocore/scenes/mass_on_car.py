@@ -13,7 +13,7 @@ What the scene needs: m_1, m_2, k, d and the inclination alpha of two degrees of
 ``generalized``, in x and s. ``points`` has y as a third coordinate, with a constraint: M is diagonal, C Boolean.
 Left out: friction; gravity, which only shifts the equilibrium from which s is measured.
 
-Small data decide what kind of problem this is. The mass alone has
+The data decide what kind of problem this is. The mass alone has
 
     m_2 sin(alpha)^2 s'' + d s' + k s = -m_2 cos(alpha) y'',    u = m_1 x'' + m_2 y'',
 

@@ -1,0 +1,136 @@
+"""The arm with a passive joint: where its tracked point lies decides whether it can be driven forward in time."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+
+import servocore as sc
+from servocore.scenes.passive_joint_arm import generalized, passive_joint_arm
+
+DURATION = 2.0
+PERCUSSION = 2 / 3  # of a homogeneous rod of 1 m
+
+
+@cache
+def scene(tip: bool = False) -> sc.Scene:
+    return passive_joint_arm(tip)
+
+
+@cache
+def exact_on_grid(steps: int):
+    return scene().exact(np.linspace(0.0, DURATION, steps + 1))
+
+
+def errors(formulation, steps, model, names=("u", "a", "b")):
+    """Largest errors of backward Euler, as fractions of the largest exact values."""
+    solution = sc.solve(scene(), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
+    exact = exact_on_grid(steps)
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
+
+
+@pytest.mark.parametrize("model", ["generalized", "points"])
+@pytest.mark.parametrize(("tip", "kind"), [(False, "minimum phase"), (True, "non-minimum phase")])
+def test_a_homogeneous_rod_is_of_minimum_phase_inside_and_of_non_minimum_phase_at_its_tip(model, tip, kind):
+    report = sc.analyse(scene(tip), model=model)
+    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (3, 2, kind)
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.3, 0.65, 0.68, 1.0])
+def test_the_eigenvalues_follow_from_the_coefficient_of_the_theory(distance):
+    this = scene().with_parameters(tracked_distance=distance)
+    p = this.parameter_values()
+    J_2 = p["second_inertia"] + p["second_mass"] * p["second_centre"] ** 2
+    margin = J_2 - p["second_mass"] * p["second_centre"] * distance
+    inertia = p["first_length"] * margin / (p["first_length"] + distance)
+    assert (inertia > 0.0) == (distance < PERCUSSION)
+    found = sc.analyse(this).eigenvalues
+    expected = np.roots([inertia, p["joint_damping"], p["joint_stiffness"]])
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-8)
+
+
+def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook():
+    system = generalized()
+    a, b, p = 0.7, -1.1, scene().parameter_values()
+    M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])([a, b], system.parameters.values()))
+    J_2 = p["second_inertia"] + p["second_mass"] * p["second_centre"] ** 2
+    bent = p["second_mass"] * p["first_length"] * p["second_centre"] * np.cos(b)
+    first = p["first_inertia"] + p["second_mass"] * p["first_length"] ** 2 + J_2 + 2 * bent
+    np.testing.assert_allclose(M, [[first, J_2 + bent], [J_2 + bent, J_2]], rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("formulation", "model"),
+    [(sc.Reduced(), "generalized"), (sc.Reduced(), "points"), (sc.Projected(), "generalized")],
+    ids=lambda each: getattr(each, "name", each),
+)
+def test_backward_euler_converges_at_first_order_where_it_is_of_minimum_phase(formulation, model):
+    coarse, fine = (errors(formulation, steps, model) for steps in (1600, 3200))
+    np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
+    assert fine.max() < 0.005
+
+
+def test_the_projection_refuses_massless_angles_and_says_so():
+    with pytest.raises(sc.InvalidModel, match=r"the projection needs inertia .* the mass matrix is singular on a, b"):
+        sc.solve(scene(), sc.Projected(), model="points")
+
+
+@pytest.mark.parametrize("tip", [False, True])
+def test_the_independent_solution_keeps_both_equations_of_motion_of_the_model(tip):
+    system, this, h = generalized(), scene(tip), 2e-3
+    t = np.linspace(0.3, 1.7, 6)
+    exact = this.exact(np.sort(np.concatenate([t + k * h for k in range(-2, 3)])))
+    q = np.stack([exact[name].reshape(len(t), 5) for name in ("a", "b")])
+    v = q @ np.array([1, -8, 0, 8, -1]) / (12 * h)
+    acceleration = q @ np.array([-1, 16, -30, 16, -1]) / (12 * h**2)
+    symbols = [system.q, system.v, ca.SX.sym("a", 2), system.u, system.p]
+    balance = ca.Function("balance", symbols, [system.momentum_balance(symbols[2])])
+    p = system.parameters.values(this.parameters)
+    left = balance(q[:, :, 2], v, acceleration, exact["u"].reshape(len(t), 5)[:, 2][None], p)
+    np.testing.assert_allclose(left, 0.0, atol=1e-3 if tip else 1e-4)
+
+
+def test_under_the_exact_torque_the_tracked_point_returns_to_its_path():
+    t = np.linspace(0.0, DURATION, 801)
+    spline = make_interp_spline(t, scene().exact(t)["u"], k=5)
+    for model in scene().models:
+        plant = sc.simulate(scene(), lambda time: spline([time])[0:1], t=t[::10], model=model)
+        assert plant["tracking_error"].max() < 1e-7
+
+
+def test_the_linear_output_stays_close_to_the_angle_of_the_tracked_point():
+    solution = sc.solve(scene(), sc.Reduced(), step=0.01)
+    assert np.abs(solution["b"]).max() > 0.1
+    assert np.abs(solution["point_angle"] - solution["y"]).max() < 1e-3
+    radius = np.hypot(solution["point_x"], solution["point_y"])
+    np.testing.assert_allclose(radius**2, 1.0 + 0.16 + 0.8 * np.cos(solution["b"]), rtol=1e-12)
+
+
+def test_the_bounded_solution_at_the_tip_moves_before_the_path_and_fades_on_both_sides():
+    exact = scene(tip=True).exact(np.array([-3.0, -0.1, 0.0, 2.0, 2.1, 7.0]))
+    assert (np.abs(exact["b"][[0, -1]]) < 1e-12).all()
+    assert (np.abs(exact["b"][1:-1]) > 1e-4).all()
+    assert np.abs(exact["u"][1]) > 1e-2
+
+
+def test_forward_integration_at_the_tip_leaves_the_bounded_solution_and_is_not_recommended():
+    with pytest.raises(sc.InvalidSetting, match="non-minimum phase"):
+        sc.solve(scene(tip=True))
+    with pytest.raises(sc.IntegrationFailed):
+        sc.solve(scene(tip=True), sc.Reduced(), sc.BackwardEuler(), step=DURATION / 3200)
+
+
+def test_tracking_the_centre_of_percussion_is_refused_with_the_reason():
+    there = scene().with_parameters(tracked_distance=PERCUSSION)
+    with pytest.raises(sc.InvalidReference, match="joint 2 does not feel the acceleration of the tracked point"):
+        sc.solve(there, sc.Reduced(), sc.BackwardEuler())
+    assert sc.analyse(there).classification == "singular here"
+
+
+def test_without_a_spring_the_tip_has_no_bounded_solution():
+    with pytest.raises(sc.InvalidModel, match="decaying and growing modes and no others"):
+        scene(tip=True).with_parameters(joint_stiffness=0.0).exact(np.zeros(1))
