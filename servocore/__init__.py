@@ -6,6 +6,7 @@
 """
 
 from servocore import scenes
+from servocore.accuracy import Adaptive, Fixed
 from servocore.analysis import StructureReport, analyse
 from servocore.errors import (
     InconsistentStart,
@@ -50,8 +51,10 @@ __all__ = [
     "DEGREE7",
     "DEGREE9",
     "DEGREE13",
+    "Adaptive",
     "BackwardEuler",
     "Coordinates",
+    "Fixed",
     "Formulation",
     "Gauss",
     "InconsistentStart",

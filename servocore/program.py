@@ -21,7 +21,7 @@ from servocore.errors import InvalidReference, ServocoreError
 
 Array = npt.NDArray[np.float64]
 
-_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual")
+_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale")
 _FORMAT = "servocore program 1"
 
 
@@ -83,6 +83,8 @@ class Program:
         (gamma (m, `start_order` + 1), p) -> how far each limit of the scene is, positive where it is kept.
     guess_residual : casadi.Function
         Like `step`, to the residual of every equation at the first guess, for messages.
+    rescale : casadi.Function
+        (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
     """
 
     name: str
@@ -91,6 +93,8 @@ class Program:
     observe: ca.Function
     margins: ca.Function
     guess_residual: ca.Function
+    rescale: ca.Function
+    index: int
     order: int
     start_order: int
     nodes: tuple[float, ...]
@@ -128,6 +132,10 @@ class Program:
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
         """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
         return _outcome(*self._calls["step"](state, self._at_nodes(gamma), h, p))
+
+    def rescaled(self, state: Array, ratio: float) -> Array:
+        """Make a state ready for steps of another size; for forms of index one and less."""
+        return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
         """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""

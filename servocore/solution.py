@@ -29,6 +29,10 @@ class Statistics:
         Largest |c| in m and largest |dc/dt| in m/s.
     constraint_violation, constraint_rate_violation : float
         Largest |g| and |dg/dt|.
+    rejected : int
+        Steps that error control took back.
+    error_estimate : float or None
+        With error control: its estimate of the largest error of the inputs, relative to their peaks.
     """
 
     steps: int
@@ -39,6 +43,11 @@ class Statistics:
     servo_rate_violation: float
     constraint_violation: float
     constraint_rate_violation: float
+    rejected: int = 0
+    error_estimate: float | None = None
+
+
+NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,8 +64,8 @@ class Solution:
         Names and units of the columns of `values`.
     values : ndarray, shape (N, number of channels)
         One row a time.
-    statistics : Statistics or None
-        None for results that no time stepping produced.
+    statistics : Statistics
+        `NO_STATISTICS` for results that no run of this library produced.
     route : str
         Model, formulation and method that produced it.
     fit_error : float or None
@@ -69,7 +78,7 @@ class Solution:
     channels: tuple[Channel, ...]
     values: Array
     route: str
-    statistics: Statistics | None = None
+    statistics: Statistics = NO_STATISTICS
     fit_error: float | None = None
     advice: str = ""
 

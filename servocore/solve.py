@@ -1,31 +1,24 @@
-"""`solve`: the only loop over time."""
+"""`solve`: from a scene to its inputs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
+from servocore.accuracy import Adaptive, Fixed
 from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
-from servocore.calls import Call
-from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, InvalidSetting
-from servocore.feasibility import require_feasible, side_by_side
+from servocore.controlled import solve_to_tolerance
+from servocore.errors import InvalidSetting
+from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
-from servocore.methods import BackwardEuler, Method
-from servocore.program import Program
+from servocore.loop import Progress, observe, run, statistics
+from servocore.methods import BackwardEuler, Method, RadauIIA
 from servocore.references import Reference
 from servocore.scene import Scene
-from servocore.solution import Solution, Statistics
+from servocore.solution import Solution
 from servocore.stepper import Stepper
 from servocore.symbols import Array
-
-Progress = Callable[[int, int], None]
-"""Called with (steps done, steps in all)."""
-
-CHUNK = 512
-"""Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
 
 _DEFAULT_STEPS = 200
 
@@ -35,7 +28,8 @@ def solve(
     formulation: Formulation | None = None,
     method: Method | None = None,
     *,
-    step: float | None = None,
+    step: float | Fixed | Adaptive | None = None,
+    output_step: float | None = None,
     model: str | None = None,
     progress: Progress | None = None,
 ) -> Solution:
@@ -48,9 +42,12 @@ def solve(
     formulation : Formulation, optional
         What the analysis recommends when not given (`Reduced`, unless the internal dynamics are unstable).
     method : Method, optional
-        `BackwardEuler` when not given.
-    step : float, optional
-        Step size in s; must divide the duration of the reference. A 200th of the duration when not given.
+        `BackwardEuler` when not given; `RadauIIA` of three stages when the formulation is not given either.
+    step : float, Fixed or Adaptive, optional
+        Step size in s, which must divide the duration of the reference; a 200th of the duration when not given. Or
+        the accuracy wanted of the inputs.
+    output_step : float, optional
+        With `Adaptive`: time between reported instants, a 200th of the duration when not given.
     model : str, optional
         Model of the scene; its smallest when not given.
     progress : callable, optional
@@ -72,29 +69,30 @@ def solve(
     IntegrationFailed
         If a step is not solved.
     """
-    t, step = time_grid(scene.reference, step)
     advice = ""
     if formulation is None:
         formulation, advice = recommended(scene, model)
-    stepper = Stepper(scene, formulation, method or BackwardEuler(), step, model)
-    program, p = stepper.program, stepper.parameters
-    _require_derivatives(scene.reference, program)
-    require_feasible(scene.reference, stepper.system, scene.limits, p)
-    jets = scene.reference.jet(t, program.start_order)
-    past = scene.reference.jet(t[0] + step * np.array(program.start_instants), program.start_order)
-    state, report = program.begin(past, p, step)
-    if not report.converged or not report.residual < np.inf:
-        raise InconsistentStart(f"{program.name}: no consistent initial values at t = {t[0]:.6g} s")
-    states, counts, residuals = _run(scene, program, p, t, step, state, progress)
-    values, violations = _observe(program, states, jets, p)
-    statistics = Statistics(
-        len(t) - 1,
-        int(counts[0].sum()),
-        int(counts[1].sum()),
-        float(max(report.residual, residuals.max(initial=0.0))),
-        *(float(each) for each in violations.max(axis=1)),
-    )
-    return Solution(t, program.channels, values, program.name, statistics, scene.reference.fit_error, advice)
+        method = method or RadauIIA(3)
+    control = step if isinstance(step, Adaptive) else Fixed(step) if not isinstance(step, Fixed) else step
+    if output_step is not None and not isinstance(control, Adaptive):
+        raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
+    setting = output_step if isinstance(control, Adaptive) else control.h
+    t, h = time_grid(scene.reference, setting)
+    stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model)
+    require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters)
+    if isinstance(control, Adaptive):
+        solution = solve_to_tolerance(stepper, control, t, progress)
+    else:
+        solution = solve_at_constant_step(stepper, t, progress)
+    return replace(solution, advice=advice)
+
+
+def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None = None) -> Solution:
+    """Step through the instants `t`, one step of the stepper apart, and report every one."""
+    reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
+    done = run(reference, program, p, t, stepper.step, progress)
+    values, violations = observe(program, done.states, reference.jet(t, program.start_order), p)
+    return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
 
 
 def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, str]:
@@ -140,77 +138,3 @@ def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:
     t: Array = reference.start_time + np.arange(count + 1, dtype=np.float64) * (duration / count)
     t[-1] = reference.end_time
     return t, duration / count
-
-
-def _require_derivatives(reference: Reference, program: Program) -> None:
-    needed = program.start_order
-    if reference.max_order < needed:
-        raise InvalidReference(
-            f"the path has derivatives up to order {reference.max_order}, {program.name} needs order {needed}"
-        )
-
-
-def _run(
-    scene: Scene, program: Program, p: Array, t: Array, step: float, state: Array, progress: Progress | None
-) -> tuple[Array, Array, Array]:
-    """Step through all instants; returns states (size, N + 1), counts (2, N) and residuals (N,)."""
-    count = len(t) - 1
-    chunks = -(-count // CHUNK)
-    length = -(-count // chunks)
-    loop = _accumulated(program.step, length)
-    states, counts, residuals = [state[:, None]], [], []
-    for begin in range(0, count, length):
-        used = min(length, count - begin)
-        # A last chunk that is not full is padded with the final instant; what it gives there is dropped.
-        ends = t[np.minimum(np.arange(begin + 1, begin + length + 1), count)]
-        nodes = [scene.reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
-        gamma = np.concatenate(nodes, axis=1)
-        found, count_rows, worst = loop(
-            states[-1][:, -1],
-            side_by_side(gamma),
-            np.full((1, length), step),
-            np.tile(p[:, None], length),
-        )
-        found, count_rows, worst = found[:, :used], count_rows[:, :used], worst.ravel()[:used]
-        failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
-        if failed.any():
-            at = int(failed.argmax())
-            before = found[:, at - 1] if at else states[-1][:, -1]
-            _fail(scene, program, p, before, t[begin + at], step)
-        states.append(found)
-        counts.append(count_rows)
-        residuals.append(worst)
-        if progress is not None:
-            progress(begin + used, count)
-    return np.hstack(states), np.hstack(counts), np.concatenate(residuals)
-
-
-def _fail(scene: Scene, program: Program, p: Array, state: Array, time: float, step: float) -> None:
-    nodes = np.array([time + c * step for c in program.nodes])
-    worst = program.worst_equation(state, scene.reference.jet(nodes, program.order), step, p)
-    raise IntegrationFailed(
-        f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
-        f" the worst equation is the {worst}. Likely causes: a step too large for the path, or a configuration"
-        f" close to a singular one"
-    )
-
-
-def _observe(program: Program, states: Array, jets: Array, p: Array) -> tuple[Array, Array]:
-    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
-    count = len(jets)
-    values, violations = _mapped(program.observe, count)(states, side_by_side(jets), np.tile(p[:, None], count))
-    table = values.T
-    for k, channel in enumerate(program.channels):
-        if channel.wraps:
-            table[:, k] = np.unwrap(table[:, k])
-    return table, violations
-
-
-@lru_cache(maxsize=128)
-def _mapped(function: ca.Function, count: int) -> Call:
-    return Call(function.map(count))
-
-
-@lru_cache(maxsize=128)
-def _accumulated(function: ca.Function, count: int) -> Call:
-    return Call(function.mapaccum(f"{function.name()}_loop", count))

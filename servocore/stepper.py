@@ -45,6 +45,10 @@ def compile_program(
         observe=_compile_observe(system, dae, discretisation, known, start_order),
         margins=compile_margins(system, limits, start_order),
         guess_residual=_compile_guess_residual(discretisation),
+        rescale=ca.Function(
+            "sc_rescale", [discretisation.state, discretisation.ratio], [ca.densify(discretisation.rescaled)]
+        ),
+        index=dae.index,
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
         nodes=discretisation.nodes,
@@ -170,6 +174,11 @@ class Stepper:
         object.__setattr__(self, "program", program)
         object.__setattr__(self, "system", system)
         object.__setattr__(self, "parameters", p)
+
+    @property
+    def index(self) -> int:
+        """Index of the form that is stepped: 0 where every instant stands alone."""
+        return self.program.index
 
     @property
     def start_order(self) -> int:

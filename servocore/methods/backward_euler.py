@@ -43,6 +43,7 @@ class BackwardEuler:
         reference, (gamma,) = reference_symbols(dae, 1)
         rate = (dae.x - old[:size_x]) / h
         unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
+        ratio = ca.SX.sym("ratio")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
             unknowns=unknowns,
@@ -63,4 +64,6 @@ class BackwardEuler:
             nodes=(1.0,),
             reference=reference,
             step=h,
+            ratio=ratio,
+            rescaled=ca.vertcat(old, old - ratio * (old - older)),
         )

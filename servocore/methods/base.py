@@ -64,6 +64,8 @@ class Discretisation:
         Symbols of the reference at the nodes, shape (m, orders * len nodes), node after node.
     step : casadi.SX
         Symbol of the step size h.
+    ratio, rescaled : casadi.SX
+        Symbol of a new step size divided by the old one, and the state made ready for it.
     """
 
     equations: SquareSystem
@@ -76,6 +78,8 @@ class Discretisation:
     nodes: tuple[float, ...]
     reference: ca.SX
     step: ca.SX
+    ratio: ca.SX
+    rescaled: ca.SX
 
 
 class Method(Protocol):
@@ -143,4 +147,17 @@ def instantaneous(dae: Dae) -> Discretisation:
         unknown_scale=unknown_scale,
         residual_scale=residual_scale,
     )
-    return Discretisation(equations, old, dae.z, start, start.values[:, 0], old[:0], old, (1.0,), reference, h)
+    return Discretisation(
+        equations=equations,
+        state=old,
+        next_state=dae.z,
+        start=start,
+        first_state=start.values[:, 0],
+        x=old[:0],
+        z=old,
+        nodes=(1.0,),
+        reference=reference,
+        step=h,
+        ratio=ca.SX.sym("ratio"),
+        rescaled=old,
+    )

@@ -73,7 +73,7 @@ class BDF:
         size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
         # One column more than the formula needs serves to extrapolate the first guess with order k.
         history = ca.SX.sym("past", size, k + 1)
-        h = ca.SX.sym("h")
+        h, ratio = ca.SX.sym("h"), ca.SX.sym("ratio")
         reference, (gamma,) = reference_symbols(dae, 1)
         past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
         rate = (alpha[0] * dae.x + past) / h
@@ -99,6 +99,8 @@ class BDF:
             nodes=(1.0,),
             reference=reference,
             step=h,
+            ratio=ratio,
+            rescaled=ca.vec(ca.mtimes(history, _resampling(k + 1, ratio))),
         )
 
     def _history(self, dae: Dae, start: Start, h: ca.SX) -> ca.SX:
@@ -116,6 +118,20 @@ class BDF:
                     terms = [a * past[i] for i, a in enumerate(alpha[: past.numel()])]
                     history[place, j] = sum(terms, ca.SX(0)) / h
         return history
+
+
+def _resampling(points: int, ratio: ca.SX) -> ca.SX:
+    """Return R with history @ R = history at 0, -ratio, -2 ratio, ..., by the polynomial through all points."""
+    R = ca.SX(points, points)
+    for j in range(points):
+        at_point = -j * ratio
+        for i in range(points):
+            weight = ca.SX(1)
+            for m in range(points):
+                if m != i:
+                    weight *= (at_point + m) / (m - i)
+            R[i, j] = weight
+    return R
 
 
 def extrapolation(points: int) -> tuple[int, ...]:

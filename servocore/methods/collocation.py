@@ -58,23 +58,23 @@ def tableau(family: str, stages: int) -> Tableau:
     polynomial[stages] = 1.0
     if family == "radau":
         polynomial[stages - 1] = -1.0  # the roots of P_s - P_{s-1} include the right end
-    c: Array = (np.sort(np.real(legendre.legroots(polynomial))) + 1.0) / 2.0
+    c = np.asarray(np.sort(np.real(legendre.legroots(polynomial))) / 2.0 + 0.5, dtype=np.float64)
     for _ in range(3):  # polish the roots
         value = legendre.legval(2 * c - 1, polynomial)
-        c -= value / (2.0 * legendre.legval(2 * c - 1, legendre.legder(polynomial)))
+        slope = 2.0 * legendre.legval(2 * c - 1, legendre.legder(polynomial))
+        c = np.asarray(c - value / slope, dtype=np.float64)
     if family == "radau":
         c[-1] = 1.0
-    powers = np.arange(1.0, stages + 1)
-    vandermonde: Array = c[:, None] ** (powers - 1)
-    A: Array = np.linalg.solve(vandermonde.T, (c[:, None] ** powers / powers).T).T
-    b: Array = np.linalg.solve(vandermonde.T, 1.0 / powers)
+    powers, counts = np.vander(c, stages + 1, increasing=True), np.arange(1.0, stages + 1)
+    A: Array = np.linalg.solve(powers[:, :-1].T, (powers[:, 1:] / counts).T).T
+    b: Array = np.linalg.solve(powers[:, :-1].T, 1.0 / counts)
     return Tableau(c, A, b, 2 * stages - (family == "radau"))
 
 
 def lagrange(nodes: Array, points: Array) -> Array:
     """Return L with L @ values(nodes) = values(points) for polynomials, shape (points, nodes)."""
-    powers = np.arange(len(nodes))
-    weights: Array = np.linalg.solve((nodes[:, None] ** powers).T, (points[:, None] ** powers).T).T
+    at_nodes, at_points = (np.vander(each, len(nodes), increasing=True) for each in (nodes, points))
+    weights: Array = np.linalg.solve(at_nodes.T, at_points.T).T
     return weights
 
 
@@ -148,7 +148,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     s, size_x = len(method.c), dae.x.numel()
     size = size_x + dae.z.numel()
     old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
-    h, start = ca.SX.sym("h"), start_symbols(dae)
+    h, start, state = ca.SX.sym("h"), start_symbols(dae), ca.vertcat(old, ca.vec(past))
     reference, at_nodes = reference_symbols(dae, s)
     W = np.linalg.inv(method.A)
     residual = []
@@ -160,7 +160,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     unknown_scale, residual_scale = scales(dae, h)
     equations = SquareSystem(
         unknowns=ca.vec(unknowns),
-        givens=ca.vertcat(old, ca.vec(past), ca.vec(reference), h, dae.p),
+        givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
         residual=ca.vertcat(*residual),
         guess=ca.vec(ca.mtimes(past, ca.DM(lagrange(method.c, method.c + 1.0)).T)),
         unknown_scale=ca.repmat(unknown_scale, s, 1),
@@ -174,7 +174,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     first = start.values[:, 0]
     return Discretisation(
         equations=equations,
-        state=ca.vertcat(old, ca.vec(past)),
+        state=state,
         next_state=ca.vertcat(end, ca.vec(unknowns)),
         start=start,
         first_state=ca.repmat(first, s + 1, 1),
@@ -183,4 +183,6 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         nodes=tuple(float(c) for c in method.c),
         reference=reference,
         step=h,
+        ratio=ca.SX.sym("ratio"),
+        rescaled=state,
     )

@@ -43,6 +43,7 @@ class Trapezoidal:
         H = (at(dae, dae.H, old_x, old_z, gamma0) + at(dae, dae.H, dae.x, dae.z, gamma1)) / 2
         f = (at(dae, dae.f, old_x, old_z, gamma0) + at(dae, dae.f, dae.x, dae.z, gamma1)) / 2
         unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
+        ratio = ca.SX.sym("ratio")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
             unknowns=unknowns,
@@ -63,4 +64,6 @@ class Trapezoidal:
             nodes=(0.0, 1.0),
             reference=reference,
             step=h,
+            ratio=ratio,
+            rescaled=ca.vertcat(old, old - ratio * (old - older)),
         )
