@@ -1,11 +1,209 @@
+"""Formulations: all describe the same motion; C and D are what the paper says; refusals; exact special cases."""
+
 from __future__ import annotations
 
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
 import pytest
-from problems import FORMULATIONS, MODELS
+import scipy.integrate
+from problems import (
+    FORMULATIONS,
+    MODELS,
+    actuated_chain,
+    as_scene,
+    changed,
+    driven_pendulum,
+    mass_on_car,
+    polynomial_path,
+    redundant_pendulum,
+    scene,
+)
 from suite import FormulationSuite
+
+import servocore as sc
+from servocore.projection import project
+from servocore.system import DERIVED
 
 
 @pytest.mark.parametrize("of", FORMULATIONS, ids=lambda of: of.formulation.name)
 @pytest.mark.parametrize(("scene_name", "model"), MODELS)
 class TestEveryFormulation(FormulationSuite):
     pass
+
+
+# The matrices C and D, equations (23) to (28) ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["points", "bodies"])
+def test_C_and_D_are_boolean_where_the_load_s_position_is_among_the_coordinates(model):  # noqa: N802
+    """C picks the load's three coordinates, D all others, each once: together they are a permutation."""
+    system = scene("rotary_crane").model(model)
+    found = project(system)
+    assert found.boolean
+    C, D = np.asarray(ca.DM(found.C)), np.asarray(ca.DM(found.D))
+    n = len(system.coordinates)
+    assert C.shape == (3, n)
+    assert D.shape == (n, n - 3)
+    permutation = np.vstack([C, D.T])
+    assert set(np.unique(permutation)) == {0.0, 1.0}
+    np.testing.assert_array_equal(permutation @ permutation.T, np.eye(n))
+
+
+def test_the_paper_s_D_has_39_columns():  # noqa: N802
+    assert project(scene("rotary_crane").model("bodies")).D.shape == (42, 39)
+
+
+def test_generalised_coordinates_have_a_D_that_turns_with_the_configuration():  # noqa: N802
+    found = project(scene("rotary_crane").model("generalized"))
+    assert not found.boolean
+    assert not found.D.is_constant()
+
+
+def with_output(*rows: tuple[float, ...]) -> sc.MechanicalSystem:
+    """Return two coupled masses whose servo output is a linear combination of positions."""
+    chain = actuated_chain()
+    return changed(
+        chain,
+        output=ca.mtimes(ca.SX(np.array(rows)), chain.q),
+        outputs=chain.outputs[: len(rows)],
+        inputs=chain.inputs[: len(rows)],
+        gamma=DERIVED,
+        home=(),
+        input_matrix=chain.input_matrix[: len(rows), :],
+    )
+
+
+@pytest.mark.parametrize("row", [(1.0, 1.0), (2.0, 0.0), (-1.0, 0.0), (1.0, -3.0)])
+def test_a_constant_C_that_selects_nothing_is_not_taken_for_boolean(row):  # noqa: N802
+    found = project(with_output(row))
+    assert not found.boolean
+    C, D, W = (np.asarray(ca.DM(each)) for each in (found.C, found.D, found.W))
+    np.testing.assert_array_equal(C, [row])
+    np.testing.assert_allclose(C @ D, 0.0, atol=1e-15)
+    assert np.linalg.norm(D) > 0.5
+    np.testing.assert_allclose(np.array([[3.0, 0.5], [0.5, 2.0]]) @ W, C.T, atol=1e-14)
+
+
+def test_dependent_servo_outputs_are_refused():
+    with pytest.raises(sc.InvalidModel, match="actuated chain: the servo outputs are dependent"):
+        project(with_output((1.0, 2.0), (2.0, 4.0)))
+
+
+# Massless coordinates -------------------------------------------------------------------------------------------------
+
+
+def test_projection_refuses_a_servo_constrained_direction_without_mass_and_names_it():
+    with pytest.raises(sc.InvalidModel, match=r"inertia in the servo constrained directions, .* singular on theta$"):
+        sc.Projected().dae(redundant_pendulum("theta"))
+
+
+def test_projection_refuses_a_singular_mass_block_and_names_all_of_it():
+    """Two coordinates that move a mass together have no inertia against each other."""
+    chain = changed(actuated_chain(), mass=ca.SX([[2.0, 2.0], [2.0, 2.0]]))
+    with pytest.raises(sc.InvalidModel, match="singular on x1, x2"):
+        sc.Projected().dae(chain)
+
+
+def test_massless_coordinates_elsewhere_do_no_harm():
+    """theta has no mass, x has: the torque converges to that of the pendulum in its angle, m l^2 a + m g l sin."""
+    system = redundant_pendulum("x")
+    assert np.linalg.matrix_rank(np.asarray(ca.DM(ca.evalf(ca.substitute(system.mass, system.p, [2, 1.5, 9.81]))))) == 2
+    pendulum = as_scene(system, sc.rest_to_rest((0.1,), (0.9,), 2.0))
+    errors = []
+    for steps in (200, 400):
+        found = sc.solve(pendulum, sc.Projected(), sc.BackwardEuler(), step=2.0 / steps)
+        x, x1, x2 = pendulum.reference.jet(found.t, 2)[:, :, 0].T
+        sin, cos = x / 1.5, np.sqrt(1.0 - (x / 1.5) ** 2)
+        rate = x1 / (1.5 * cos)
+        acceleration = x2 / (1.5 * cos) + sin / cos * rate**2
+        np.testing.assert_allclose(found["theta"], np.arcsin(sin), atol=1e-12)
+        exact = 2.0 * 1.5**2 * acceleration + 2.0 * 9.81 * 1.5 * sin
+        errors.append(np.abs(found["torque"] - exact).max())
+    assert errors[0] < 0.5
+    assert errors[0] / errors[1] == pytest.approx(2.0, rel=0.1)
+
+
+# Full actuation: plain inverse dynamics -------------------------------------------------------------------------------
+
+PATH = polynomial_path([[0.2, -0.1], [0.5, 0.3], [-0.7, 1.1], [0.9, -2.0], [1.3, 0.4]])
+
+
+@pytest.mark.parametrize("formulation", [sc.Projected(), sc.Reduced()], ids=lambda f: f.name)
+@pytest.mark.parametrize("steps", [2, 50])
+def test_with_as_many_inputs_as_coordinates_inputs_are_exact_at_every_step(formulation, steps):
+    """u = M gamma'' + c gamma' + K gamma where every coordinate is prescribed; v enters the projected form by its
+    numerical derivative, so the damper is left out here."""
+    chain = as_scene(actuated_chain(), PATH).with_parameters(c=0.0)
+    found = sc.solve(chain, formulation, sc.BackwardEuler(), step=1.0 / steps)
+    x, _, x2 = np.moveaxis(PATH.jet(found.t, 2), 1, 0)
+    exact = x2 @ np.array([[3.0, 0.5], [0.5, 2.0]]) + x @ (70.0 * np.array([[2.0, -1.0], [-1.0, 1.0]]))
+    np.testing.assert_allclose(np.column_stack([found["F1"], found["F2"]]), exact, rtol=1e-13, atol=1e-11)
+
+
+def test_the_damper_of_a_prescribed_motion_shows_the_first_order_of_the_velocity():
+    """A velocity is the backward difference: c (gamma(t) - gamma(t - h))/h, to the last digit."""
+    h = 0.125
+    chain = as_scene(actuated_chain(), PATH)
+    found = sc.solve(chain, sc.Projected(), sc.BackwardEuler(), step=h)
+    rigid = sc.solve(chain.with_parameters(c=0.0), sc.Projected(), sc.BackwardEuler(), step=h)
+    x = PATH.jet(found.t, 0)[:, 0]
+    for k, name in enumerate(("F1", "F2")):
+        damper = (found[name] - rigid[name])[1:]
+        np.testing.assert_allclose(damper, 3.0 * np.diff(x[:, k]) / h, rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("steps", [3, 40])
+def test_a_driven_pendulum_gets_its_torque_exactly_at_every_step(steps):
+    path = sc.rest_to_rest((0.0,), (3.0,), 2.0)
+    found = sc.solve(as_scene(driven_pendulum(), path), sc.Projected(), sc.BackwardEuler(), step=2.0 / steps)
+    angle, _, acceleration = path.jet(found.t, 2)[:, :, 0].T
+    exact = 2.0 * 1.5**2 * acceleration + 2.0 * 9.81 * 1.5 * np.sin(angle)
+    np.testing.assert_allclose(found["torque"], exact, rtol=1e-13, atol=1e-12)
+
+
+def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact_and_a_cubic_is_not():
+    """(gamma(t) - 2 gamma(t - h) + gamma(t - 2h))/h^2 = gamma'' - h gamma''': error 6 m h on t^3."""
+    h, inertia = 0.125, 2.0 * 1.5**2
+    free = as_scene(driven_pendulum(), polynomial_path([[0.0], [0.0], [1.0]])).with_parameters(g=0.0)
+    parabola = sc.solve(free, sc.Original(), sc.BackwardEuler(), step=h)
+    np.testing.assert_allclose(parabola["torque"][2:], 2.0 * inertia, rtol=1e-12)
+    cubic = sc.solve(
+        free.with_reference(polynomial_path([[0.0], [0.0], [0.0], [1.0]])), sc.Original(), sc.BackwardEuler(), step=h
+    )
+    np.testing.assert_allclose(cubic["torque"][2:], inertia * (6.0 * cubic.t[2:] - 6.0 * h), rtol=1e-12)
+
+
+# Internal dynamics ----------------------------------------------------------------------------------------------------
+
+
+def mass_on_car_exactly(path, t):
+    """Internal dynamics m2 sin^2 s'' + d s' + k s = -m2 cos y'' by SciPy, then u = (m1 + m2) x'' + m2 cos s''."""
+    alpha, d, k = np.pi / 4, 2.0, 5.0
+    sin, cos = np.sin(alpha), np.cos(alpha)
+
+    def acceleration(time, s, s_dot):
+        return (-cos * path.jet(time, 2)[2, 0] - d * s_dot - k * s) / sin**2
+
+    found = scipy.integrate.solve_ivp(
+        lambda time, y: [y[1], acceleration(time, *y)], (t[0], t[-1]), [0.0, 0.0], "DOP853", t, rtol=1e-11, atol=1e-12
+    )
+    s, s_dot = found.y
+    s_2 = np.array([acceleration(*each) for each in zip(t, s, s_dot, strict=True)])
+    return s, 2.0 * (path.jet(t, 2)[:, 2, 0] - cos * s_2) + cos * s_2
+
+
+@pytest.mark.parametrize("formulation", [each.formulation for each in FORMULATIONS], ids=lambda f: f.name)
+def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation):
+    """The mass on a car of Seifried and Blajer at 45 degrees, minimum phase, against its own internal dynamics."""
+    path = sc.rest_to_rest((0.0,), (1.0,), 2.0)
+    cart = as_scene(mass_on_car(np.pi / 4, 2.0), path)
+    errors = []
+    for steps in (200, 400, 800):
+        found = sc.solve(cart, formulation, sc.BackwardEuler(), step=2.0 / steps)
+        s, u = mass_on_car_exactly(path, found.t)
+        errors.append([np.abs(found["s"] - s).max(), np.abs(found["u"] - u).max()])
+    assert (np.array(errors[-1]) < [0.01, 0.1]).all()
+    for coarse, fine in pairwise(errors):
+        np.testing.assert_allclose(np.divide(coarse, fine), 2.0, rtol=0.1)

@@ -6,9 +6,21 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from problems import FORMULATIONS, METHODS, MODELS, PROBLEMS, SCENES, UNSTABLE, largest_errors, problem, scene, solved
+from problems import (
+    FLAT_MODELS,
+    FORMULATIONS,
+    METHODS,
+    MODELS,
+    PROBLEMS,
+    SCENES,
+    UNSTABLE,
+    largest_errors,
+    problem,
+    scene,
+    solved,
+)
 from scipy.interpolate import make_interp_spline
-from suite import ModelSuite, ProblemSuite, SceneSuite
+from suite import FlatModelSuite, ModelSuite, ProblemSuite, SceneSuite
 
 import servocore as sc
 from servocore import formulations, methods
@@ -36,6 +48,8 @@ def test_only_what_is_shown_to_fail_is_kept_out_of_the_suite():
     every = {(name, model, each.formulation.name) for name, model in MODELS for each in FORMULATIONS}
     assert {(p.scene_name, p.model, p.of.formulation.name) for p in PROBLEMS} == every - set(UNSTABLE)
     assert set(UNSTABLE) < every
+    methods_tried = {(p.scene_name, p.by.method) for p in PROBLEMS}
+    assert methods_tried == {(name, each.method) for name in SCENES for each in METHODS if each.damped and each.steps}
 
 
 @pytest.mark.parametrize("scene_name", SCENES)
@@ -45,6 +59,11 @@ class TestEveryScene(SceneSuite):
 
 @pytest.mark.parametrize(("scene_name", "model"), MODELS)
 class TestEveryModel(ModelSuite):
+    pass
+
+
+@pytest.mark.parametrize(("scene_name", "model"), FLAT_MODELS)
+class TestEveryFlatModel(FlatModelSuite):
     pass
 
 
