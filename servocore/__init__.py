@@ -17,7 +17,7 @@ from servocore.errors import (
     ServocoreError,
 )
 from servocore.formulations import Formulation, Original, Projected, Reduced
-from servocore.methods import BDF, BackwardEuler, Gauss, Method, Orders, RadauIIA, Trapezoidal
+from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
 from servocore.program import Program, StepReport
 from servocore.references import (
     DEGREE3,
@@ -57,6 +57,7 @@ __all__ = [
     "Fixed",
     "Formulation",
     "Gauss",
+    "GeneralizedAlpha",
     "InconsistentStart",
     "IntegrationFailed",
     "InvalidModel",

@@ -4,6 +4,17 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, Method, Orders
 from servocore.methods.bdf import BDF
 from servocore.methods.collocation import Gauss, RadauIIA
+from servocore.methods.generalized_alpha import GeneralizedAlpha
 from servocore.methods.trapezoidal import Trapezoidal
 
-__all__ = ["BDF", "BackwardEuler", "Discretisation", "Gauss", "Method", "Orders", "RadauIIA", "Trapezoidal"]
+__all__ = [
+    "BDF",
+    "BackwardEuler",
+    "Discretisation",
+    "Gauss",
+    "GeneralizedAlpha",
+    "Method",
+    "Orders",
+    "RadauIIA",
+    "Trapezoidal",
+]

@@ -66,16 +66,19 @@ def tableau(family: str, stages: int) -> Tableau:
     if family == "radau":
         c[-1] = 1.0
     powers, counts = np.vander(c, stages + 1, increasing=True), np.arange(1.0, stages + 1)
-    A: Array = np.linalg.solve(powers[:, :-1].T, (powers[:, 1:] / counts).T).T
-    b: Array = np.linalg.solve(powers[:, :-1].T, 1.0 / counts)
+    A = _solve(powers[:, :-1].T, (powers[:, 1:] / counts).T).T
+    b = _solve(powers[:, :-1].T, 1.0 / counts)
     return Tableau(c, A, b, 2 * stages - (family == "radau"))
 
 
 def lagrange(nodes: Array, points: Array) -> Array:
     """Return L with L @ values(nodes) = values(points) for polynomials, shape (points, nodes)."""
     at_nodes, at_points = (np.vander(each, len(nodes), increasing=True) for each in (nodes, points))
-    weights: Array = np.linalg.solve(at_nodes.T, at_points.T).T
-    return weights
+    return _solve(at_nodes.T, at_points.T).T
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 
 def _require_stages(stages: int) -> None:
