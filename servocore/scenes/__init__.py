@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 from servocore.scene import Limit, Scene
 from servocore.scenes.cars import cars
+from servocore.scenes.elastic_bar import elastic_bar
 from servocore.scenes.gantry_crane import gantry_crane
 from servocore.scenes.mass_on_car import mass_on_car
 from servocore.scenes.overhead_crane import overhead_crane
@@ -17,6 +18,7 @@ REGISTRY: dict[str, Callable[[], Scene]] = {
     "cars": cars,
     "mass_on_car": mass_on_car,
     "passive_joint_arm": passive_joint_arm,
+    "elastic_bar": elastic_bar,
 }
 """All scenes by name; what is listed here inherits the whole test suite."""
 
@@ -25,6 +27,7 @@ __all__ = [
     "Limit",
     "Scene",
     "cars",
+    "elastic_bar",
     "gantry_crane",
     "mass_on_car",
     "overhead_crane",

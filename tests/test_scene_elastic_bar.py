@@ -1,0 +1,124 @@
+"""The elastic bar: exact as a chain, and d'Alembert's answer for what the chain stands for."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from numpy.polynomial.legendre import leggauss
+
+import servocore as sc
+from servocore.references.profiles import polynomial
+from servocore.scenes.elastic_bar import dalembert, elastic_bar, wave_time
+
+DURATION = 2.0
+COUNTS = (2, 3, 6, 12)
+SMOOTH = sc.rest_to_rest((0.0,), (1.0,), DURATION, polynomial(49))
+
+
+@cache
+def scene(count: int = 3) -> sc.Scene:
+    return elastic_bar(count)
+
+
+def errors(this, solution, names):
+    """Largest errors, as fractions of the largest exact values."""
+    exact = this.exact(solution.t)
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_n_masses_have_index_2n_plus_1_and_no_internal_dynamics(count):
+    report = sc.analyse(scene(count))
+    assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_reduced_form_returns_the_closed_form_at_any_step(count):
+    for this in (scene(count), scene(count).with_parameters(length=0.7, end_mass=0.0, axial_stiffness=60.0)):
+        solution = sc.solve(this, sc.Reduced(), step=0.1)
+        assert errors(this, solution, ("u", "y", *(f"w_{i}" for i in range(1, count + 1)))).max() < 1e-11
+
+
+def test_the_projected_form_converges_at_first_order():
+    coarse, fine = (sc.solve(scene(), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.005, 0.0025))
+    (ratio,) = errors(scene(), coarse, "u") / errors(scene(), fine, "u")
+    assert ratio == pytest.approx(2.0, abs=0.05)
+    assert errors(scene(), fine, "u") < 0.01
+
+
+@pytest.mark.parametrize("count", [2, 3, 6])
+def test_under_the_exact_force_the_free_end_returns_to_its_path(count):
+    inputs = sc.solve(scene(count), sc.Reduced(), step=0.005)
+    assert sc.simulate(scene(count), inputs)["tracking_error"].max() < 1e-7
+
+
+def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body():
+    p = scene(6).with_parameters(axial_stiffness=1e9).parameter_values()
+    t = np.linspace(0.0, DURATION, 9)
+    jet = scene(6).reference.jet(t, 12)
+    rigid = (p["end_mass"] + p["line_mass"] * p["length"]) * jet[:, 2, 0]
+    np.testing.assert_allclose(scene(6).closed_form(jet, p)["u"], rigid, atol=1e-6)
+
+
+def test_dalembert_keeps_the_path_the_elastic_law_and_the_balance_of_momentum():
+    p, h = scene().parameter_values(), 1e-4
+    t = np.linspace(-0.1, DURATION + 0.1, 45)
+    reference = scene().reference
+    np.testing.assert_allclose(dalembert(t, reference, p, 0.0)["w"], reference.jet(t, 0)[:, 0, 0], atol=1e-15)
+    for section in (0.2, 0.9):
+        ahead, behind = (dalembert(t, reference, p, section + shift)["w"] for shift in (h, -h))
+        strain = (ahead - behind) / (2 * h)
+        np.testing.assert_allclose(p["axial_stiffness"] * strain, dalembert(t, reference, p, section)["u"], atol=1e-5)
+    nodes, weights = leggauss(20)
+    momentum = p["end_mass"] * reference.jet(t, 2)[:, 2, 0]
+    for node, weight in zip(0.5 * p["length"] * (1 + nodes), 0.5 * p["length"] * weights, strict=True):
+        before, at, after = (dalembert(t + shift, reference, p, node)["w"] for shift in (-1e-3, 0.0, 1e-3))
+        momentum = momentum + weight * p["line_mass"] * (before - 2 * at + after) / 1e-6
+    np.testing.assert_allclose(dalembert(t, reference, p)["u"], momentum, atol=1e-3)
+
+
+def test_the_bar_is_driven_from_a_wave_time_before_the_motion_to_a_wave_time_after():
+    p = scene().parameter_values()
+    delay = wave_time(p)
+    assert delay == pytest.approx(0.1)
+    fast = sc.rest_to_rest((0.0,), (1.0,), 0.5)
+    t = np.array([-delay, -delay / 2, 0.5 + delay / 2, 0.5 + delay])
+    u = dalembert(t, fast, p)["u"]
+    np.testing.assert_array_equal(u[[0, 3]], 0.0)
+    assert (np.abs(u[[1, 2]]) > 0.1).all()
+
+
+def test_within_the_motion_the_chain_converges_to_the_bar_with_the_square_of_the_piece():
+    p, delay = scene().parameter_values(), wave_time(scene().parameter_values())
+    t = np.linspace(delay, DURATION - delay, 61)
+    bar = dalembert(t, SMOOTH, p)
+    found = {}
+    for count in (5, 9, 12):
+        chain = elastic_bar(count).with_reference(SMOOTH).exact(t)
+        found[count] = np.array([np.abs(chain["u"] - bar["u"]).max(), np.abs(chain[f"w_{count}"] - bar["w"]).max()])
+    np.testing.assert_allclose(found[5] / found[9], (8 / 4) ** 2, rtol=0.02)
+    np.testing.assert_allclose(found[9] / found[12], (11 / 8) ** 2, rtol=0.02)
+    assert found[12][0] < 1e-3 * np.abs(bar["u"]).max()
+
+
+def test_at_its_start_the_chain_continues_the_path_as_a_polynomial_and_not_as_rest():
+    """With d'Alembert's formula for the polynomial itself, of degree 9 and 0.5 s long."""
+    fast, p = sc.rest_to_rest((0.0,), (1.0,), 0.5), scene().parameter_values()
+    delay, t = wave_time(p), np.array([0.01])
+    path = Polynomial(sc.DEGREE9.coefficients)(Polynomial([0.0, 2.0]))
+    speed = p["length"] / delay
+    continued = p["axial_stiffness"] / (2 * speed) * (path.deriv()(t + delay) - path.deriv()(t - delay))
+    continued += p["end_mass"] / 2 * (path.deriv(2)(t + delay) + path.deriv(2)(t - delay))
+    coarse, fine = (elastic_bar(count).with_reference(fast).exact(t)["u"] for count in (6, 12))
+    ratio = np.abs(coarse - continued) / np.abs(fine - continued)
+    np.testing.assert_allclose(ratio, (11 / 5) ** 2, rtol=0.1)
+    assert np.abs(fine - dalembert(t, fast, p)["u"]) > 10 * np.abs(fine - continued)
+
+
+@pytest.mark.parametrize(("count", "sentence"), [(1, "a chain of masses has at least 2"), (13, "at most 12 masses")])
+def test_other_numbers_of_masses_are_refused(count, sentence):
+    with pytest.raises(sc.InvalidModel, match=sentence):
+        elastic_bar(count)
