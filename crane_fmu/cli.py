@@ -6,6 +6,7 @@ stream. Whatever else is raised is a defect and ends with its traceback.
 
 from __future__ import annotations
 
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -256,21 +257,21 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
 
     with PatientProgress("demo") as progress:
         done = demo(output, progress.describe)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = Console()
     if not console.is_terminal:
         console.width = max(console.width, WIDE)
     for each in done.tables:
-        console.print(_terminal_table(each))
+        console.print(f"[bold]{each.title}[/bold]", _terminal_table(each), sep="\n")
+        console.print(each.note, "", sep="\n" if each.note else "")
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
 
 
 def _terminal_table(table: Table) -> rich.table.Table:
-    shown = rich.table.Table(title=table.title, caption=table.note or None, box=rich.box.SIMPLE_HEAD)
-    shown.title_justify = shown.caption_justify = "left"
-    for heading in table.headings:
-        shown.add_column(heading, no_wrap=True)
+    shown = rich.table.Table(*table.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     for row in table.rows:
         shown.add_row(*row)
     return shown

@@ -78,7 +78,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         write_report(draft, contents.sections(found, run, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
     tables = (
-        contents.error_table(found),
+        contents.error_table(found, factors=False),
         contents.difference_table(found),
         contents.fmu_table(run),
         contents.tracking_table(found),

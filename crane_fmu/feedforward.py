@@ -25,6 +25,9 @@ FORMULATIONS: Mapping[str, sc.Formulation] = {
 
 METHODS: Mapping[str, sc.Method] = {
     "backward-euler": sc.BackwardEuler(),
+    "bdf2": sc.BDF(2),
+    "bdf3": sc.BDF(3),
+    "radau3": sc.RadauIIA(3),
 }
 """Methods that can be asked for by name; the first is the default."""
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,19 +49,38 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
             messages.append(message.decode() if isinstance(message, bytes) else message)
 
     try:
-        rows = fmpy.simulate_fmu(
-            str(fmu),
-            start_time=reference.start_time,
-            stop_time=reference.end_time,
-            output_interval=step,
-            input=input_rows(reference, step),
-            start_values=start_values,
-            logger=listen,
-            debug_logging=True,
-        )
+        with _modules_of_the_fmu_forgotten():
+            rows = fmpy.simulate_fmu(
+                str(fmu),
+                start_time=reference.start_time,
+                stop_time=reference.end_time,
+                output_interval=step,
+                input=input_rows(reference, step),
+                start_values=start_values,
+                logger=listen,
+                debug_logging=True,
+            )
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
     return _complete(fmu, rows, reference, step, messages)
+
+
+@contextmanager
+def _modules_of_the_fmu_forgotten() -> Iterator[None]:
+    """Leave no modules behind that came out of the FMU: in a Python process it imports from its unpacked folder.
+
+    FMPy deletes that folder after a run. A module that stays would be taken for that of the next FMU of the same
+    name, also while this process builds one.
+    """
+    before, search_path = set(sys.modules), list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = search_path
+        for name in set(sys.modules) - before:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file is not None and not Path(file).exists():
+                del sys.modules[name]
 
 
 def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:

@@ -1,6 +1,7 @@
 """The command line does what its help says, and refuses with one sentence."""
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -301,3 +302,34 @@ def test_the_module_runs_as_a_program():
     assert result.returncode == 2
     assert result.stdout == ""
     assert result.stderr == "crane-fmu: the step must be positive and finite, not -1.0 s\n"
+
+
+PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+EXAMPLES = [
+    line.removeprefix("$ crane-fmu ").split()
+    for block in re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    for line in block.splitlines()
+    if line.startswith("$ crane-fmu feedforward --")
+]
+
+
+@pytest.mark.parametrize("arguments", EXAMPLES, ids=" ".join)
+def test_the_examples_of_the_page_run(arguments):
+    reference_csv(count=201)
+    write("crane.toml", re.search(r"^```toml\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1])
+    result = run(*arguments)
+    assert result.exit_code == 0, result.stderr
+    for option in ("--output", "--plot"):
+        if option in arguments:
+            assert Path(arguments[arguments.index(option) + 1]).is_file()
+
+
+def test_the_page_names_every_option_and_every_choice():
+    listed = set(re.findall(r"--[a-z]+", run("feedforward", "--help").stdout)) - {"--help"}
+    assert {option for option in listed if f"`{option}" not in PAGE} == set()
+    for name in (*PROFILES, *MODELS, *FORMULATIONS, *METHODS, *sc.scenes.rotary_crane().parameter_values()):
+        assert re.search(rf"(`|^){name}\b", PAGE, re.MULTILINE), name
+
+
+def test_the_page_shows_the_header_of_the_table():
+    assert f"`{HEADER}`" in PAGE

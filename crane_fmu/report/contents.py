@@ -8,6 +8,7 @@ from crane_fmu.report import convergence, postures, trajectories
 from crane_fmu.report.page import Illustration, Section, Table, number, parameter_table, percent
 from crane_fmu.report.study import INPUTS, MOTION, Cycle, ErrorRow, FmuRun, Study
 
+_PERCENT = tuple(f"{name} (%)" for name in INPUTS)
 TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
 
 
@@ -158,40 +159,40 @@ def _errors(study: Study) -> Section:
     )
 
 
-def error_table(study: Study) -> Table:
-    """Return the largest errors against the closed form; after the first step of a model with the halving factor."""
-    rows, before = [], None
-    for row in (*study.errors, study.reduced):
-        same = before is not None and before.model == row.model and row is not study.reduced
-        rows.append(_error_cells(row, before if same else None, "reduced" if row is study.reduced else ""))
-        before = row
+def error_table(study: Study, factors: bool = True) -> Table:
+    """Return the largest errors against the closed form, with the factors by which they fall if wanted."""
+    rows = []
+    for before, row in zip((None, *study.errors), study.errors, strict=False):
+        coarser = before if factors and before is not None and before.model == row.model else None
+        rows.append(_error_cells(row, coarser))
+    rows.append(("reduced", *_error_cells(study.reduced, None)[1:]))
+    explained = " After ÷: the factor by which the error fell when the step was halved." if factors else ""
     return Table(
         "Largest errors against the closed form",
-        ("model", "step (s)", "M_b", "F", "M_w", "φ (rad)", "s (m)", "l (m)"),
+        ("model", "h (s)", *_PERCENT, "φ (rad)", "s (m)", "l (m)"),
         tuple(rows),
-        "Inputs: relative to the largest value of each; after ÷, the factor by which the error fell when the step was"
-        " halved. Motion: absolute. The last row is the reduced formulation, all others are the projected one.",
+        f"h is the step. Inputs: relative to the largest value of each.{explained} Motion: absolute. The last row is"
+        f" the reduced formulation with the model {study.reduced.model}, all others are the projected one.",
     )
 
 
-def _error_cells(row: ErrorRow, before: ErrorRow | None, remark: str) -> tuple[str, ...]:
+def _error_cells(row: ErrorRow, before: ErrorRow | None) -> tuple[str, ...]:
     inputs = [
-        percent(row.inputs[name]) + (f" ÷{before.inputs[name] / row.inputs[name]:.2f}" if before else "")
+        number(100 * row.inputs[name]) + (f" ÷{before.inputs[name] / row.inputs[name]:.2f}" if before else "")
         for name in INPUTS
     ]
-    motion = [number(row.motion[name], 1) for name in MOTION]
-    return (f"{row.model}, {remark}" if remark else row.model, f"{row.step:g}", *inputs, *motion)
+    return (row.model, f"{row.step:g}", *inputs, *(number(row.motion[name], 1) for name in MOTION))
 
 
 def difference_table(study: Study) -> Table:
     """Return the largest differences between the models' inputs."""
     rows = [
-        (" and ".join(row.models), f"{row.step:g}", *(percent(row.inputs[name]) for name in INPUTS))
+        (" and ".join(row.models), f"{row.step:g}", *(number(100 * row.inputs[name]) for name in INPUTS))
         for row in study.differences
     ]
     return Table(
         "Largest differences between the models' inputs",
-        ("models", "step (s)", "M_b", "F", "M_w"),
+        ("models", "h (s)", *_PERCENT),
         tuple(rows),
         "Relative to the largest value of each input.",
     )
@@ -224,6 +225,8 @@ def fmu_table(fmu: FmuRun) -> Table:
         "Largest differences of the FMU's outputs",
         ("output", "from the library", "from the closed form"),
         tuple(rows),
+        "A simulation tool hands over the path at the start of a communication step; the FMU continues it to the end of"
+        " the step by its Taylor polynomial. That is the difference from the library.",
     )
 
 
@@ -250,7 +253,7 @@ def _tracking(study: Study) -> Section:
 def tracking_table(study: Study) -> Table:
     """Return how far the load strays in forward simulations."""
     rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in study.tracking)
-    return Table("Forward simulation", ("under", "largest distance of the load from its path"), rows)
+    return Table("Forward simulation", ("under", "load off its path by at most"), rows)
 
 
 def _cycle(cycle: Cycle) -> Section:
@@ -286,6 +289,6 @@ def cycle_table(cycle: Cycle) -> Table:
     row: Mapping[str, float] = cycle.row.inputs
     return Table(
         "Working cycle: largest errors of the inputs",
-        ("step (s)", *INPUTS),
-        ((f"{cycle.row.step:g}", *(percent(row[name]) for name in INPUTS)),),
+        ("h (s)", *_PERCENT),
+        ((f"{cycle.row.step:g}", *(number(100 * row[name]) for name in INPUTS)),),
     )

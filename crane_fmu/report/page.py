@@ -122,13 +122,17 @@ def formula(text: str) -> Markup:
     return Markup(re.sub(r"\b([A-Za-z])_([a-z])\b", r"<i>\1</i><sub>\2</sub>", str(escape(text))))
 
 
+ROUNDING = 1e-9
+"""Numbers smaller than this come from rounding; one digit says enough."""
+
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number in a few digits, small ones as 1.2·10⁻⁵."""
+    """Return a number in a few digits, a small one as 1.2·10⁻⁵."""
     if value == 0.0 or abs(value) >= 1e-3:
         return f"{value:.{digits}g}"
+    digits = 1 if abs(value) < ROUNDING else min(digits, 2)
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
 

@@ -1,0 +1,187 @@
+"""The demo leaves a complete folder or none, and the FMU that it runs does what the library does."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import crane_fmu.demo
+import servocore as sc
+from crane_fmu.build import build_fmu
+from crane_fmu.cli import app
+from crane_fmu.demo import demo, example_cycle, examples_folder
+from crane_fmu.run import input_rows, run_fmu
+from crane_fmu.writing import filled_folder, write_together
+
+ROOT = Path(__file__).resolve().parents[1]
+STEPS = (0.2, 0.1)
+FIGURES = ("crane", "reference_function", "motion", "inputs", "initial_posture", "final_posture",
+           "error_against_step", "tracking", "cycle_path", "cycle_inputs")  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return build_fmu(tmp_path_factory.mktemp("fmu"))
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    said = []
+    result = demo(tmp_path_factory.mktemp("demo") / "deep" / "out", said.append, STEPS)
+    assert said
+    return result
+
+
+class TestDemo:
+    def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done):
+        expected = {"RotaryCrane.fmu", "inputs.csv", "report.html"}
+        expected |= {f"figures/{name}{suffix}" for name in FIGURES for suffix in (".png", ".svg")}
+        present = {each.relative_to(done.folder).as_posix() for each in done.folder.rglob("*") if each.is_file()}
+        assert present == expected == set(done.files)
+        assert [each.name for each in done.folder.parent.iterdir()] == ["out"]
+        assert done.notes == ()
+
+    def test_the_table_of_inputs_is_what_solve_returns(self, done):
+        lines = (done.folder / "inputs.csv").read_text().splitlines()
+        assert lines[0] == "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
+        values = np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
+        expected = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=STEPS[0])
+        np.testing.assert_array_equal(values[:, 1], expected["M_b"])
+
+    def test_the_report_says_that_the_fmu_ran_to_its_end(self, done):
+        assert "101 rows up to t = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
+
+    def test_the_tables_name_every_model_and_step(self, done):
+        rows = done.tables[0].rows
+        assert {row[0] for row in rows} == {"points", "generalized", "bodies", "reduced"}
+        assert {row[1] for row in rows} == {"0.2", "0.1"}
+
+    def test_a_second_run_replaces_what_is_there_and_keeps_the_rest(self, done, monkeypatch):
+        (done.folder / "notes.txt").write_text("mine")
+        (done.folder / "report.html").write_text("old")
+        monkeypatch.setattr(crane_fmu.demo, "build_fmu", lambda folder, _: _copied(done.folder, folder))
+        demo(done.folder, steps=STEPS)
+        assert (done.folder / "notes.txt").read_text() == "mine"
+        assert (done.folder / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+        (done.folder / "notes.txt").unlink()
+
+    def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(self, done, tmp_path, monkeypatch):
+        monkeypatch.setattr(crane_fmu.demo, "build_fmu", lambda folder, _: _copied(done.folder, folder))
+        monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
+        result = demo(tmp_path / "out", steps=STEPS)
+        assert "working cycle" in result.notes[0]
+        assert "figures/tracking.png" in result.files
+        assert "figures/cycle_path.png" not in result.files
+
+
+def _copied(source, folder):
+    target = folder / "RotaryCrane.fmu"
+    target.write_bytes((source / "RotaryCrane.fmu").read_bytes())
+    return target
+
+
+def test_the_command_prints_tables_and_where_the_report_is(done, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(crane_fmu.demo, "demo", lambda *_: done)
+    result = CliRunner().invoke(app, ["demo"])
+    assert result.exit_code == 0
+    assert "Largest errors against the closed form" in result.stdout
+    assert "Largest differences between the models' inputs" in result.stdout
+    assert "report.html" in result.stdout
+    assert result.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["demo", "build"])
+def test_a_folder_that_cannot_be_made_is_one_sentence(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_text("in the way")
+    for place in ("file", "file/deeper"):
+        result = CliRunner().invoke(app, [command, "-o", place])
+        assert result.exit_code == 2
+        assert result.stdout == ""
+        assert re.fullmatch(r"crane-fmu: cannot make the folder file.*\n", result.stderr)
+    assert os.listdir() == ["file"]
+
+
+def test_build_is_the_same_as_build_fmu(fmu, tmp_path):
+    built = tmp_path / "deep" / "folder" / "RotaryCrane.fmu"
+    command = [sys.executable, "-m", "crane_fmu", "build", "-o", str(built.parent)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    assert done.stdout.strip() == str(built)
+    assert done.stderr == ""
+    assert built.read_bytes() == fmu.read_bytes()
+
+
+class TestRunFmu:
+    def test_it_follows_the_library_at_every_row(self, fmu):
+        crane = sc.scenes.rotary_crane()
+        outputs = run_fmu(fmu, crane.reference, 0.1)
+        library = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.1)
+        np.testing.assert_allclose(outputs["time"], library.t, atol=1e-9)
+        for name, tolerance in (("M_b", 0.05), ("F", 0.01), ("M_w", 1e-4), ("phi", 1e-6), ("s", 1e-5), ("l", 1e-6)):
+            np.testing.assert_allclose(outputs[name], library[name], atol=tolerance, err_msg=name)
+
+    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu):
+        over_the_axis = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
+        with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = .* of 10 s .*slewing axis"):
+            run_fmu(fmu, over_the_axis, 0.1)
+
+    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu):
+        before = set(sys.modules), list(sys.path)
+        run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.5)
+        stayed = [name for name in set(sys.modules) - before[0] if name.startswith("rotary_crane")]
+        assert stayed == []
+        assert sys.path == before[1]
+
+    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu):
+        with pytest.raises(sc.IntegrationFailed, match="load_mass"):
+            run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
+
+    def test_inputs_are_the_path_and_its_four_derivatives(self):
+        reference = sc.scenes.rotary_crane().reference
+        rows = input_rows(reference, 0.5)
+        assert rows["time"][-1] == 20.0
+        assert len(rows.dtype.names) == 16
+        np.testing.assert_array_equal(rows["load.position[1]"], reference.jet(rows["time"], 0)[:, 0, 0])
+        np.testing.assert_array_equal(rows["load.snap[3]"], reference.jet(rows["time"], 4)[:, 4, 2])
+
+
+class TestExamples:
+    def test_they_are_beside_the_package_in_a_clone(self):
+        assert (examples_folder() / "working_cycle_sampled.csv").is_file()
+
+    def test_waypoints_and_samples_are_one_path(self):
+        cycle = example_cycle(sc.scenes.rotary_crane(), examples_folder())
+        assert cycle.apart < 1e-9
+        assert cycle.row.inputs["M_b"] < 0.05
+
+
+def _half_done(folder, failure):
+    with filled_folder(folder) as draft:
+        (draft / "report.html").write_text("new")
+        raise failure
+
+
+class TestWriting:
+    def test_a_folder_that_is_not_finished_never_appears(self, tmp_path):
+        with pytest.raises(KeyboardInterrupt):
+            _half_done(tmp_path / "deep" / "out", KeyboardInterrupt)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_an_existing_folder_is_left_alone_by_a_failure(self, tmp_path):
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "report.html").write_text("old")
+        with pytest.raises(RuntimeError):
+            _half_done(tmp_path / "out", RuntimeError)
+        assert (tmp_path / "out" / "report.html").read_text() == "old"
+        assert [each.name for each in tmp_path.iterdir()] == ["out"]
+
+    def test_of_two_files_none_is_written_if_one_cannot_be(self, tmp_path):
+        with pytest.raises(sc.InvalidSetting, match="cannot write"):
+            write_together({tmp_path / "one": b"1", tmp_path / "nowhere" / "two": b"2"})
+        assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,245 @@
+"""Figures say what they show, the page needs nothing but itself, and its numbers are those of the library."""
+
+import re
+from base64 import b64decode
+
+import numpy as np
+import pytest
+
+import servocore as sc
+from crane_fmu.report import contents, convergence, postures, trajectories
+from crane_fmu.report.page import formula, number, page, parameter_table
+from crane_fmu.report.study import INPUTS, ErrorRow, error_row, exact_inputs, fmu_run, study, working_cycle
+from crane_fmu.report.style import LABELS, picture
+
+STEPS = (0.2, 0.1)
+
+
+@pytest.fixture(scope="module")
+def crane():
+    return sc.scenes.rotary_crane()
+
+
+@pytest.fixture(scope="module")
+def found(crane):
+    return study(crane, lambda _: None, STEPS)
+
+
+@pytest.fixture(scope="module")
+def cycle(crane):
+    waypoints = np.array([[0.0, 5.0, 0.0, -5.0], [6.0, 4.0, 3.0, -3.0], [12.0, 0.0, 5.0, -5.0]])
+    through = sc.through(waypoints[:, 1:], waypoints[:, 0])
+    t = np.linspace(0.0, 12.0, 121)
+    return working_cycle(crane, through, sc.sampled(t, through.jet(t, 0)[:, 0]), waypoints)
+
+
+@pytest.fixture(scope="module")
+def written(crane, found, cycle):
+    outputs = {"time": found.base.t, **{name: found.base[name] for name in found.base.names}}
+    return contents.sections(found, fmu_run(crane, outputs, found.base), cycle)
+
+
+@pytest.fixture(scope="module")
+def drawings(written):
+    return {name: data for section in written for each in section.illustrations for name, data in each.files().items()}
+
+
+@pytest.fixture(scope="module")
+def html(written, drawings):
+    return page(contents.TITLE, written, drawings)
+
+
+def labels(figure):
+    return [axes.get_ylabel() for axes in figure.axes]
+
+
+def legend(figure):
+    holders = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+    return [text.get_text() for each in holders for text in each.get_texts()]
+
+
+class TestNumbers:
+    def test_errors_halve_with_the_step_in_every_model(self, found):
+        rows = {(row.model, row.step): row.inputs for row in found.errors}
+        for model in found.models:
+            for name in INPUTS:
+                ratio = rows[model, STEPS[0]][name] / rows[model, STEPS[1]][name]
+                assert ratio == pytest.approx(2.0, rel=0.15), (model, name)
+
+    def test_the_motion_is_exact(self, found):
+        assert max(max(row.motion.values()) for row in found.errors) < 1e-9
+
+    def test_the_models_approach_one_another(self, found):
+        assert len(found.differences) == 3 * len(STEPS)
+        rows = {(row.models, row.step): row.inputs["M_b"] for row in found.differences}
+        for pair in {row.models for row in found.differences}:
+            assert rows[pair, STEPS[1]] < 0.6 * rows[pair, STEPS[0]]
+
+    def test_the_reduced_formulation_has_no_error(self, found):
+        assert max(found.reduced.inputs.values()) < 1e-9
+
+    def test_the_load_strays_less_with_better_inputs(self, found):
+        coarse, fine, exact = (each.largest for each in found.tracking)
+        assert exact < 1e-6
+        assert exact < fine < coarse
+
+    def test_an_error_row_is_relative_for_inputs_and_absolute_for_the_motion(self, crane):
+        solution = sc.solve(crane, sc.Reduced(), step=0.5)
+        solution.values[3, solution.names.index("M_b")] += 1.0
+        solution.values[3, solution.names.index("s")] += 0.25
+        row = error_row(crane, solution, "points", 0.5)
+        assert row.inputs["M_b"] == pytest.approx(1.0 / np.abs(crane.exact(solution.t)["M_b"]).max())
+        assert row.motion["s"] == pytest.approx(0.25)
+
+    def test_the_inputs_of_the_closed_form_are_those_of_the_scene(self, crane):
+        exact = crane.exact(np.array([7.3456]))
+        np.testing.assert_allclose(exact_inputs(crane)(7.3456), [exact[name][0] for name in INPUTS], atol=1e-9)
+
+    def test_samples_and_waypoints_give_one_path(self, cycle):
+        assert cycle.apart < 1e-8
+
+
+class TestFigures:
+    def test_the_reference_function_rises_from_zero_to_one(self, crane):
+        figure = trajectories.reference_function(crane.reference)
+        above, below = figure.axes
+        s = above.lines[0].get_ydata()
+        assert (s[0], s[-1]) == pytest.approx((0.0, 1.0))
+        t = below.lines[0].get_xdata()
+        np.testing.assert_allclose(below.lines[0].get_ydata(), crane.reference.profile.jet(t, 20 - t, 20.0, 2)[:, 2],
+                                   atol=1e-12)  # fmt: skip
+        assert labels(figure) == ["$s(t)$ (1)", "$\\ddot{s}(t)$ (1/s²)"]
+        assert below.get_xlabel() == "time (s)"
+
+    def test_the_motion_is_drawn_in_degrees_and_metres(self, found, crane):
+        figure = trajectories.motion(found.base, crane)
+        assert labels(figure) == [LABELS[name] for name in ("phi", "s", "l")]
+        assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(135.0)
+        assert legend(figure) == ["computed", "closed form"]
+
+    def test_both_sets_of_coordinates_and_the_closed_form_are_on_top_of_each_other(self, found, crane):
+        redundant, generalised = found.solutions["bodies", 0.2], found.solutions["generalized", 0.2]
+        figure = trajectories.inputs_compared(redundant, generalised, trajectories.closed_form_curve(crane))
+        assert labels(figure) == [LABELS["M_b"], LABELS["F"]]
+        assert [len(axes.lines) for axes in figure.axes] == [3, 3]
+        assert len(legend(figure)) == 3
+        looks = {(line.get_linestyle(), line.get_marker(), line.get_linewidth()) for line in figure.axes[0].lines}
+        assert len(looks) == 3, "curves must differ without their colours"
+        np.testing.assert_array_equal(figure.axes[0].lines[1].get_ydata(), redundant["M_b"])
+
+    def test_what_plot_draws_has_six_panels_with_units(self, found):
+        figure = trajectories.inputs_and_motion(found.base)
+        assert sorted(labels(figure)) == sorted(LABELS.values())
+        assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
+
+    @pytest.mark.parametrize("index", [0, -1])
+    def test_a_posture_shows_the_crane_where_it_is(self, found, index):
+        figure = postures.posture(found.base, index)
+        (axes,) = figure.axes
+        drawn = {line.get_label(): np.array(line.get_data_3d()) for line in axes.lines}
+        run = found.base
+        trolley = run["s"][index] * np.array([np.cos(run["phi"][index]), np.sin(run["phi"][index])])
+        load = [run[name][index] for name in "xyz"]
+        np.testing.assert_allclose(drawn["trolley and winch"].ravel(), [*trolley, 0.0], atol=1e-12)
+        np.testing.assert_allclose(drawn["load"].ravel(), load, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(np.diff(drawn["rope"], axis=1)), run["l"][index])
+        assert [axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()] == ["$x$ (m)", "$y$ (m)", "$z$ (m)"]
+        assert {"path of the load", "bridge", "rope", "load"} <= set(legend(figure))
+
+    def test_the_sketch_names_what_it_measures(self, crane):
+        texts = [text.get_text() for text in postures.sketch(crane).axes[0].texts]
+        assert {"$\\varphi$", "$s$", "$l$"} <= set(texts)
+
+    def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found):
+        figure = convergence.error_against_step(found.errors)
+        (axes,) = figure.axes
+        assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
+        assert axes.get_xlabel() == "step (s)"
+        assert len(axes.lines) == len(found.models) * len(INPUTS) + 1
+        guide = axes.lines[-1]
+        slope = np.polyfit(np.log(guide.get_xdata()), np.log(guide.get_ydata()), 1)[0]
+        assert slope == pytest.approx(1.0)
+
+    def test_tracking_shows_path_and_distance(self, found, crane):
+        figure = trajectories.tracking(found.tracking, crane.reference)
+        assert labels(figure) == ["position of the load (m)", "distance from the path (mm)"]
+        assert figure.axes[1].get_yscale() == "log"
+        assert len(legend(figure)) == 1 + len(found.tracking)
+
+    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane):
+        radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
+        figure = trajectories.inputs_and_motion(sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1))
+        for axes in figure.axes:
+            low, high = axes.get_ylim()
+            assert high - low > 1e-3
+
+    @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+    def test_a_picture_is_the_same_every_time(self, crane, suffix):
+        one, other = (picture(trajectories.reference_function(crane.reference), suffix) for _ in range(2))
+        assert one == other
+
+
+class TestPage:
+    def test_it_needs_nothing_else(self, html):
+        assert "http" not in html
+        assert "<script" not in html
+        assert "<link" not in html
+        sources = re.findall(r'src="([^"]*)"', html)
+        assert sources
+        assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
+
+    def test_its_pictures_are_those_of_the_files(self, html, drawings):
+        inside = [b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', html)]
+        assert inside == [data for name, data in drawings.items() if name.endswith(".svg")]
+
+    def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html):
+        assert re.findall(r"<b>Figure (\d+)\.</b>", html) == [str(k) for k in range(1, 11)]
+        assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 6)]
+        assert all(re.findall(r'alt="([^"]*)"', html))
+
+    def test_it_declares_its_data_an_assumption_and_claims_no_printed_curve(self, html):
+        text = " ".join(html.split())
+        assert "declared assumption" in text
+        assert "no figure here claims to reproduce a printed curve" in text
+
+    def test_it_names_no_machine_and_no_day(self, html):
+        assert not re.search(r"/(home|root|tmp|usr|work)/|\b20[12]\d-\d\d", html)
+        assert "@media print" in html
+
+    def test_the_reference_of_the_paper_is_the_only_year(self, html):
+        text = re.sub(r"base64,[^\"]*", "", html)
+        assert set(re.findall(r"\b(?:19|20)\d\d\b", text)) == {"2009"}
+
+    def test_texts_are_escaped_and_symbols_set(self):
+        assert formula("a < b & M_b") == "a &lt; b &amp; <i>M</i><sub>b</sub>"
+        assert formula("bridge_inertia") == "bridge_inertia"
+
+    def test_the_data_of_the_crane_are_all_there(self, crane):
+        table = parameter_table(crane.with_parameters(load_mass=80.0))
+        assert {row[2]: row[1] for row in table.rows} == {
+            "bridge_inertia": "480 kg m²", "trolley_mass": "10 kg", "load_mass": "80 kg",
+            "winch_inertia": "0.1 kg m²", "winch_radius": "0.1 m", "gravity": "9.81 m/s²",
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (23.398, "23.4"), (0.00298, "0.00298"), (7.45e-4, "7.5·10⁻⁴"), (1.94e-13, "2·10⁻¹³")],
+)  # fmt: skip
+def test_numbers_are_short(value, text):
+    assert number(value) == text
+
+
+def test_the_error_table_shows_the_factor_between_two_steps(found):
+    table = contents.error_table(found)
+    assert [row[0] for row in table.rows] == [*(m for m in found.models for _ in STEPS), "reduced"]
+    first, second = table.rows[:2]
+    assert "÷" not in "".join(first)
+    assert re.search(r"÷(1\.9|2\.0)", second[2])
+    assert "÷" not in "".join("".join(row) for row in contents.error_table(found, factors=False).rows)
+
+
+def test_error_rows_are_values():
+    row = ErrorRow("points", 0.1, {"M_b": 0.1}, {"phi": 0.0})
+    with pytest.raises(AttributeError):
+        row.step = 0.2
