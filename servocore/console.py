@@ -1,0 +1,99 @@
+"""What command lines of this project share: refusals in one sentence, a progress bar that waits, tables.
+
+Exit codes: 0 when everything asked for was done; 2 when it was not, with one sentence on the standard error
+stream. Whatever else is raised is a defect and ends with its traceback.
+"""
+
+from __future__ import annotations
+
+import sys
+from time import monotonic
+from types import TracebackType
+from typing import Any, NoReturn
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from typer.core import TyperGroup
+
+from servocore.errors import ServocoreError
+
+REFUSED = 2
+WIDE = 120
+"""Columns of text for tables that do not go to a terminal."""
+
+UsageError: Any = typer.BadParameter.__mro__[1]
+"""What the command line's own complaints have in common; Typer gives it no public name."""
+
+SETTINGS: dict[str, Any] = {
+    "add_completion": False,
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "rich",
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+    "epilog": "Exit code 0: done. Exit code 2: refused, with one sentence on the error stream and no file.",
+}
+"""How every command line of this project is set up, beside its name, help and `SentenceGroup`."""
+
+
+class SentenceGroup(TyperGroup):
+    """A command group that ends refusals with one plain sentence, which its name opens, and exit code 2."""
+
+    def main(self, *args: Any, **options: Any) -> Any:
+        """Run the command line and end the process; the arguments are Typer's own."""
+        try:
+            code = super().main(*args, **{**options, "standalone_mode": False})
+        except ServocoreError as error:
+            self._refuse(str(error))
+        except typer.Abort:
+            self._refuse("stopped")
+        except UsageError as error:
+            message = error.format_message().rstrip(".")
+            self._refuse(f"{message[:1].lower()}{message[1:]}; see {self.name} --help")
+        sys.exit(code if isinstance(code, int) else 0)
+
+    def _refuse(self, sentence: str) -> NoReturn:
+        print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
+        sys.exit(REFUSED)
+
+
+class PatientProgress:
+    """A progress bar on the error stream, for terminals only, that appears after a second."""
+
+    def __init__(self, label: str) -> None:
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+        self._task = self._progress.add_task(label, total=None)
+        self._begin = monotonic()
+        self._started = False
+
+    def __enter__(self) -> PatientProgress:
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show that `done` of `total` steps are done."""
+        self._show()
+        self._progress.update(self._task, completed=done, total=total)
+
+    def describe(self, label: str) -> None:
+        """Change what is said to be going on."""
+        self._show()
+        self._progress.update(self._task, description=label)
+
+    def _show(self) -> None:
+        if not self._started and self._progress.console.is_terminal and monotonic() - self._begin > 1.0:
+            self._progress.start()
+            self._started = True
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._started:
+            self._progress.stop()
+
+
+def table_console() -> Console:
+    """Return the console of the standard output stream, wide enough for tables where it is no terminal."""
+    console = Console()
+    if not console.is_terminal:
+        console.width = max(console.width, WIDE)
+    return console

@@ -1,0 +1,146 @@
+"""What the models of a scene cost: sizes that count, errors that hold, text for humans and machines."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import servocore as sc
+from servocore.levels import Cost, Level, Spread, compiled_run, measure_levels, timed_in_turn
+from servocore.levels_text import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
+
+INSTANTS = 50
+
+
+@cache
+def levels(name: str) -> tuple[Level, ...]:
+    return measure_levels(sc.scenes.REGISTRY[name](), instants=INSTANTS, repeats=2)
+
+
+def test_levels_count_coordinates_and_unknowns_of_every_model_of_the_crane():
+    found = [
+        (each.model, each.needed, each.coordinates, each.costs["exact"].unknowns, each.costs["projected"].unknowns)
+        for each in levels("rotary_crane")
+    ]
+    assert found == [
+        ("points", True, 9, 42, 25),
+        ("generalized", False, 5, 18, 13),
+        ("bodies", False, 42, 172, 124),
+    ]
+    assert {(each.index, each.internal_degrees_of_freedom) for each in levels("rotary_crane")} == {(5, 0)}
+
+
+def test_exact_inversion_is_exact_and_the_projected_step_is_not():
+    for level in levels("rotary_crane"):
+        assert level.costs["exact"].error < 1e-12
+        assert 0.1 < level.costs["projected"].error < 2.0
+
+
+def test_internal_dynamics_are_integrated_and_said_to_be():
+    found = levels("mass_on_car")
+    assert [each.internal_degrees_of_freedom for each in found] == [2, 2]
+    assert all(each.costs["exact"].error < 1e-4 for each in found)
+    assert "It has internal dynamics of 2 states" in " ".join(remarks(found))
+
+
+def test_times_are_positive_and_their_quartiles_in_order():
+    for level in (*levels("rotary_crane"), *levels("mass_on_car")):
+        for cost in level.costs.values():
+            assert 0.0 < cost.microseconds.lower <= cost.microseconds.median <= cost.microseconds.upper
+
+
+def test_a_spread_is_median_and_quartiles():
+    assert Spread.of([4.0, 1.0, 2.0, 3.0, 5.0]) == Spread(3.0, 2.0, 4.0)
+    assert Spread.of([7.0]) == Spread(7.0, 7.0, 7.0)
+
+
+def test_the_measured_run_is_the_one_that_solve_returns():
+    scene = sc.scenes.rotary_crane()
+    for method in (sc.BackwardEuler(), sc.RadauIIA(2), sc.BDF(3)):
+        states = compiled_run(scene, sc.Projected(), method, "points", INSTANTS)()[0]
+        stepper = sc.Stepper(scene, sc.Projected(), method, 20.0 / INSTANTS)
+        solution = sc.solve(scene, sc.Projected(), method, step=20.0 / INSTANTS)
+        last = stepper.values(states[:, -1], scene.reference.jet(20.0, stepper.start_order))
+        for name in ("M_b", "F", "M_w"):
+            assert last[name] == pytest.approx(solution[name][-1], rel=1e-9)
+
+
+def test_runs_are_timed_in_turn_after_a_round_to_warm_up():
+    order = []
+    seconds = timed_in_turn({name: lambda name=name: order.append(name) for name in "ab"}, 2)
+    assert "".join(order) == "ababab"
+    assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
+
+
+def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measured():
+    massless = replace(sc.scenes.cars().model(), mass=sc.scenes.cars().model().mass[:, :] * 0)
+    scene = replace(sc.scenes.cars(), models={"massless": lambda: massless})
+    (level,) = measure_levels(scene, instants=INSTANTS, repeats=1)
+    assert "needs inertia in the servo constrained directions" in level.costs["projected"].refusal
+    assert level.costs["exact"].microseconds is not None
+    assert rows(level)[1][4:] == ("projected", "-", "-", "-", "-", "-")
+    assert rows(level)[0][8] == "-"
+    assert any(each.startswith("massless, projected: ") for each in remarks([level]))
+    lines = list(csv.DictReader(io.StringIO(csv_text([level]))))
+    assert lines[1]["microseconds"] == ""
+    assert "needs inertia" in lines[1]["refusal"]
+
+
+def test_a_scene_without_an_exact_answer_has_costs_but_no_errors():
+    scene = replace(sc.scenes.cars(), closed_form=None)
+    (level,) = measure_levels(scene, instants=INSTANTS, repeats=1)
+    assert [cost.error for cost in level.costs.values()] == [None, None]
+    assert [row[-1] for row in rows(level)] == ["-", "-"]
+
+
+def test_a_path_that_becomes_singular_is_refused_with_the_time():
+    slack = sc.scenes.overhead_crane().with_parameters(gravity=0.1)
+    with pytest.raises(sc.InvalidReference, match=r"overhead_crane, points: at t = .* the rope goes slack"):
+        measure_levels(slack, instants=INSTANTS)
+
+
+@pytest.mark.parametrize(("instants", "repeats"), [(0, 1), (1, 0), (-3, 5)])
+def test_nothing_to_measure_is_refused(instants, repeats):
+    with pytest.raises(sc.InvalidSetting, match="at least one instant and one repeat"):
+        measure_levels(sc.scenes.cars(), instants=instants, repeats=repeats)
+
+
+def test_csv_has_one_line_a_model_and_route_in_full_precision():
+    found = levels("rotary_crane")
+    lines = list(csv.DictReader(io.StringIO(csv_text(found))))
+    assert tuple(lines[0]) == COLUMNS
+    assert [(each["model"], each["route"]) for each in lines] == [
+        (model, route) for model in ("points", "generalized", "bodies") for route in ("exact", "projected")
+    ]
+    assert float(lines[0]["microseconds"]) == found[0].costs["exact"].microseconds.median
+    assert float(lines[1]["error"]) == found[0].costs["projected"].error
+    assert [each["needed"] for each in lines] == ["1", "1", "0", "0", "0", "0"]
+
+
+def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about():
+    found = [*levels("rotary_crane"), *levels("mass_on_car")]
+    text = markdown_page(found, command="servocore levels --all", instants=INSTANTS, repeats=2)
+    assert "## `rotary_crane`" in text
+    assert "## `mass_on_car`" in text
+    assert "    servocore levels --all\n" in text
+    assert "rotary_crane needs no more than the model points" in text
+    table = [line for line in text.splitlines() if line.startswith("|")]
+    assert len(table) == 2 * 2 + 2 * len(found)
+    assert {line.count("|") for line in table} == {len(HEADINGS) + 1}
+    assert "{" not in text
+
+
+def test_the_ratio_is_that_of_the_medians():
+    costs = {
+        "exact": Cost(9, Spread(3.0, 2.0, 4.0), 1e-15),
+        "projected": Cost(5, Spread(1.5, 1.0, 2.0), 1e-2),
+    }
+    first, second = rows(Level("cars", "points", True, 2, 5, 0, costs))
+    assert first == ("points", "2", "5", "0", "exact", "9", "3", "2 to 4", "2", "1.0e-15")
+    assert second == ("", "", "", "", "projected", "5", "1.5", "1 to 2", "1", "1.0e-02")
+    np.testing.assert_equal(len(first), len(HEADINGS))

@@ -1,0 +1,207 @@
+"""The command ``servocore`` does what its help says, and refuses with one sentence."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import servocore as sc
+from servocore import cli
+from servocore.cli import app, described
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(map(str, arguments)))
+
+
+def assert_refused(result, *words):
+    assert result.exit_code == 2, result.output
+    assert result.stdout == ""
+    assert result.stderr.startswith("servocore: ")
+    assert len(result.stderr.splitlines()) == 1
+    assert "Traceback" not in result.stderr
+    for word in words:
+        assert word in result.stderr
+
+
+def write(name, text):
+    Path(name).write_text(text, encoding="utf-8")
+    return name
+
+
+class TestScenes:
+    def test_every_scene_is_listed_with_models_inputs_and_outputs(self):
+        result = run("scenes")
+        assert result.exit_code == 0
+        assert result.stderr == ""
+        for name, factory in sc.scenes.REGISTRY.items():
+            scene = factory()
+            assert name in result.stdout
+            for each in (*scene.model().inputs, *scene.model().outputs):
+                assert f"{each.name} [{each.unit}]" in result.stdout
+            for model in scene.models:
+                assert model in result.stdout
+
+    def test_models_stand_smallest_first(self):
+        text = run("scenes").stdout.split("overhead_crane")[0]
+        assert text.index("points") < text.index("generalized") < text.index("bodies")
+
+    @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+    def test_a_scene_says_in_one_line_what_it_is_and_in_one_sentence_what_it_needs(self, name):
+        summary, needs = described(sc.scenes.REGISTRY[name])
+        assert summary.endswith(".")
+        assert needs.startswith("needs: ")
+        assert needs.endswith(".")
+        assert "``" not in needs
+        assert len(needs) > 40
+
+    def test_without_docstrings_the_table_is_still_there(self):
+        code = "from servocore.cli import app; app(['scenes'])"
+        command = [sys.executable, "-OO", "-c", code]
+        found = subprocess.run(
+            command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}
+        )
+        assert found.returncode == 0, found.stderr
+        assert "rotary_crane" in found.stdout
+
+
+class TestAnalyse:
+    @pytest.mark.parametrize(("scene", "model"), [("rotary_crane", "bodies"), ("cars", None), ("mass_on_car", None)])
+    def test_it_prints_what_analyse_returns(self, scene, model):
+        result = run("analyse", scene, *(("--model", model) if model else ()))
+        assert result.exit_code == 0
+        assert result.stderr == ""
+        assert result.stdout == f"{sc.analyse(sc.scenes.REGISTRY[scene](), model=model)}\n"
+
+    def test_parameters_from_a_file_change_the_answer(self):
+        result = run("analyse", "mass_on_car", "--parameters", write("flat.toml", "inclination = 0\ndamping = 0.0\n"))
+        assert result.exit_code == 0
+        assert "  index               5\n" in result.stdout
+        assert "classification      flat" in result.stdout
+
+    def test_a_singular_problem_is_an_answer_with_reason_and_time(self):
+        result = run("analyse", "overhead_crane", "--parameters", write("moon.toml", "gravity = 0.1"))
+        assert result.exit_code == 0
+        assert "classification      singular here" in result.stdout
+        assert "reason              at t = " in result.stdout
+        assert "the rope goes slack" in result.stdout
+
+    def test_an_unstable_problem_is_an_answer_too(self):
+        result = run("analyse", "mass_on_car", "--parameters", write("pushed.toml", "stiffness = -5"))
+        assert result.exit_code == 0
+        assert "non-minimum phase" in result.stdout
+
+    def test_on_a_terminal_long_lines_are_broken_behind_their_label(self):
+        report = str(sc.analyse(sc.scenes.rotary_crane()))
+        lines = [part for line in report.splitlines() for part in cli.hanging(line, 80).splitlines()]
+        assert max(map(len, lines)) <= 80
+        assert " ".join(" ".join(lines).split()) == " ".join(report.split())
+        assert all((line.startswith("  ") and line[2:22].strip()) or line.startswith(" " * 22) for line in lines[1:])
+
+    @pytest.mark.parametrize(
+        ("text", "words"),
+        [
+            ("speed = 3.0", ("no parameter is called 'speed'", "there are mass_1, mass_2")),
+            ("mass_1 = 'heavy'", ("mass_1 must be a number, not a text",)),
+            ("mass_1 = true", ("mass_1 must be a number, not a boolean",)),
+            ("mass_1 = -1.0", ("mass_1 = -1 kg is outside its range",)),
+            ("mass_1 = nan", ("mass_1 = nan kg is outside its range",)),
+            ("mass_1 = ", ("is not a TOML file",)),
+            ("[mass_1]\nkg = 1", ("mass_1 must be a number, not a table",)),
+        ],
+    )
+    def test_a_bad_file_is_refused_with_its_name(self, text, words):
+        assert_refused(run("analyse", "cars", "--parameters", write("bad.toml", text)), "bad.toml", *words)
+
+    def test_files_that_cannot_be_read_scenes_and_models_that_do_not_exist_are_refused(self):
+        Path("binary.toml").write_bytes(b"\xff\xfe\x00")
+        assert_refused(run("analyse", "cars", "--parameters", "none.toml"), "none.toml cannot be read")
+        assert_refused(run("analyse", "cars", "--parameters", "binary.toml"), "not UTF-8 text")
+        assert_refused(run("analyse", "train"), "no scene is called train; there are rotary_crane, ")
+        assert_refused(run("analyse", "cars", "--model", "bodies"), "cars has no model bodies; it has points")
+        assert_refused(run("analyse"), "see servocore --help")
+
+
+class TestLevels:
+    def test_it_prints_a_table_and_writes_the_same_figures_for_machines(self):
+        result = run("levels", "cars", "--instants", 20, "--csv", "levels.csv", "--markdown", "levels.md")
+        assert result.exit_code == 0
+        assert result.stderr == ""
+        assert "cars has one model, points." in result.stdout
+        lines = list(csv.DictReader(Path("levels.csv").read_text(encoding="utf-8").splitlines()))
+        assert [each["route"] for each in lines] == ["exact", "projected"]
+        assert lines[0]["unknowns"] == "9"
+        assert f"{float(lines[0]['microseconds']):.3g}" in result.stdout
+        page = Path("levels.md").read_text(encoding="utf-8")
+        assert "    servocore levels cars --instants 20 --markdown levels.md\n" in page
+        assert sorted(os.listdir()) == ["levels.csv", "levels.md"]
+
+    def test_parameters_from_a_file_count(self):
+        write("flat.toml", "inclination = 0.0\ndamping = 0.0")
+        result = run("levels", "mass_on_car", "--instants", 20, "--parameters", "flat.toml", "--csv", "levels.csv")
+        assert result.exit_code == 0
+        lines = list(csv.DictReader(Path("levels.csv").read_text(encoding="utf-8").splitlines()))
+        assert {(each["index"], each["internal_degrees_of_freedom"]) for each in lines} == {("5", "0")}
+
+    def test_all_scenes_can_be_asked_for(self, monkeypatch):
+        names = ("cars", "mass_on_car")
+        monkeypatch.setattr(cli, "REGISTRY", {name: sc.scenes.REGISTRY[name] for name in names})
+        result = run("levels", "--all", "--instants", 10)
+        assert result.exit_code == 0
+        assert all(name in result.stdout for name in names)
+
+    def test_a_singular_path_is_refused_with_the_time_and_nothing_is_written(self):
+        write("moon.toml", "gravity = 0.1")
+        result = run("levels", "overhead_crane", "--parameters", "moon.toml", "--csv", "levels.csv")
+        assert_refused(result, "at t = ", "the rope goes slack")
+        assert os.listdir() == ["moon.toml"]
+
+    def test_requests_that_cannot_be_met_are_refused(self):
+        write("data.toml", "mass_1 = 2.0")
+        assert_refused(run("levels"), "name one scene, or use --all")
+        assert_refused(run("levels", "cars", "--all"), "name one scene, or use --all")
+        assert_refused(run("levels", "train"), "no scene is called train")
+        assert_refused(run("levels", "--all", "--parameters", "data.toml"), "belongs to one scene")
+        assert_refused(run("levels", "cars", "--instants", 0), "at least one instant")
+        assert_refused(run("levels", "cars", "--instants", "many"), "instants")
+
+    def test_places_that_cannot_be_written_are_refused_before_the_work(self):
+        write("data.toml", "mass_1 = 2.0")
+        assert_refused(run("levels", "cars", "--csv", "none/levels.csv"), "there is no folder none")
+        assert_refused(run("levels", "cars", "--csv", "."), "it is a folder")
+        assert_refused(run("levels", "cars", "--csv", "a", "--markdown", "a"), "both name a")
+        assert_refused(run("levels", "cars", "--parameters", "data.toml", "--csv", "data.toml"), "it is read as well")
+        assert Path("data.toml").read_text(encoding="utf-8") == "mass_1 = 2.0"
+
+
+def test_an_unknown_command_is_refused_with_a_pointer_to_the_help():
+    assert_refused(run("solve"), "no such command 'solve'; see servocore --help")
+
+
+@pytest.mark.parametrize("command", ["scenes", "analyse", "levels"])
+def test_every_command_has_a_help_that_says_more_than_its_name(command):
+    result = run(command, "--help")
+    assert result.exit_code == 0
+    assert len(result.stdout.split()) > 20
+    assert command in run("--help").stdout
+
+
+def test_the_module_runs_as_the_command():
+    command = [sys.executable, "-m", "servocore", "analyse", "train"]
+    found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    assert found.returncode == 2
+    assert found.stderr.startswith("servocore: no scene is called train")
+    assert found.stdout == ""
