@@ -20,13 +20,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
+from itertools import product
 from pathlib import Path
 
 from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.description import complete
-from crane_fmu.description_page import documentation_page
+from crane_fmu.description_page import documentation_page, user_page
 from crane_fmu.interface import Interface, crane_interface
 from crane_fmu.slave import INTERFACE_FILE, program_file
 from crane_fmu.writing import write_together
@@ -35,6 +36,7 @@ FILE_NAME = "RotaryCrane.fmu"
 FORMULATIONS: Mapping[str, sc.Formulation] = {
     "projected": sc.Projected(),
     "original": sc.Original(),
+    "reduced": sc.Reduced(),
 }
 """Formulations that the FMU offers; the first is the default."""
 
@@ -45,7 +47,6 @@ _HERE = Path(__file__).parent
 _OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_motion", "slave_paths")
 _SERVOCORE_SOURCES = ("calls", "errors", "program")
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
-_REQUIREMENTS = ("numpy", "casadi")
 _CHECK_SECONDS = 300.0
 
 _SERVOCORE_FACE = '''"""The part of servocore that an FMU needs."""
@@ -148,7 +149,7 @@ def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
 def collect(tell: Progress = lambda _: None) -> Content:
     """Compile every model with every formulation and gather the sources that the slave needs."""
     crane = sc.scenes.rotary_crane()
-    routes = tuple((m, f) for m in crane.models for f in FORMULATIONS if _can_be_read_back(m, f))
+    routes = tuple(_readable_routes(tuple(crane.models), tell))
     files = {
         "__init__.py": '"""What RotaryCrane.fmu runs on."""\n',
         "crane_fmu/__init__.py": "",
@@ -158,10 +159,8 @@ def collect(tell: Progress = lambda _: None) -> Content:
     servocore = Path(sc.__file__).parent
     files |= {f"servocore/{name}.py": _text(servocore / f"{name}.py") for name in _SERVOCORE_SOURCES}
     for model, formulation in routes:
-        tell(f"compiling {model}, {formulation}")
         files[program_file(model, formulation)] = _program(model, formulation)
-    models = tuple(dict.fromkeys(model for model, _ in routes))
-    interface = crane_interface(crane.model().parameters.declared, models, tuple(FORMULATIONS))
+    interface = interface_for(tuple(dict.fromkeys(model for model, _ in routes)))
     files[INTERFACE_FILE] = interface.to_json()
     return Content(files, interface, routes)
 
@@ -172,13 +171,25 @@ def _program(model: str, formulation: str) -> str:
     return sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model).program.to_json()
 
 
-def _can_be_read_back(model: str, formulation: str) -> bool:
-    """CasADi 3.8 writes functions that it cannot read: those that solve with a diagonal matrix."""
-    try:
-        sc.Program.from_json(_program(model, formulation))
-    except sc.ServocoreError:
-        return False
-    return True
+def interface_for(models: tuple[str, ...] | None = None) -> Interface:
+    """Return the table of variables of an FMU with some models of the crane, or with all."""
+    crane = sc.scenes.rotary_crane()
+    return crane_interface(crane.model().parameters.declared, models or tuple(crane.models), tuple(FORMULATIONS))
+
+
+def _readable_routes(models: tuple[str, ...], tell: Progress) -> Iterator[tuple[str, str]]:
+    """Compile all routes and leave out what cannot be read back, saying so.
+
+    CasADi 3.8 writes functions that it cannot read: those that solve with a matrix of diagonal structure.
+    """
+    for model, formulation in product(models, FORMULATIONS):
+        tell(f"compiling {model}, {formulation}")
+        try:
+            sc.Program.from_json(_program(model, formulation))
+        except sc.ServocoreError as error:
+            tell(f"LEFT OUT {model}, {formulation}: {error}")
+        else:
+            yield model, formulation
 
 
 def _text(path: Path) -> str:
@@ -189,14 +200,18 @@ def packed(content: Content) -> bytes:
     """Return the archive: PythonFMU's, completed and reproducible."""
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         raw = _packed_by_pythonfmu(content, Path(folder))
-    requirements = [f"{name}>={metadata.version(name)}" for name in _REQUIREMENTS]
-    notes = {name: metadata.version(name) for name in (*_REQUIREMENTS, "pythonfmu")}
+    notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
     members = _rearranged(raw, content.bundle)
     members["modelDescription.xml"] = complete(members["modelDescription.xml"], content.interface, notes)
-    members["resources/requirements.txt"] = "\n".join([*requirements, ""]).encode()
-    members["documentation/index.html"] = documentation_page(content.interface).encode()
+    members["resources/requirements.txt"] = "\n".join([*requirements(), ""]).encode()
+    members["documentation/index.html"] = documentation_page(user_page(content.interface)).encode()
     members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()
     return _zipped(members)
+
+
+def requirements() -> tuple[str, ...]:
+    """Return what the host's Python must have: CasADi reads functions that it, or an older version, has saved."""
+    return "numpy>=1.26", f"casadi>={metadata.version('casadi')}"
 
 
 def _packed_by_pythonfmu(content: Content, folder: Path) -> dict[str, bytes]:
@@ -279,9 +294,15 @@ def _check(file: Path, routes: tuple[tuple[str, str], ...]) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command ``python build_fmu.py``; returns its exit code."""
     parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {FILE_NAME} and check it.")
-    parser.add_argument("-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"
+    )
+    parser.add_argument("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
     chosen = parser.parse_args(arguments)
     try:
+        if chosen.page:
+            write_together({chosen.page: user_page(interface_for()).encode()})
+            return 0
         file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr))
     except sc.ServocoreError as error:
         print(f"build_fmu.py: {error}", file=sys.stderr)

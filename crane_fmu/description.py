@@ -67,7 +67,8 @@ def complete(document: bytes, interface: Interface, notes: Mapping[str, str]) ->
         raise ValueError("the model description has no ModelStructure")
     _complete_structure(structure, interface)
     ET.indent(root)
-    return b'<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, "utf-8") + b"\n"
+    text = ET.tostring(root, "unicode")
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
 
 
 def _position(root: ET.Element, tag: str) -> int:
@@ -110,7 +111,7 @@ def _complete_variable(element: ET.Element, variable: Variable) -> None:
 
 
 def _complete_structure(structure: ET.Element, interface: Interface) -> None:
-    """Outputs change in doStep only, so no input feeds through at a communication point; the first do depend."""
+    """Say what depends on what: outputs change in doStep only, so no input feeds through then."""
     indices = {variable.name: str(k + 1) for k, variable in enumerate(interface.variables)}
     sources = [
         indices[each.name]

@@ -1,2 +1,100 @@
-def documentation_page(interface):
-    return "<html></html>"
+"""The user page of the FMU: one text, written as ``docs/fmu.md`` and as the page behind a tool's Help button."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jinja2 import Environment, StrictUndefined
+from markdown_it import MarkdownIt
+
+if TYPE_CHECKING:
+    from crane_fmu.interface import Causality, Interface, Variable
+
+_TEMPLATE = Path(__file__).parent / "resources" / "fmu.md.j2"
+
+REFUSALS: tuple[tuple[str, str], ...] = (
+    ("an input is NaN or infinite", "at t = 0 s the input load.jerk[2] is nan, not a finite number"),
+    (
+        "the load falls as fast as it would without a rope, or faster",
+        "at t = 0 s the rope goes slack: g + z'' is -0.19 m/s2, it must stay above 0 m/s2",
+    ),
+    (
+        "the load is at the girder's height or above",
+        "at t = 0 s the load is not below the girder: the load's depth below the girder is -1 m,"
+        " it must stay above 0 m",
+    ),
+    (
+        "the trolley is on the axis, where `phi` is undefined",
+        "at t = 0 s the trolley reaches the slewing axis: the trolley's distance from the slewing axis is 0 m,"
+        " it must stay above 0.001 m",
+    ),
+    (
+        "a step that is not positive, NaN, or longer than an hour",
+        "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
+    ),
+    (
+        "time goes back",
+        "the communication point t = 0 s lies behind the FMU's time 0.1 s;"
+        " to repeat a step restore the FMU's state first",
+    ),
+    (
+        "time is skipped",
+        "the communication point t = 0.5 s lies ahead of the FMU's time 0 s;"
+        " to repeat a step restore the FMU's state first",
+    ),
+    (
+        "a step before the initialisation",
+        "doStep needs a finished initialisation, but the FMU is instantiated",
+    ),
+    ("a parameter outside its range", "load_mass = -1 kg is outside its range [0.001, 1e+09] kg"),
+    (
+        "a needlessly small `internal_step`",
+        "an internal_step of 1e-09 s divides the communication step of 0.1 s into more than 100000 steps",
+    ),
+)
+"""What the FMU refuses, with the sentence for one example; the tests provoke them all."""
+
+_STYLE = (
+    "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
+    "code{background:#f4f4f4;padding:0 .2em}"
+)
+
+
+def user_page(interface: Interface) -> str:
+    """Return the page as Markdown."""
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
+    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    return template.render(
+        table=lambda causality: _table(interface.of(causality)),
+        refusals=REFUSALS,
+    )
+
+
+def documentation_page(page: str) -> str:
+    """Return the Markdown page as a complete HTML document."""
+    body = MarkdownIt("commonmark").enable("table").render(page)
+    head = f'<meta charset="utf-8"><title>RotaryCrane.fmu</title><style>{_STYLE}</style>'
+    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
+
+
+def _table(variables: tuple[Variable, ...]) -> str:
+    rows = [f"| `{each.name}` | {each.unit or 'text'} | {_extent(each)} | {each.description} |" for each in variables]
+    third: dict[Causality, str] = {"input": "start", "output": "range", "parameter": "default, range, change"}
+    header = f"| name | unit | {third[variables[0].causality]} | |"
+    return "\n".join([header, "|---|---|---|---|", *rows])
+
+
+def _extent(variable: Variable) -> str:
+    """Start value, range and variability in a few characters."""
+    low, high = variable.minimum, variable.maximum
+    bounds = {
+        (True, True): "",
+        (False, True): f">= {low:g}" if low is not None else "",
+        (True, False): f"<= {high:g}" if high is not None else "",
+        (False, False): f"{low:g} to {high:g}" if low is not None and high is not None else "",
+    }[low is None, high is None]
+    start = "" if variable.start is None else f"{variable.start:g}" if not variable.is_text else f"`{variable.start}`"
+    change = variable.variability if variable.causality == "parameter" else ""
+    return ", ".join(each for each in (start, bounds, change) if each)

@@ -6,6 +6,7 @@ The module travels into the FMU and needs the standard library only. Value refer
 from __future__ import annotations
 
 import json
+import math
 import uuid
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -78,7 +79,7 @@ class Variable:
             return None if legal else f"{self.name} = {value!r} is unknown; it may be {', '.join(self.choices)}"
         low, high = self.minimum, self.maximum
         number = float(value)
-        if number == number and (low is None or number >= low) and (high is None or number <= high):
+        if math.isfinite(number) and (low is None or number >= low) and (high is None or number <= high):
             return None
         bounds = f"[{'-inf' if low is None else f'{low:g}'}, {'inf' if high is None else f'{high:g}'}]"
         return f"{self.name} = {number:g} {self.unit} is outside its range {bounds} {self.unit}"
@@ -213,7 +214,7 @@ def _settings(models: Sequence[str], formulations: Sequence[str]) -> Iterable[Va
         name="internal_step",
         causality="parameter",
         variability="tunable",
-        description="step of the method; a communication step is divided into the nearest whole number of them, 0: into one",
+        description="step of the method; a communication step takes the nearest whole number of them; 0: one",
         reads="setting internal_step",
         unit="s",
         start=0.0,

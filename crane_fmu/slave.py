@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from functools import partial, wraps
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from pythonfmu.default_experiment import DefaultExperiment
@@ -31,9 +31,7 @@ _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initiali
 _BUNDLE = Path(__file__).parents[1].name
 _INPUTS = ROWS * DIMENSION
 
-P = ParamSpec("P")
-R = TypeVar("R")
-S = TypeVar("S", bound="CraneSlave")
+Callback = TypeVar("Callback", bound=Callable[..., Any])
 
 
 def program_file(model: str, formulation: str) -> str:
@@ -41,21 +39,19 @@ def program_file(model: str, formulation: str) -> str:
     return f"{model}-{formulation}.json"
 
 
-def guarded(
-    fallback: Callable[P, R],
-) -> Callable[[Callable[Concatenate[S, P], R]], Callable[Concatenate[S, P], R]]:
+def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
     """Make a callback log whatever is raised in it and return `fallback` of its arguments instead."""
 
-    def decorate(method: Callable[Concatenate[S, P], R]) -> Callable[Concatenate[S, P], R]:
+    def decorate(method: Callback) -> Callback:
         @wraps(method)
-        def call(self: S, *args: P.args, **kwargs: P.kwargs) -> R:
+        def call(self: CraneSlave, *args: Any, **kwargs: Any) -> Any:
             try:
                 return method(self, *args, **kwargs)
             except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
                 self.report_error(method.__name__, error)
                 return fallback(*args, **kwargs)
 
-        return call
+        return cast("Callback", call)
 
     return decorate
 
@@ -125,11 +121,8 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
     # --- phases -------------------------------------------------------------------------------------------------
 
     @guarded(_nothing)
-    def setup_experiment(
-        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
-    ) -> None:
+    def setup_experiment(self, start_time: float, *_: float | None) -> None:
         """Take the start time; stop time and tolerance are of no use here."""
-        del stop_time, tolerance
         self._start_time = float(start_time)
 
     @guarded(_nothing)
@@ -165,7 +158,7 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
             self._failure = f"the initialisation failed: {error}"
             for k in self._outputs:
                 self._reals[k] = math.nan
-            raise type(error)(self._failure) if isinstance(error, ServocoreError) else error
+            raise InvalidSetting(self._failure) from error
 
     # --- steps --------------------------------------------------------------------------------------------------
 

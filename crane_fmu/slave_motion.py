@@ -123,7 +123,8 @@ def advance(program: Program, before: Snapshot, path: LoadPath, h: float, count:
     start = before.time
     for k in range(count):
         end = start + h if k == count - 1 else start + (k + 1) * step
-        before = _one_step(program, before, lambda c, k=k: path((k + c) * step), step, end, p)
+        jets = np.stack([_padded(program, path((k + c) * step)) for c in program.nodes])
+        before = _one_step(program, before, jets, step, end, p)
     return before
 
 
@@ -143,9 +144,8 @@ def told(program: Program, now: Snapshot, jet: Array, p: Array) -> Snapshot:
     return replace(now, jet=jet)
 
 
-def _one_step(program: Program, before: Snapshot, path: LoadPath, h: float, end: float, p: Array) -> Snapshot:
-    """Take one step to the time `end`; the path's argument runs from 0 to 1."""
-    jets = np.stack([_padded(program, path(c)) for c in program.nodes])
+def _one_step(program: Program, before: Snapshot, jets: Array, h: float, end: float, p: Array) -> Snapshot:
+    """Take one step to the time `end`; the jets belong to the nodes of the step."""
     program.require_within_limits(jets[-1], p, end)
     state, report = program.advance(before.state, jets, h, p)
     if not report.converged:

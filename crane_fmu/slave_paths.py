@@ -20,7 +20,9 @@ ROWS = 5
 
 _COLUMNS = 2 * ROWS
 _INVERSE_FACTORIALS = np.array([1.0 / factorial(k) for k in range(_COLUMNS)])
-_FALLING = np.array([[factorial(j) / factorial(j - k) if j >= k else 0.0 for j in range(_COLUMNS)] for k in range(ROWS)])
+_FALLING = np.array(
+    [[factorial(j) / factorial(j - k) if j >= k else 0.0 for j in range(_COLUMNS)] for k in range(ROWS)]
+)
 _EXPONENTS = np.maximum(np.arange(_COLUMNS)[None, :] - np.arange(ROWS)[:, None], 0)
 _END_CONDITIONS = np.linalg.inv(_FALLING[:, ROWS:])
 

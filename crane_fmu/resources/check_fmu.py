@@ -3,6 +3,8 @@
 The process knows nothing of the project; what the FMU lacks is missed here.
 """
 
+from __future__ import annotations
+
 import sys
 
 import numpy as np
@@ -13,9 +15,9 @@ STEPS = 5
 FOREIGN = ("servocore", "crane_fmu", "pythonfmu", "scipy")
 
 
-def hang(file, model, formulation):
+def hang(file: str, model: str, formulation: str) -> None:
     """Let the load hang at rest for a few steps."""
-    messages = []
+    messages: list[str] = []
     try:
         result = simulate_fmu(
             file,
@@ -34,7 +36,7 @@ def hang(file, model, formulation):
     assert max(np.abs(weight).max(), np.abs(rope).max(), worst) < 1e-6, f"a load at rest moves: {said}"
 
 
-def main(file, *routes):
+def main(file: str, *routes: str) -> None:
     """Raise AssertionError with a sentence if anything is wrong."""
     problems = validate_fmu(file)
     assert not problems, "; ".join(problems)

@@ -1,0 +1,143 @@
+"""A small FMI 2.0 master for the tests: one FMU built per run, instances driven call by call through fmpy."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from fmpy import extract, read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+
+import servocore as sc
+from crane_fmu.build import build_fmu
+from crane_fmu.interface import ORDERS, Interface
+from crane_fmu.slave import INTERFACE_FILE
+
+JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
+OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
+DISCARD = 2
+
+
+@cache
+def scratch() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="fmu tests "))  # with a space
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
+
+
+@cache
+def fmu_file() -> Path:
+    return build_fmu(scratch() / "built")
+
+
+@cache
+def extracted(file: Path) -> str:
+    return str(extract(file, tempfile.mkdtemp(prefix="fmu ", dir=scratch())))
+
+
+class Host:
+    """One instance; `step` returns whether doStep was accepted."""
+
+    def __init__(self, file: Path | None = None, *, logging: bool = True, name: str = "crane") -> None:
+        file = file or fmu_file()
+        self.messages: list[str] = []
+        self.description = read_model_description(str(file), validate=False)
+        self.references = {each.name: each.valueReference for each in self.description.modelVariables}
+        self.fmu = FMU2Slave(
+            guid=self.description.guid,
+            unzipDirectory=extracted(file),
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName=name,
+        )
+        self.callbacks = fmi2CallbackFunctions()
+        self.callbacks.logger = fmi2CallbackLoggerTYPE(self._log)
+        self.callbacks.allocateMemory = defaultCallbacks.allocateMemory
+        self.callbacks.freeMemory = defaultCallbacks.freeMemory
+        self.fmu.instantiate(callbacks=self.callbacks, loggingOn=logging)
+
+    def _log(self, _environment, _name, _status, _category, message):
+        self.messages.append(message.decode())
+
+    def __enter__(self) -> Host:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.fmu.freeInstance()
+
+    def set(self, **values: float | str) -> Host:
+        for name, value in values.items():
+            setter = self.fmu.setString if isinstance(value, str) else self.fmu.setReal
+            setter([self.references[name]], [value])
+        return self
+
+    def tell(self, jet) -> Host:
+        """Set the fifteen inputs."""
+        self.fmu.setReal([self.references[name] for name in JET], [float(each) for each in np.ravel(jet)[:15]])
+        return self
+
+    def start(self, jet=None, time: float = 0.0) -> Host:
+        self.fmu.setupExperiment(startTime=time)
+        self.fmu.enterInitializationMode()
+        if jet is not None:
+            self.tell(jet)
+        self.fmu.exitInitializationMode()
+        return self
+
+    def step(self, time: float, h: float) -> bool:
+        try:
+            self.fmu.doStep(time, h)
+        except FMICallException as error:
+            if error.status != DISCARD:
+                raise
+            return False
+        return True
+
+    def outputs(self) -> np.ndarray:
+        return np.array(self.fmu.getReal([self.references[name] for name in OUTPUTS]))
+
+    def __getitem__(self, name: str) -> float:
+        return self.fmu.getReal([self.references[name]])[0]
+
+
+def follow(host: Host, reference: sc.Reference, times, *, at: str = "start") -> dict[str, np.ndarray]:
+    """Drive an instance along a path; `at` is its input_time. Returns outputs by name at all times."""
+    times = np.asarray(times, dtype=float)
+    jets = reference.jet(times, 4)
+    host.set(input_time=at).start(jets[0], float(times[0]))
+    rows = [host.outputs()]
+    for k in range(len(times) - 1):
+        host.tell(jets[k + 1] if at == "end" else jets[k])
+        assert host.step(float(times[k]), float(times[k + 1] - times[k])), host.messages
+        rows.append(host.outputs())
+    return dict(zip(OUTPUTS, np.array(rows).T, strict=True))
+
+
+def in_a_process(code: str, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code that may crash; it finds this module on its path."""
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        cwd=scratch(),
+        env={
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]),
+            **environment,
+        },
+    )
+
+
+def interface() -> Interface:
+    """Table of variables as the built FMU carries it."""
+    (found,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{INTERFACE_FILE}")
+    return Interface.from_json(found.read_text())

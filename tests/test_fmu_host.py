@@ -1,0 +1,373 @@
+"""What a host may do to the FMU: wrong inputs and steps, going back, several instances, faults inside."""
+
+from __future__ import annotations
+
+import gc
+import json
+import math
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from fmu_host import JET, Host, fmu_file, follow, in_a_process
+
+import servocore as sc
+from crane_fmu.description_page import REFUSALS
+
+CRANE = sc.scenes.rotary_crane()
+REST = np.zeros((5, 3))
+REST[0] = 5.0, 0.0, -5.0
+SENTENCES = [sentence for _, sentence in REFUSALS]
+
+
+def moved(**changes):
+    """Inputs of the load at rest with some values changed."""
+    jet = REST.copy()
+    for row, column, value in changes.values():
+        jet[row, column] = value
+    return jet
+
+
+def inputs_with(row, column, value):
+    return lambda host: host.start().tell(moved(change=(row, column, value))).step(0.0, 0.1)
+
+
+def after_a_step(time, h):
+    return lambda host: host.start().step(0.0, 0.1) and host.step(time, h)
+
+
+# In the order of the user page.
+MISTAKES = (
+    inputs_with(3, 1, math.nan),
+    inputs_with(2, 2, -10.0),
+    inputs_with(0, 2, 1.0),
+    inputs_with(0, 0, 0.0),
+    lambda host: host.start().step(0.0, -0.1),
+    after_a_step(0.0, 0.1),
+    lambda host: host.start().step(0.5, 0.1),
+    lambda host: host.step(0.0, 0.1),
+    lambda host: host.start().set(load_mass=-1.0).step(0.0, 0.1),
+    lambda host: host.start().set(internal_step=1e-9).step(0.0, 0.1),
+)
+
+
+@pytest.mark.parametrize(("mistake", "sentence"), list(zip(MISTAKES, SENTENCES, strict=True)), ids=SENTENCES)
+def test_every_refusal_is_the_sentence_that_the_page_promises(mistake, sentence):
+    with Host() as host:
+        assert not mistake(host)
+        assert host.messages == [sentence]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", JET)
+def test_no_input_may_be_anything_but_a_finite_number(name, value):
+    with Host() as host:
+        host.start().set(**{name: value})
+        before = host.outputs()
+        assert not host.step(0.0, 0.1)
+        assert name in host.messages[0]
+        assert host.outputs().tolist() == before.tolist()
+
+
+@pytest.mark.parametrize("h", [0.0, -0.0, -1.0, math.nan, math.inf, -math.inf, 1e9, 1e300])
+def test_no_step_may_be_anything_but_positive_and_moderate(h):
+    with Host() as host:
+        assert not host.start().step(0.0, h)
+        assert "the communication step is" in host.messages[0]
+
+
+@pytest.mark.parametrize("time", [math.nan, math.inf, -1.0, 0.3])
+def test_time_neither_jumps_nor_loses_its_value(time):
+    with Host() as host:
+        assert not host.start().step(time, 0.1)
+        assert "communication point" in host.messages[0]
+
+
+def test_a_step_that_round_off_swallows_is_refused():
+    with Host() as host:
+        assert not host.start(time=1e9).step(1e9, 1e-9)
+        assert "round-off" in host.messages[0]
+
+
+def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened():
+    t = np.arange(0, 41) * 0.1 + 4.0
+    jets = CRANE.reference.jet(t, 4)
+    with Host() as plain, Host() as disturbed:
+        wanted = follow(plain, CRANE.reference, t)
+        disturbed.start(jets[0], 4.0)
+        for k in range(40):
+            for wrong in (np.full((5, 3), math.nan), moved(above=(0, 2, 3.0)), moved(slack=(2, 2, -20.0))):
+                assert not disturbed.tell(wrong).step(t[k], t[k + 1] - t[k])
+            disturbed.tell(jets[k])
+            assert not disturbed.step(t[k], -1.0)
+            assert not disturbed.step(t[k] - 1.0, 0.1)
+            assert disturbed.step(t[k], t[k + 1] - t[k])
+        assert disturbed["M_b"] == wanted["M_b"][-1]
+
+
+def test_fmpy_stops_short_at_a_refused_step_and_says_why():
+    table = np.array([(0.0, -5.0), (0.5, -5.0), (1.0, 5.0)], dtype=[("time", float), ("load.position[3]", float)])
+    messages = []
+    result = simulate_fmu(
+        str(fmu_file()),
+        stop_time=1.0,
+        output_interval=0.1,
+        input=table,
+        debug_logging=True,
+        logger=lambda _, __, ___, ____, message: messages.append(message.decode()),
+        timeout=2.0,
+    )
+    assert result["time"][-1] < 0.9
+    assert "the load is not below the girder" in messages[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"model": "ring"}, "model = 'ring' is unknown"),
+        ({"formulation": "guessed"}, "formulation = 'guessed' is unknown"),
+        ({"input_time": "middle"}, "input_time = 'middle' is unknown"),
+        ({"load_mass": math.nan}, "load_mass = nan kg is outside its range"),
+        ({"gravity": 0.0}, "gravity = 0 m/s2 is outside its range"),
+        ({"internal_step": -1.0}, "internal_step = -1 s is outside its range"),
+        ({"load.position[3]": 1.0}, "the load is not below the girder"),
+        ({"load.position[1]": math.nan}, "the input load.position[1] is nan"),
+    ],
+)
+def test_a_failed_initialisation_is_told_by_every_step_and_outputs_are_nan(settings, sentence):
+    with Host() as host:
+        host.set(**settings).start()
+        for _ in range(2):
+            assert not host.step(0.0, 0.1)
+        assert len(host.messages) == 3
+        assert all(each.startswith("the initialisation failed: ") and sentence in each for each in host.messages)
+        assert np.isnan(host.outputs()).all()
+        host.fmu.reset()
+        assert host.start().step(0.0, 0.1)
+
+
+@pytest.mark.parametrize(("name", "value"), [("gravity", 1.6), ("winch_radius", 0.2), ("model", "bodies")])
+def test_fixed_parameters_keep_their_value_after_the_initialisation(name, value):
+    with Host() as host:
+        host.start().set(**{name: value})
+        assert host.messages == [f"{name} cannot change after the initialisation; the new value is ignored"]
+        assert host.step(0.0, 0.1)
+        assert host["tension"] == pytest.approx(981.0)
+
+
+def test_outputs_cannot_be_set():
+    with Host() as host:
+        host.start().set(M_b=7.0)
+        assert host["M_b"] == pytest.approx(0.0, abs=1e-9)
+        assert "cannot be set" in host.messages[0]
+
+
+def test_a_terminated_fmu_refuses_steps():
+    with Host() as host:
+        host.start().fmu.terminate()
+        assert not host.step(0.0, 0.1)
+        assert "terminated" in host.messages[0]
+
+
+def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same():
+    t = np.arange(51) * 0.1
+    with Host(logging=False) as quiet, Host(logging=True) as loud:
+        found = follow(quiet, CRANE.reference, t), follow(loud, CRANE.reference, t)
+        assert not quiet.step(0.0, 0.1)
+        assert quiet.messages == []
+        assert found[0]["M_b"].tolist() == found[1]["M_b"].tolist()
+
+
+# --- state -----------------------------------------------------------------------------------------------------------
+
+
+def drive(host, t, jets):
+    rows = []
+    for k in range(len(t) - 1):
+        assert host.tell(jets[k]).step(t[k], t[k + 1] - t[k]), host.messages
+        rows.append(host.outputs().tolist())
+    return rows
+
+
+@pytest.mark.parametrize("settings", [{}, {"input_time": "end"}, {"model": "bodies", "internal_step": 0.02}])
+def test_going_back_and_repeating_gives_the_same_bits(settings):
+    t = 5.0 + np.cumsum([0.0, *[0.1, 0.1, 0.05, 0.1] * 8])
+    jets = CRANE.reference.jet(t, 4)
+    with Host() as host:
+        host.set(**settings).start(jets[0], t[0])
+        drive(host, t[:11], jets[:11])
+        kept = host.fmu.getFMUState()
+        first = drive(host, t[10:], jets[10:])
+        host.set(load_mass=1.0).tell(np.full((5, 3), math.nan))
+        assert not host.step(t[-1], 0.1)
+        host.fmu.setFMUState(kept)
+        assert host["load_mass"] == 100.0
+        assert drive(host, t[10:], jets[10:]) == first
+        host.fmu.freeFMUState(kept)
+
+
+def test_a_state_also_holds_what_failed_and_what_has_not_begun():
+    with Host() as host:
+        fresh = host.fmu.getFMUState()
+        host.set(gravity=0.0).start()
+        failed = host.fmu.getFMUState()
+        host.fmu.setFMUState(fresh)
+        assert host.start().step(0.0, 0.1)
+        host.fmu.setFMUState(failed)
+        assert not host.step(0.0, 0.1)
+        assert "gravity" in host.messages[-1]
+
+
+CONTINUE = """
+import sys, json
+from pathlib import Path
+import numpy as np
+from fmu_host import Host
+file, state, t, jets = Path(sys.argv[1]), *(json.loads(Path(each).read_text()) for each in sys.argv[2:])
+with Host(file) as host:
+    host.fmu.setFMUState(host.fmu.deSerializeFMUstate(bytes(state)))
+    for k in range(len(t) - 1):
+        assert host.tell(jets[k]).step(t[k], t[k + 1] - t[k]), host.messages
+    print(json.dumps(host.outputs().tolist()))
+"""
+
+
+def test_a_serialised_state_goes_on_in_another_process_bit_by_bit(tmp_path):
+    t = 5.0 + np.arange(31) * 0.1
+    jets = CRANE.reference.jet(t, 4)
+    with Host() as host:
+        host.set(model="bodies").start(jets[0], t[0])
+        drive(host, t[:16], jets[:16])
+        state = host.fmu.serializeFMUstate(host.fmu.getFMUState())
+        wanted = drive(host, t[15:], jets[15:])[-1]
+    document = json.loads(bytes(state))
+    assert document["texts"][-3] == "bodies"
+    files = []
+    for name, content in (("state", list(bytes(state))), ("t", t[15:].tolist()), ("jets", jets[15:].tolist())):
+        files.append(tmp_path / name)
+        files[-1].write_text(json.dumps(content))
+    done = in_a_process(CONTINUE, fmu_file(), *files)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == wanted
+
+
+@pytest.mark.parametrize("wrong", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "rotary crane state 1", "guid": "x"}'])
+def test_a_foreign_state_is_refused_and_nothing_changes(wrong):
+    with Host() as host:
+        host.start()
+        host.fmu.setFMUState(host.fmu.deSerializeFMUstate(wrong))
+        assert host.messages == ["the state to restore is not one of this FMU; nothing was changed"]
+        assert host.step(0.0, 0.1)
+
+
+# --- instances -------------------------------------------------------------------------------------------------------
+
+
+def test_two_instances_do_not_know_each_other():
+    t = np.arange(31) * 0.1
+    jets = CRANE.reference.jet(t, 4)
+    with Host() as alone:
+        wanted = drive(alone.start(jets[0]), t, jets)
+    with Host(name="one") as one, Host(name="two") as two:
+        one.start(jets[0])
+        two.set(model="bodies", load_mass=50.0).start(jets[0] + REST)
+        rows = []
+        for k in range(30):
+            assert one.tell(jets[k]).step(t[k], t[k + 1] - t[k])
+            rows.append(one.outputs().tolist())
+            assert two.tell(jets[k] + REST).step(t[k], t[k + 1] - t[k])
+    assert rows == wanted
+
+
+def test_a_reset_instance_is_like_a_fresh_one():
+    t = 3.0 + np.arange(21) * 0.1
+    jets = CRANE.reference.jet(t, 4)
+    with Host() as fresh:
+        wanted = drive(fresh.start(jets[0], 3.0), t, jets)
+    with Host() as used:
+        used.set(load_mass=7.0, model="bodies", input_time="end").start()
+        drive(used, np.arange(11) * 0.2, np.tile(REST, (11, 1, 1)))
+        used.fmu.reset()
+        assert used["load_mass"] == 100.0
+        assert drive(used.start(jets[0], 3.0), t, jets) == wanted
+
+
+def test_a_hundred_instances_in_one_process_work():
+    """PythonFMU 0.7 gives away a reference to the entry module's names with each."""
+    done = in_a_process(
+        "import sys, gc\nfrom pathlib import Path\nfrom fmu_host import Host\n"
+        "for k in range(100):\n"
+        "    with Host(Path(sys.argv[1])) as host:\n"
+        "        assert host.start().step(0.0, 0.1)\n"
+        "    gc.collect()\n"
+        "print('done')",
+        fmu_file(),
+    )
+    assert done.stdout.strip() == "done", done.stderr
+    assert done.returncode == 0
+
+
+FAULT = """
+import gc, sys
+from pathlib import Path
+import numpy as np
+from fmu_host import Host
+with Host(Path(sys.argv[1])) as host:
+    host.start()
+    assert host.step(0.0, 0.1)
+    (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave")]
+    kind = slave.CraneSlave
+    state = host.fmu.getFMUState()
+    def fail(*_, **__):
+        raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")
+    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_required_jet"):
+        kept = getattr(kind, place)
+        setattr(kind, place, fail)
+        assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_required_jet")
+        host.set(load_mass=100.0, model="points")
+        host.fmu.setFMUState(state)
+        host.outputs()
+        gc.collect()
+        setattr(kind, place, kept)
+    host.fmu.setFMUState(state)
+    assert host.step(0.1, 0.1), host.messages
+    assert np.isfinite(host.outputs()).all()
+    assert any("internal error in do_step" in each and "on purpose" in each for each in host.messages)
+gc.collect()
+print("alive")
+"""
+
+
+@pytest.mark.parametrize("kind", ["RuntimeError", "MemoryError", "KeyboardInterrupt", "SystemExit"])
+def test_an_exception_in_a_callback_neither_ends_nor_harms_the_host(kind):
+    done = in_a_process(FAULT, fmu_file(), kind)
+    assert done.stdout.strip() == "alive", done.stderr
+    assert done.returncode == 0
+
+
+def test_wrong_value_references_do_not_end_the_host():
+    done = in_a_process(
+        "import sys, math\nfrom pathlib import Path\nfrom fmu_host import Host\n"
+        "with Host(Path(sys.argv[1])) as host:\n"
+        "    assert math.isnan(host.fmu.getReal([999])[0])\n"
+        "    host.fmu.setReal([999], [1.0])\n"
+        "    host.fmu.setString([0], ['x'])\n"
+        "    assert host.start().step(0.0, 0.1)\n"
+        "    assert all('internal error' in each or 'ignored' in each for each in host.messages)\n"
+        "print('alive')",
+        fmu_file(),
+    )
+    assert done.stdout.strip() == "alive", done.stderr
+
+
+def test_many_steps_leave_no_memory_behind():
+    with Host(logging=False) as host:
+        host.start()
+        for k in range(200):
+            assert host.step(k * 0.1, 0.1)
+        gc.collect()
+        before = len(gc.get_objects())
+        for k in range(200, 700):
+            assert host.step(k * 0.1, 0.1)
+        gc.collect()
+        assert len(gc.get_objects()) - before < 100
