@@ -83,6 +83,15 @@ def test_with_internal_dynamics_backward_euler_converges_at_first_order(model, k
     assert fine[0] < 0.01
 
 
+@pytest.mark.parametrize("kind", ["inclined", "level"])
+def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(kind):
+    this = scene_of(kind)
+    solution = sc.solve(this, sc.Reduced(), sc.RadauIIA(3), step=DURATION / 400)
+    exact = exact_on_grid(kind, 400)
+    for name in ("u", "x", "s"):
+        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-10 * np.abs(exact[name]).max())
+
+
 def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially():
     this = scene_of("unstable")
     solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)

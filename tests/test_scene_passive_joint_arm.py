@@ -74,6 +74,14 @@ def test_backward_euler_converges_at_first_order_where_it_is_of_minimum_phase(fo
     assert fine.max() < 0.005
 
 
+@pytest.mark.parametrize("model", ["generalized", "points"])
+def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(model):
+    solution = sc.solve(scene(), sc.Reduced(), sc.RadauIIA(3), step=DURATION / 400, model=model)
+    exact = exact_on_grid(400)
+    for name in ("u", "a", "b"):
+        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * np.abs(exact[name]).max())
+
+
 def test_the_projection_refuses_massless_angles_and_says_so():
     with pytest.raises(sc.InvalidModel, match=r"the projection needs inertia .* the mass matrix is singular on a, b"):
         sc.solve(scene(), sc.Projected(), model="points")
