@@ -189,7 +189,9 @@ def first_guess(array: DerivativeArray) -> ca.Function:
         ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
     matrix, load = ca.Function("sc_statics", [system.q, system.p], at_rest)(configuration, p)
     normal = ca.mtimes(matrix.T, matrix) + _REGULARISATION * ca.DM.eye(matrix.size2())
-    forces = ca.solve(normal, ca.mtimes(matrix.T, load), "qr")
+    right = ca.mtimes(matrix.T, load)
+    # CasADi 3.8 cannot read back a saved solution with a diagonal matrix.
+    forces = right / ca.diag(normal) if normal.sparsity().is_diag() else ca.solve(normal, right, "qr")
     values = ca.vertcat(configuration, forces)
     entries = [values[j] if order == 0 else ca.MX(0) for j, order in array.unknowns]
     return ca.Function("sc_first_guess", [gamma, p], [ca.vertcat(*entries)])

@@ -109,7 +109,6 @@ class MechanicalSystem:
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
         self._fill("force", ca.SX.zeros(n))
-        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
         self._fill("multipliers", ca.SX.sym("lam", m_h))
         self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
         self._fill("guess", ca.SX.zeros(n))
@@ -117,6 +116,8 @@ class MechanicalSystem:
         self._fill("u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
         object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
         self._require_shapes(n, m, m_h)
+        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
+        self._require_shape("gyroscopic", (n, 1))
         self._require_own_symbols()
         self._require_symmetric_mass()
 
@@ -131,13 +132,16 @@ class MechanicalSystem:
             raise InvalidModel(f"{self.name}: {m} inputs exceed the {n - m_h} degrees of freedom")
         expected = {
             "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
-            "gyroscopic": (n, 1), "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
+            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
             "gamma": (m, MAX_REFERENCE_ORDER + 1),
         }  # fmt: skip
         for attribute, shape in expected.items():
-            found = ca.SX(getattr(self, attribute)).shape
-            if found != shape:
-                raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+            self._require_shape(attribute, shape)
+
+    def _require_shape(self, attribute: str, shape: tuple[int, int]) -> None:
+        found = ca.SX(getattr(self, attribute)).shape
+        if found != shape:
+            raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
 
     def _require_own_symbols(self) -> None:
         q, v, p = self.q, self.v, self.p
