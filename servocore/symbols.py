@@ -46,7 +46,21 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Parameter:
-    """A named constant of a model with its default value, unit and closed bounds."""
+    """A named constant of a model.
+
+    Parameters
+    ----------
+    name : str
+        Identifier, unique within its model.
+    default : float
+        Value unless another is given, in `unit`.
+    unit : str
+        SI unit as FMI spells it.
+    lower, upper : float
+        Closed bounds, in `unit`.
+    description : str
+        One line for tables and tool tips.
+    """
 
     name: str
     default: float

@@ -11,10 +11,10 @@ import pytest
 from servocore.derivative_array import compile_inversion, derivative_array
 from servocore.formulations import Projected
 from servocore.methods import BackwardEuler
-from servocore.newton import compile_solver
 from servocore.references import rest_to_rest
-from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points
+from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
 from servocore.scenes.rotary_crane_bodies import bodies
+from servocore.solve import solve
 from servocore.structure import second_order_equations, signature
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
@@ -159,18 +159,8 @@ def test_projected_backward_euler_follows_the_path_with_errors_of_first_order():
 
 def worst_input_errors(steps):
     """Largest errors of the inputs along the default path, relative to their peaks, shape (3,)."""
-    system, (array, _) = crane(), inversion(crane)
-    dae = Projected().dae(system)
-    scheme = BackwardEuler().discretise(dae)
-    step = compile_solver("sc_step", scheme.equations, [scheme.next_state])
-    times = np.linspace(0.0, 20.0, steps + 1)
-    jets = REFERENCE.jet(times, array.reference_order)
-    y = inverted(crane, jets[:1])[:, 0]
-    first = [y[array.position(each.variable, each.order)] for each in dae.unknowns]
-    state = ca.Function("first", [ca.vertcat(dae.x, dae.z)], [scheme.first_state])(first)
-    p, expected, found = PARAMETERS.values(), inputs(points, jets)[:, 1:], []
-    for jet in jets[1:, : dae.reference_order + 1]:
-        state, _, residual = step(ca.vertcat(state, jet.ravel(), times[1], p))
-        assert float(residual) < 1e-9
-        found.append(np.asarray(state).ravel()[dae.x.numel() + system.lam.numel() :][:3])
-    return np.abs(np.array(found).T - expected).max(axis=1) / np.abs(expected).max(axis=1)
+    scene = rotary_crane()
+    solution = solve(scene, Projected(), BackwardEuler(), step=20.0 / steps, model="bodies")
+    exact = scene.exact(solution.t)
+    names = [each.name for each in INPUTS]
+    return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])

@@ -13,12 +13,19 @@ from servocore.newton import SquareSystem
 
 @dataclass(frozen=True)
 class Orders:
-    """Orders of convergence by kind of variable, at constant step on a reference that is smooth enough."""
+    """Orders of convergence by kind of variable, at constant step on a reference that is smooth enough.
+
+    Parameters
+    ----------
+    positions, velocities : int
+        Of q and v.
+    forces : int
+        Of multipliers and inputs.
+    """
 
     positions: int
     velocities: int
     forces: int
-    """Of multipliers and inputs."""
 
 
 @dataclass(frozen=True, eq=False)
