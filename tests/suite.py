@@ -135,18 +135,6 @@ class ModelSuite:
         M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])(*system.home_configuration()))
         assert np.linalg.eigvalsh(M).min() >= -1e-12 * np.abs(M).max()
 
-    def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, system):  # noqa: N802
-        found = project(system)
-        evaluate = ca.Function("CDWM", [system.q, system.p], [found.C, found.D, found.W, system.mass])
-        q, p = system.home_configuration()
-        q = q + 0.1 * np.sin(1.0 + np.arange(len(q)))
-        C, D, W, M = (np.asarray(each) for each in evaluate(q, p))
-        n, m = len(q), len(system.outputs)
-        assert D.shape == (n, n - m)
-        assert np.linalg.matrix_rank(D) == n - m
-        np.testing.assert_allclose(C @ D, 0.0, atol=1e-13)
-        np.testing.assert_allclose(M @ W, C.T, atol=1e-12)
-
     @settings(max_examples=10)
     @given(data=st.data())
     def test_motion_of_the_inversion_keeps_the_equations_of_motion(self, scene_name, model, data):
@@ -170,6 +158,23 @@ class ModelSuite:
         np.testing.assert_allclose(momentum, 0.0, atol=1e-10 * scale)
         np.testing.assert_allclose(g_dot, 0.0, atol=1e-10)
         np.testing.assert_allclose(y_dot, jet[1], atol=1e-12)
+
+
+class ProjectedModelSuite:
+    """What models promise that have inertia where the servo constraints act; parametrized over `scene_name, model`."""
+
+    def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, scene_name, model):  # noqa: N802
+        system = scene(scene_name).model(model)
+        found = project(system)
+        evaluate = ca.Function("CDWM", [system.q, system.p], [found.C, found.D, found.W, system.mass])
+        q, p = system.home_configuration()
+        q = q + 0.1 * np.sin(1.0 + np.arange(len(q)))
+        C, D, W, M = (np.asarray(each) for each in evaluate(q, p))
+        n, m = len(q), len(system.outputs)
+        assert D.shape == (n, n - m)
+        assert np.linalg.matrix_rank(D) == n - m
+        np.testing.assert_allclose(C @ D, 0.0, atol=1e-13)
+        np.testing.assert_allclose(M @ W, C.T, atol=1e-12)
 
 
 class FlatModelSuite:

@@ -10,7 +10,7 @@ import pytest
 import scipy.integrate
 from problems import (
     FORMULATIONS,
-    MODELS,
+    WRITTEN,
     actuated_chain,
     as_scene,
     changed,
@@ -27,8 +27,10 @@ from servocore.projection import project
 from servocore.system import DERIVED
 
 
-@pytest.mark.parametrize("of", FORMULATIONS, ids=lambda of: of.formulation.name)
-@pytest.mark.parametrize(("scene_name", "model"), MODELS)
+@pytest.mark.parametrize(
+    ("scene_name", "model", "of"),
+    [pytest.param(*each, id=f"{each[0]}-{each[1]}-{each[2].formulation.name}") for each in WRITTEN],
+)
 class TestEveryFormulation(FormulationSuite):
     pass
 

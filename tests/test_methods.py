@@ -17,7 +17,7 @@ from servocore.methods.bdf import coefficients
 from servocore.methods.collocation import Tableau, tableau
 
 
-@pytest.mark.parametrize("by", METHODS, ids=lambda by: by.method.name)
+@pytest.mark.parametrize("by", [by for by in METHODS if by.first_order_equations], ids=lambda by: by.method.name)
 class TestEveryMethod(MethodSuite):
     pass
 
@@ -138,6 +138,54 @@ def test_nothing_is_scaled_by_the_step_where_nothing_is_divided_by_it():
     unknowns, equations = (np.asarray(each).ravel() for each in found(0.1))
     np.testing.assert_allclose(unknowns, [2.0, 3.0, 5.0, 7.0])
     np.testing.assert_allclose(equations, 1.0)
+
+
+def oscillator(frequency_squared):
+    """q'' = -w^2 q as a `Dae` of index 1 with the velocity as a pair of the position."""
+    x, z, gamma = ca.SX.sym("x", 2), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+    return Dae(
+        name="oscillator", x=x, z=z, H=ca.SX.eye(2), f=ca.vertcat(x[1], z), h=z + frequency_squared * x[0],
+        gamma=gamma, p=ca.SX(0, 1), unknowns=(Unknown("q.a"), Unknown("q.a", 1), Unknown("u.z")),
+        equations=(Equation("velocity", 0), Equation("momentum", 0), Equation("force", 0)), physical={}, index=1,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 1.0])
+def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho):
+    """The slowest mode of a stiff oscillator shrinks by rho a step (up to a polynomial in n)."""
+    stiff = oscillator(1e12)
+    force = march(sc.GeneralizedAlpha(rho), stiff, lambda t: [1.0 + t, 1.0, -1e12], ZERO, 1.0, 40)[:, 2]
+    rate = np.abs(force[40] / force[20]) ** (1 / 20) if abs(force[40]) > 1e-15 * abs(force[0]) else 0.0
+    assert rate == pytest.approx(rho, abs=0.05)
+
+
+def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_damping():
+    def swing(t):
+        return [np.cos(2 * t), -2 * np.sin(2 * t), -4 * np.cos(2 * t)]
+
+    energies = {}
+    for rho in (0.5, 1.0):
+        errors = []
+        for count in (100, 200):
+            h = 4.0 / count
+            found = march(sc.GeneralizedAlpha(rho), oscillator(4.0), swing, ZERO, h, count)
+            errors.append(np.abs(found[:, 0] - np.cos(2 * h * np.arange(count + 1))).max())
+            energies[rho] = found[-1, 1] ** 2 / 2 + 2 * found[-1, 0] ** 2
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    assert abs(energies[1.0] - 2.0) < 1e-9
+    assert energies[0.5] < 2.0 - 1e-5
+
+
+def test_generalized_alpha_refuses_what_is_no_mechanical_system():
+    x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
+    with pytest.raises(sc.InvalidModel, match="needs positions with their velocities"):
+        sc.GeneralizedAlpha().discretise(small_dae(x, z, gamma[0], z - x, gamma))
+
+
+@pytest.mark.parametrize("rho", [-0.1, 1.1, float("nan")])
+def test_a_senseless_spectral_radius_is_refused(rho):
+    with pytest.raises(sc.InvalidSetting, match="must lie in"):
+        sc.GeneralizedAlpha(rho)
 
 
 @pytest.mark.parametrize(

@@ -7,20 +7,26 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from problems import (
+    BACKWARD_EULER,
     FLAT_MODELS,
     FORMULATIONS,
     METHODS,
     MODELS,
     PROBLEMS,
+    PROJECTED_MODELS,
+    REFUSED,
     SCENES,
     UNSTABLE,
+    as_scene,
+    driven_pendulum,
     largest_errors,
+    polynomial_path,
     problem,
     scene,
     solved,
 )
 from scipy.interpolate import make_interp_spline
-from suite import FlatModelSuite, ModelSuite, ProblemSuite, SceneSuite
+from suite import FlatModelSuite, ModelSuite, ProblemSuite, ProjectedModelSuite, SceneSuite
 
 import servocore as sc
 from servocore import formulations, methods
@@ -46,10 +52,12 @@ def test_everything_exported_is_registered_here():
 
 def test_only_what_is_shown_to_fail_is_kept_out_of_the_suite():
     every = {(name, model, each.formulation.name) for name, model in MODELS for each in FORMULATIONS}
-    assert {(p.scene_name, p.model, p.of.formulation.name) for p in PROBLEMS} == every - set(UNSTABLE)
-    assert set(UNSTABLE) < every
-    methods_tried = {(p.scene_name, p.by.method) for p in PROBLEMS}
-    assert methods_tried == {(name, each.method) for name in SCENES for each in METHODS if each.damped and each.steps}
+    assert {(p.scene_name, p.model, p.of.formulation.name) for p in PROBLEMS} == every - set(UNSTABLE) - set(REFUSED)
+    assert set(UNSTABLE) | set(REFUSED) < every
+    for name, case in SCENES.items():
+        tried = {p.by.method for p in PROBLEMS if p.scene_name == name}
+        everything = {each.method for each in METHODS if each.damped and each.steps}
+        assert tried == (everything if case.projected_index <= 3 else {BACKWARD_EULER.method})
 
 
 @pytest.mark.parametrize("scene_name", SCENES)
@@ -59,6 +67,11 @@ class TestEveryScene(SceneSuite):
 
 @pytest.mark.parametrize(("scene_name", "model"), MODELS)
 class TestEveryModel(ModelSuite):
+    pass
+
+
+@pytest.mark.parametrize(("scene_name", "model"), PROJECTED_MODELS)
+class TestEveryProjectedModel(ProjectedModelSuite):
     pass
 
 
@@ -79,6 +92,13 @@ def test_no_step_size_saves_the_original_equations_in_generalised_coordinates(sc
     step = scene(scene_name).reference.duration / steps
     with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved"):
         sc.solve(scene(scene_name), of, sc.BackwardEuler(), step=step, model=model)
+
+
+@pytest.mark.parametrize(("scene_name", "model", "formulation"), REFUSED)
+def test_models_that_a_formulation_cannot_take_are_refused_with_the_reason(scene_name, model, formulation):
+    (of,) = (each.formulation for each in FORMULATIONS if each.formulation.name == formulation)
+    with pytest.raises(sc.InvalidModel, match=REFUSED[scene_name, model, formulation]):
+        sc.solve(scene(scene_name), of, sc.BackwardEuler(), model=model)
 
 
 # The rotary crane, default manoeuvre, projected backward Euler: the paper's own way ----------------------------------
@@ -232,8 +252,6 @@ def test_at_rest_only_the_winch_holds_the_load(scene_name):
 
 
 def test_closed_form_needs_a_scene_that_has_one():
-    from problems import as_scene, driven_pendulum, polynomial_path
-
     bare = as_scene(driven_pendulum(), polynomial_path([[0.0], [1.0]]))
     with pytest.raises(sc.InvalidModel, match="pendulum has no closed form"):
         bare.exact(np.array([0.0]))
