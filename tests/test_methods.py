@@ -154,8 +154,8 @@ def oscillator(frequency_squared):
 def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho):
     """The slowest mode of a stiff oscillator shrinks by rho a step (up to a polynomial in n)."""
     stiff = oscillator(1e12)
-    force = march(sc.GeneralizedAlpha(rho), stiff, lambda t: [1.0 + t, 1.0, -1e12], ZERO, 1.0, 40)[:, 2]
-    rate = np.abs(force[40] / force[20]) ** (1 / 20) if abs(force[40]) > 1e-15 * abs(force[0]) else 0.0
+    velocity = march(sc.GeneralizedAlpha(rho), stiff, lambda t: [1.0 + t, 1.0, -1e12], ZERO, 1.0, 48)[:, 1]
+    rate = np.abs(velocity[48] / velocity[24]) ** (1 / 24) if abs(velocity[24]) > 1e-10 else 0.0
     assert rate == pytest.approx(rho, abs=0.05)
 
 
