@@ -221,8 +221,7 @@ def feedforward(
         contents[output] = table.encode()
     write_together(contents)
     if output is None:
-        sys.stdout.write(table)
-        sys.stdout.flush()
+        _print(table)
 
 
 def _drawn(solution: sc.Solution, suffix: str) -> bytes:
@@ -275,6 +274,16 @@ def _terminal_table(table: Table) -> rich.table.Table:
     for row in table.rows:
         shown.add_row(*row)
     return shown
+
+
+def _print(text: str) -> None:
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise  # whoever reads has seen enough: Typer ends quietly
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot write to the standard output stream: {error.strerror or error}") from error
 
 
 class LineOptions(NamedTuple):

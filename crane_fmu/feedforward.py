@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+import numpy as np
+
 import servocore as sc
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
@@ -41,6 +43,12 @@ PROFILES: Mapping[str, sc.Profile] = {
 
 PICTURES = (".png", ".svg", ".pdf")
 """Kinds of files that a picture of the result can be."""
+
+MOST_ROWS = 1e7
+"""A table with more rows is taken for a mistake: it would fill the memory first."""
+
+LONGEST_DURATION = 1e9
+"""In s; beyond it the derivatives of a path vanish in rounding."""
 
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""
@@ -86,6 +94,10 @@ class LineRequest:
 
     def reference(self) -> sc.Reference:
         """Return the line; see `PathRequest`."""
+        if self.duration > LONGEST_DURATION:
+            raise sc.InvalidReference(
+                f"the duration of {self.duration:g} s is longer than {LONGEST_DURATION:g} s: nothing would move"
+            )
         law = choose(PROFILES, self.profile, "profile")
         if self.ramp is not None:
             if self.profile != THREE_PHASE:
@@ -152,8 +164,17 @@ def feedforward(
     choose(scene.models, route.model, "model")
     formulation = choose(FORMULATIONS, route.formulation, "formulation")
     method = choose(METHODS, route.method, "method")
-    scene = scene.with_reference(path.reference())
-    return sc.solve(scene, formulation, method, step=route.step, model=route.model, progress=progress)
+    with np.errstate(all="ignore"):  # what is not finite is refused below with a sentence, not warned of
+        scene = scene.with_reference(path.reference())
+        _require_few_rows(scene.reference.duration, route.step)
+        return sc.solve(scene, formulation, method, step=route.step, model=route.model, progress=progress)
+
+
+def _require_few_rows(duration: float, step: float | None) -> None:
+    if step is not None and step > 0.0 and duration / step > MOST_ROWS:
+        raise sc.InvalidSetting(
+            f"a step of {step:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
+        )
 
 
 def csv_text(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:

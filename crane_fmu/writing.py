@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import servocore as sc
@@ -15,6 +15,8 @@ def require_place(file: Path) -> None:
     """Raise `InvalidSetting` if a file of that name cannot be there: before the work rather than after it."""
     if file.is_dir():
         raise sc.InvalidSetting(f"cannot write {file}: it is a folder")
+    if file.exists() and not file.is_file():
+        raise sc.InvalidSetting(f"cannot write {file}: it is no ordinary file")
     if not file.parent.is_dir():
         raise sc.InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
 
@@ -35,7 +37,8 @@ def write_together(contents: Mapping[Path, bytes]) -> None:
     try:
         with ExitStack() as leftovers:
             waiting = []
-            for file, content in contents.items():
+            for name, content in contents.items():
+                file = name.resolve()  # a symbolic link stays one
                 with tempfile.NamedTemporaryFile(
                     prefix=f".{file.name}", suffix=".part", dir=file.parent, delete=False
                 ) as stream:
@@ -83,23 +86,25 @@ def filled_folder(target: Path) -> Iterator[Path]:
     try:
         yield draft
         _move(draft, target)
-    except BaseException:
-        for each in made:
-            shutil.rmtree(each, ignore_errors=True)
-        raise
     finally:
         shutil.rmtree(draft, ignore_errors=True)
+        with suppress(OSError):  # parents that were made and still hold nothing go too
+            for each in made:
+                each.rmdir()
 
 
 def _move(draft: Path, target: Path) -> None:
     try:
-        target.mkdir(exist_ok=True)
+        for source in (draft, *sorted(draft.rglob("*"))):
+            source.chmod(0o755 if source.is_dir() else 0o644)
+        if not target.exists():
+            draft.rename(target)
+            return
         for source in sorted(draft.rglob("*")):
             place = target / source.relative_to(draft)
             if source.is_dir():
                 place.mkdir(exist_ok=True)
             else:
-                source.chmod(0o644)
                 source.replace(place)
     except OSError as error:
         raise sc.InvalidSetting(f"cannot write into the folder {target}: {_reason(error)}") from error

@@ -188,6 +188,10 @@ REFUSED_PATHS = {
     "unknown model": ([*LINE, "--model", "large"], "points"),
     "unknown formulation": ([*LINE, "--formulation", "index9"], "projected"),
     "unknown method": ([*LINE, "--method", "euler"], "backward-euler"),
+    "duration beyond reason": ([*LINE[:-1], "1e300"], "1e+09"),
+    "duration of no time": ([*LINE[:-1], "1e-300"], "slack"),
+    "coordinates beyond reason": (["--from", 1e308, 0, -5, "--to", -1e308, 1, -5, "--duration", 20], "t = 0 s"),
+    "step with too many rows": ([*LINE, "--step", 1e-9], "rows"),
     "no step": ([*LINE, "--step", 0], "step"),
     "negative step": ([*LINE, "--step", -0.1], "step"),
     "step that is no number": ([*LINE, "--step", "nan"], "step"),
@@ -202,6 +206,7 @@ REFUSED_PATHS = {
     "plot nowhere": ([*LINE, "--plot", "nowhere/p.png", "--output", "o.csv"], "nowhere"),
     "plot of no known kind": ([*LINE, "--plot", "p.gif", "--output", "o.csv"], "p.gif"),
     "output and plot alike": ([*LINE, "--plot", "p.png", "--output", "p.png"], "p.png"),
+    "output into a device": ([*LINE, "--output", os.devnull], "ordinary"),
     "output into a folder": ([*LINE, "--output", "."], "folder"),
 }
 
