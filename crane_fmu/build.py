@@ -148,8 +148,7 @@ def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
 
 def collect(tell: Progress = lambda _: None) -> Content:
     """Compile every model with every formulation and gather the sources that the slave needs."""
-    crane = sc.scenes.rotary_crane()
-    routes = tuple(_readable_routes(tuple(crane.models), tell))
+    routes = tuple(product(sc.scenes.rotary_crane().models, FORMULATIONS))
     files = {
         "__init__.py": '"""What RotaryCrane.fmu runs on."""\n',
         "crane_fmu/__init__.py": "",
@@ -159,10 +158,11 @@ def collect(tell: Progress = lambda _: None) -> Content:
     servocore = Path(sc.__file__).parent
     files |= {f"servocore/{name}.py": _text(servocore / f"{name}.py") for name in _SERVOCORE_SOURCES}
     for model, formulation in routes:
+        tell(f"compiling {model}, {formulation}")
         files[program_file(model, formulation)] = _program(model, formulation)
-    interface = interface_for(tuple(dict.fromkeys(model for model, _ in routes)))
-    files[INTERFACE_FILE] = interface.to_json()
-    return Content(files, interface, routes)
+    table = interface()
+    files[INTERFACE_FILE] = table.to_json()
+    return Content(files, table, routes)
 
 
 @cache
@@ -171,25 +171,10 @@ def _program(model: str, formulation: str) -> str:
     return sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model).program.to_json()
 
 
-def interface_for(models: tuple[str, ...] | None = None) -> Interface:
-    """Return the table of variables of an FMU with some models of the crane, or with all."""
+def interface() -> Interface:
+    """Return the table of the FMU's variables."""
     crane = sc.scenes.rotary_crane()
-    return crane_interface(crane.model().parameters.declared, models or tuple(crane.models), tuple(FORMULATIONS))
-
-
-def _readable_routes(models: tuple[str, ...], tell: Progress) -> Iterator[tuple[str, str]]:
-    """Compile all routes and leave out what cannot be read back, saying so.
-
-    CasADi 3.8 writes functions that it cannot read: those that solve with a matrix of diagonal structure.
-    """
-    for model, formulation in product(models, FORMULATIONS):
-        tell(f"compiling {model}, {formulation}")
-        try:
-            sc.Program.from_json(_program(model, formulation))
-        except sc.ServocoreError as error:
-            tell(f"LEFT OUT {model}, {formulation}: {error}")
-        else:
-            yield model, formulation
+    return crane_interface(crane.model().parameters.declared, tuple(crane.models), tuple(FORMULATIONS))
 
 
 def _text(path: Path) -> str:
@@ -301,7 +286,7 @@ def main(arguments: list[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     try:
         if chosen.page:
-            write_together({chosen.page: user_page(interface_for()).encode()})
+            write_together({chosen.page: user_page(interface()).encode()})
             return 0
         file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr))
     except sc.ServocoreError as error:

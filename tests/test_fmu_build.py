@@ -236,7 +236,7 @@ def test_the_documented_limit_of_paths_with_other_escapes_is_still_there(tmp_pat
 
 
 def test_the_page_in_the_documentation_is_the_one_in_the_fmu():
-    page = user_page(build.interface_for())
+    page = user_page(build.interface())
     written = (ROOT / "docs" / "fmu.md").read_text(encoding="utf-8")
     assert written == page, "run: python build_fmu.py --page docs/fmu.md"
     html = members(fmu_file())["documentation/index.html"].decode()
