@@ -104,8 +104,8 @@ def _inputs(study: Study) -> Section:
     return Section(
         "The inputs",
         (
-            "Redundant and generalised coordinates give practically the same inputs. Both have an error of the first"
-            " order in the step, seen here as a delay against the closed form; the table below says how large.",
+            "Redundant and generalised coordinates give the same inputs up to the error of the step. That error is of"
+            " the first order and seen here as a delay against the closed form; the tables below say how large it is.",
         ),
         (),
         (
