@@ -132,13 +132,13 @@ def test_a_formulation_or_method_is_explained(name):
 
 
 @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
-def test_a_scene_has_a_sketch_a_closed_form_and_a_place_in_the_theory(name):
+def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name):
     factory = sc.scenes.REGISTRY[name]
     text = inspect.getmodule(factory).__doc__
     drawn = [line for line in text.splitlines() if line.startswith("    ") and re.search(r"[|/\\=\[]", line)]
     assert len(drawn) >= 3, "the head of its file has no sketch"
     assert factory().closed_form is not None or "closed form" in text, "neither a closed form nor a reason"
-    assert f"`{name}`" in (DOCS / "theory.md").read_text(encoding="utf-8")
+    assert f"`{name}`" in (DOCS / "scenes.md").read_text(encoding="utf-8")
 
 
 # Pages ---------------------------------------------------------------------------------------------------------------
