@@ -190,8 +190,17 @@ def packed(content: Content) -> bytes:
     members["modelDescription.xml"] = complete(members["modelDescription.xml"], content.interface, notes)
     members["resources/requirements.txt"] = "\n".join([*requirements(), ""]).encode()
     members["documentation/index.html"] = documentation_page(user_page(content.interface)).encode()
+    members["documentation/licenses/pythonfmu.txt"] = _licence("pythonfmu")
     members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()
     return _zipped(members)
+
+
+def _licence(package: str) -> bytes:
+    """Return the terms under which a package's files may be passed on."""
+    found = [file for file in metadata.files(package) or () if file.name.upper().startswith("LICENSE")]
+    if not found:
+        raise sc.ServocoreError(f"the installed {package} has no licence file to pass on with the FMU")
+    return found[0].read_binary()
 
 
 def requirements() -> tuple[str, ...]:

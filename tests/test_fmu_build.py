@@ -95,6 +95,7 @@ def test_the_archive_holds_what_is_needed_and_nothing_else():
     assert next(iter(found)) == "modelDescription.xml"
     assert {"model.png", "documentation/index.html", "resources/requirements.txt"} <= set(found)
     assert {"binaries/linux64/RotaryCrane.so", "binaries/win64/RotaryCrane.dll"} <= set(found)
+    assert b"MIT License" in found["documentation/licenses/pythonfmu.txt"]
     assert found["model.png"].startswith(b"\x89PNG")
     python = {Path(name).name for name in found if name.endswith(".py")}
     assert not python & {"builder.py", "deploy.py", "csvbuilder.py", "solve.py", "stepper.py", "cli.py"}
