@@ -96,9 +96,7 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
     return rows
 
 
-def _complete(
-    fmu: Path, rows: Any, reference: sc.Reference, step: float, messages: list[str]
-) -> dict[str, Array]:
+def _complete(fmu: Path, rows: Any, reference: sc.Reference, step: float, messages: list[str]) -> dict[str, Array]:
     """Return the columns; FMPy ends a run silently where an FMU discards a step."""
     wanted = round(reference.duration / step) + 1
     last = float(rows["time"][-1]) if len(rows) else reference.start_time
