@@ -1,0 +1,134 @@
+"""The signature method: index and internal degrees of freedom where the literature knows them."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import (
+    actuated_chain,
+    car_chain,
+    changed,
+    driven_pendulum,
+    mass_on_car,
+    redundant_pendulum,
+    scene,
+)
+
+import servocore as sc
+from servocore.structure import (
+    ABSENT,
+    analyse_structure,
+    second_order_equations,
+    signature,
+    system_jacobian,
+)
+
+
+def offsets(system):
+    found = analyse_structure(system)
+    names = found.equations
+    return (
+        dict(zip(names.equations, found.equation_offsets, strict=True)),
+        dict(zip(names.names, found.variable_offsets, strict=True)),
+    )
+
+
+@pytest.mark.parametrize("model", ["points", "bodies", "generalized"])
+def test_the_rotary_crane_has_index_five_and_nothing_to_integrate(model):
+    found = analyse_structure(scene("rotary_crane").model(model))
+    assert found.index == 5
+    assert found.degrees_of_freedom == 0
+
+
+def test_only_generalised_coordinates_need_a_remedy_and_it_is_named():
+    """There, accelerations that cancel hide the index: the equations as they stand have a singular Jacobian."""
+    models = {name: analyse_structure(scene("rotary_crane").model(name)) for name in scene("rotary_crane").models}
+    assert models["points"].equations.remedy == models["bodies"].equations.remedy == ""
+    assert "combined with servo accelerations" in models["generalized"].equations.remedy
+    assert any("less servo accelerations" in name for name in models["generalized"].equations.equations)
+    as_they_stand = signature(second_order_equations(scene("rotary_crane").model("generalized")))
+    assert as_they_stand.index < 5
+
+
+@pytest.mark.parametrize(("cars", "index"), [(2, 5), (3, 7), (4, 9), (6, 13)])
+def test_a_row_of_cars_has_index_twice_their_number_plus_one(cars, index):
+    found = analyse_structure(car_chain([1.0] * cars, [50.0] * (cars - 1), [0.5] * (cars - 1)))
+    assert found.index == index
+    assert found.degrees_of_freedom == 0
+
+
+@pytest.mark.parametrize("system", [actuated_chain(), driven_pendulum()], ids=lambda each: each.name)
+def test_full_actuation_has_index_three(system):
+    found = analyse_structure(system)
+    assert (found.index, found.degrees_of_freedom) == (3, 0)
+
+
+@pytest.mark.parametrize("output", ["x", "theta"])
+def test_index_does_not_depend_on_redundant_coordinates(output):
+    found = analyse_structure(redundant_pendulum(output))
+    assert (found.index, found.degrees_of_freedom) == (3, 0)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "damping", "index", "internal"),
+    [(np.pi / 4, 1.0, 3, 2), (np.pi / 2, 0.0, 3, 2), (0.0, 1.0, 4, 1), (0.0, 0.0, 5, 0)],
+)
+def test_a_mass_on_a_car_has_the_index_of_seifried_and_blajer(alpha, damping, index, internal):
+    found = analyse_structure(mass_on_car(alpha, damping))
+    assert found.index == index
+    assert found.degrees_of_freedom == internal
+
+
+def test_offsets_of_two_cars_are_those_found_by_hand():
+    """y is differentiated four times, car 1's balance twice, car 2's not at all; F is algebraic."""
+    c, d = offsets(car_chain())
+    assert c == {"momentum of x1": 2, "momentum of x2": 0, "servo constraint on y": 4}
+    assert d == {"q.x1": 4, "q.x2": 2, "u.F": 0}
+
+
+def test_the_signature_matrix_lists_highest_derivatives():
+    found = signature(second_order_equations(car_chain()))
+    np.testing.assert_array_equal(found.sigma, [[2, 0, ABSENT], [0, 2, 0], [0, ABSENT, ABSENT]])
+
+
+def test_offsets_bound_every_entry_of_the_signature_matrix_and_are_tight_on_a_transversal():
+    """d_j - c_i >= sigma_ij, equal on a full matching: else the Jacobian would have an empty row."""
+    for system in (scene("rotary_crane").model("points"), mass_on_car(0.0, 1.0), car_chain()):
+        found = analyse_structure(system)
+        gap = np.subtract.outer(-np.array(found.equation_offsets), -np.array(found.variable_offsets))
+        present = found.sigma != ABSENT
+        assert (gap[present] >= found.sigma[present]).all()
+        tight = ca.DM(((gap == found.sigma) & present).astype(float))
+        assert ca.sprank(ca.sparsify(tight)) == len(found.sigma)
+        assert min(found.equation_offsets) == 0
+
+
+def test_the_system_jacobian_of_two_cars_is_the_one_written_by_hand():
+    """Rows: m1 x1'' + k (x1 - x2 - d), m2 x2'' - k (...) - F, x1 - y; columns x1^(4), x2'', F."""
+    found = signature(second_order_equations(car_chain()))
+    np.testing.assert_array_equal(
+        np.asarray(ca.DM(system_jacobian(found))), [[1.0, -50.0, 0.0], [0.0, 2.0, -1.0], [1.0, 0.0, 0.0]]
+    )
+
+
+def test_units_do_not_decide_about_rank():
+    """Cars of a gram on springs of a giganewton per metre are as regular as any."""
+    assert analyse_structure(car_chain([1e-3, 1e-3], [1e9], [0.5])).index == 5
+
+
+def test_an_output_that_no_input_can_reach_is_refused():
+    """The force on the first car cannot be found from a second one that nothing connects to it."""
+    loose = changed(car_chain(), potential=ca.SX(0))
+    with pytest.raises(sc.InvalidModel, match=r"2 cars: .*singular"):
+        analyse_structure(loose)
+
+
+def test_equations_and_variables_are_named_for_humans():
+    equations = second_order_equations(redundant_pendulum("x"))
+    assert equations.names == ("q.x", "q.z", "q.theta", "lam.1", "lam.2", "u.torque")
+    assert equations.equations == (
+        "momentum of x", "momentum of z", "momentum of theta", "servo constraint on y",
+        "holonomic constraint 1", "holonomic constraint 2",
+    )  # fmt: skip
+    assert set(equations.embedded) == {0}
