@@ -118,7 +118,7 @@ def advance(program: Program, before: Snapshot, path: LoadPath, h: float, count:
     if step < SHORTEST_STEP:
         exact = begin(program, path(h), p, before.time + h)
         return replace(exact, step=step, values=_continuous(program, exact.values, before.values))
-    if before.step > 0.0 and abs(step - before.step) > JITTER * step:
+    if abs(step - before.step) > JITTER * step:
         before = replace(before, state=_history(program, before, step, p))
     start = before.time
     for k in range(count):
@@ -161,10 +161,10 @@ def _one_step(program: Program, before: Snapshot, jets: Array, h: float, end: fl
 
 def _history(program: Program, now: Snapshot, h: float, p: Array) -> Array:
     """Return the state that the method would have now had it always taken the step h."""
-    steps = max(0, _FULL_DERIVATIVES - program.order)
-    if steps == 0:
-        return now.state
-    state, report = program.begin(_padded(program, taylor(now.jet, -steps * h)), p)
+    # Before the first step the method's own start will do; later, what it would have come to.
+    steps = max(0, _FULL_DERIVATIVES - program.order) if now.step > 0.0 else 0
+    instants = [(c - steps) * h for c in program.start_instants]
+    state, report = program.begin(np.stack([_padded(program, taylor(now.jet, each)) for each in instants]), p, h)
     for k in range(steps):
         if report.converged:
             offsets = [(k + c - steps) * h for c in program.nodes]

@@ -8,6 +8,7 @@
 from servocore import scenes
 from servocore.accuracy import Adaptive, Fixed
 from servocore.analysis import StructureReport, analyse
+from servocore.boundary_value import BoundaryValue
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -15,6 +16,7 @@ from servocore.errors import (
     InvalidReference,
     InvalidSetting,
     ServocoreError,
+    ServocoreWarning,
 )
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
@@ -53,6 +55,7 @@ __all__ = [
     "DEGREE13",
     "Adaptive",
     "BackwardEuler",
+    "BoundaryValue",
     "Coordinates",
     "Fixed",
     "Formulation",
@@ -79,6 +82,7 @@ __all__ = [
     "Reference",
     "Scene",
     "ServocoreError",
+    "ServocoreWarning",
     "Solution",
     "Statistics",
     "StepReport",

@@ -39,7 +39,7 @@ ADVICE = {
     FLAT: "Reduced: the inputs follow from the reference and its derivatives at every instant, to round-off",
     MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics forward in time",
     WEAKLY_MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics, which are not damped",
-    NON_MINIMUM_PHASE: "no forward integration: the internal dynamics are unstable, errors grow exponentially",
+    NON_MINIMUM_PHASE: "BoundaryValue: forward in time the unstable internal dynamics let errors grow exponentially",
     SINGULAR: "another path, other parameters or another model",
 }
 
@@ -202,6 +202,8 @@ def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> Structur
 def _classified(eigenvalues: tuple[complex, ...]) -> str:
     if not eigenvalues:
         return FLAT
+    if not np.isfinite(eigenvalues).all():
+        return SINGULAR
     growth = max(value.real - _DAMPED * abs(value) for value in eigenvalues)
     decay = max(value.real + _DAMPED * abs(value) for value in eigenvalues)
     if growth > 0.0:
@@ -304,28 +306,81 @@ def condition_number(matrix: Array) -> float:
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
 
 
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """Where the internal dynamics rest while the output does, and how they leave from there.
+
+    Attributes
+    ----------
+    states : ndarray, shape (n_x,)
+        Internal states.
+    eigenvalues : tuple of complex
+        Of the linearisation.
+    stable, unstable : ndarray, shapes (n_s, n_x) and (n_u, n_x)
+        Rows that span the left eigenspaces: `unstable @ (x - states)` = 0 on the stable manifold (to first order) and
+        the other way round. Eigenvalues on the imaginary axis count as stable.
+    """
+
+    states: Array
+    eigenvalues: tuple[complex, ...]
+    stable: Array
+    unstable: Array
+
+
 def internal_eigenvalues(array: DerivativeArray, p: Array) -> tuple[complex, ...]:
     """Eigenvalues of the internal dynamics, linearised at their equilibrium with the output at rest at home."""
     if not array.states:
         return ()
-    system = array.system
-    gamma = np.zeros((len(system.outputs), array.reference_order + 1))
-    gamma[:, 0] = system.home
-    rates = [(j, order + 1) for j, order in array.states]
-    places = [array.unknowns.index(each) for each in rates]
+    return internal_equilibrium(array, p, np.array(array.system.home)).eigenvalues
+
+
+def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equilibrium:
+    """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
+    gamma = np.zeros((len(array.system.outputs), array.reference_order + 1))
+    gamma[:, 0] = output
+    places = [array.unknowns.index((j, order + 1)) for j, order in array.states]
     own = [array.unknowns.index(each) for each in array.states]
-    solver, sensitivity = compile_array_solver(array), _sensitivity(array)
-    guess = np.asarray(first_guess(array)(gamma, p)).ravel()
+    solver, sensitivity, guess_function = _linearisation(array)
+    guess = np.asarray(guess_function(gamma, p)).ravel()
     A = np.zeros((len(own), len(own)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
         values = np.asarray(solver(gamma, p, guess)[0]).ravel()
-        by_states = np.asarray(sensitivity(values, gamma, p))
-        A, rate = by_states[places], values[places]
-        if np.abs(rate).max() < 1e-12:
+        A, rate = np.asarray(sensitivity(values, gamma, p))[places], values[places]
+        if not np.abs(rate).max() > 1e-12:
             break
         guess = values
         guess[own] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
-    return tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
+    if not np.isfinite(A).all():
+        unknown = np.full(len(own), np.nan)
+        return Equilibrium(unknown, tuple(map(complex, unknown)), np.zeros((0, len(own))), np.zeros((0, len(own))))
+    eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
+    growing = sum(value.real > _DAMPED * abs(value) for value in eigenvalues)
+    return Equilibrium(
+        guess[own], eigenvalues, _left_space(A, growing, stable=True), _left_space(A, growing, stable=False)
+    )
+
+
+def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
+    """Rows that span the left invariant subspace of the stable or of the unstable eigenvalues (ordered Schur form)."""
+    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    threshold = sorted(np.linalg.eigvals(A).real, reverse=True)
+    limit = (
+        -np.inf
+        if growing == len(A)
+        else (np.inf if growing == 0 else (threshold[growing - 1] + threshold[growing]) / 2)
+    )
+
+    def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - the signature SciPy calls
+        return real <= limit if stable else real > limit
+
+    _, basis, count = scipy.linalg.schur(A.T, output="real", sort=wanted)
+    return np.asarray(basis[:, :count].T, dtype=np.float64)
+
+
+@lru_cache(maxsize=32)
+def _linearisation(array: DerivativeArray) -> tuple[ca.Function, ca.Function, ca.Function]:
+    return compile_array_solver(array), _sensitivity(array), first_guess(array)
 
 
 def _sensitivity(array: DerivativeArray) -> ca.Function:

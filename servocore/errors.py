@@ -11,6 +11,10 @@ class ServocoreError(Exception):
     """Base of all errors that a user can cause or meet."""
 
 
+class ServocoreWarning(UserWarning):
+    """Something that will not do what its user expects, said in advance."""
+
+
 class InvalidModel(ServocoreError):
     """A mechanical system contradicts itself: sizes, symmetry, rank, parameter bounds, unknown names."""
 

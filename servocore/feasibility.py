@@ -17,7 +17,6 @@ from servocore.system import MechanicalSystem
 _SURVEY_POINTS = 2001
 _REFINED_POINTS = 41
 _REFINEMENTS = 3
-_ORDER = 2  # highest derivative of the reference that limits may use
 
 
 def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
@@ -56,14 +55,22 @@ def require_feasible(reference: Reference, system: MechanicalSystem, limits: tup
 
 
 def _margins(reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array) -> Array:
-    jets = reference.jet(t, _ORDER)
+    jets = reference.jet(t, limits_order(system, limits))
     (margins,) = _mapped_margins(system, limits, len(t))(side_by_side(jets), np.tile(p[:, None], len(t)))
     return margins.reshape(len(limits), len(t))
 
 
 @lru_cache(maxsize=64)
 def _mapped_margins(system: MechanicalSystem, limits: tuple[Limit, ...], count: int) -> Call:
-    return Call(compile_margins(system, limits, _ORDER).map(count))
+    return Call(compile_margins(system, limits, limits_order(system, limits)).map(count))
+
+
+@lru_cache(maxsize=64)
+def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
+    """Highest derivative of the reference that the limits use."""
+    margins = [each.expression(system.gamma, system.parameters) for each in limits]
+    columns = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *margins), ca.vec(system.gamma)).get_col()
+    return max((column // system.gamma.size1() for column in columns), default=0)
 
 
 def side_by_side(jets: Array) -> Array:

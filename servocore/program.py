@@ -122,10 +122,11 @@ class Program:
             Reference jets.
         p : ndarray
             Parameters.
+            One jet serves for all of them while the step is not known.
         h : float
-            Step size; only a method with several `start_instants` needs it.
+            Step size in s; 0 while it is not known.
         """
-        jets = gamma[None] if gamma.ndim == 2 else gamma
+        jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
         used = jets[:, : self.start_order + 1]
         return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
 

@@ -23,8 +23,6 @@ Inputs = Callable[[float], Array]
 STABILISATION_RATE = 10.0
 """Rate in 1/s at which violations of the holonomic constraints decay."""
 
-TRACKING = Channel("tracking_error", "m", "distance of the servo output from the reference")
-
 
 def simulate(
     scene: Scene,
@@ -189,6 +187,7 @@ def _report(
         if quantity.wraps:
             row[:] = np.unwrap(row)
     channels = tuple(Channel(each.name, each.unit, each.description, each.wraps) for each in known)
+    tracking = Channel("tracking_error", system.outputs[0].unit, "distance of the servo output from the reference")
     steps, evaluations = counts
     statistics = Statistics(
         steps, 0, evaluations, 0.0,
@@ -196,7 +195,7 @@ def _report(
         float(np.abs(g).max(initial=0.0)), float(np.abs(g_dot).max(initial=0.0)),
     )  # fmt: skip
     table = np.column_stack([values.T, deviation])
-    return Solution(t, (*channels, TRACKING), table, f"{system.name}, forward simulation", statistics)
+    return Solution(t, (*channels, tracking), table, f"{system.name}, forward simulation", statistics)
 
 
 def _observed(system: MechanicalSystem) -> dict[Quantity, ca.SX]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 
 from servocore.accuracy import Adaptive, Fixed
 from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
+from servocore.boundary_value import BoundaryValue, solve_boundary_value
 from servocore.controlled import solve_to_tolerance
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, ServocoreWarning
 from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
@@ -18,6 +20,7 @@ from servocore.references import Reference
 from servocore.scene import Scene
 from servocore.solution import Solution
 from servocore.stepper import Stepper
+from servocore.structure import specialised
 from servocore.symbols import Array
 
 _DEFAULT_STEPS = 200
@@ -26,7 +29,7 @@ _DEFAULT_STEPS = 200
 def solve(
     scene: Scene,
     formulation: Formulation | None = None,
-    method: Method | None = None,
+    method: Method | BoundaryValue | None = None,
     *,
     step: float | Fixed | Adaptive | None = None,
     output_step: float | None = None,
@@ -70,9 +73,12 @@ def solve(
         If a step is not solved.
     """
     advice = ""
-    if formulation is None:
-        formulation, advice = recommended(scene, model)
-        method = method or RadauIIA(3)
+    if formulation is None and method is None:
+        formulation, method, advice = recommended(scene, model)
+    if isinstance(method, BoundaryValue):
+        return replace(_solve_bounded(scene, formulation, method, step, model, progress), advice=advice)
+    formulation = formulation or Reduced()
+    warn_of_growth(scene, model)
     control = step if isinstance(step, Adaptive) else Fixed(step) if not isinstance(step, Fixed) else step
     if output_step is not None and not isinstance(control, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
@@ -95,21 +101,44 @@ def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None
     return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
 
 
-def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, str]:
-    """Return the formulation that the analysis recommends and what it says.
+def _solve_bounded(
+    scene: Scene,
+    formulation: Formulation | None,
+    route: BoundaryValue,
+    step: float | Fixed | Adaptive | None,
+    model: str | None,
+    progress: Progress | None,
+) -> Solution:
+    if formulation not in (None, Reduced()):
+        raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+    if isinstance(step, Adaptive):
+        raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+    _, h = time_grid(scene.reference, step.h if isinstance(step, Fixed) else step)
+    base = scene.model(model)
+    p = base.parameters.values(scene.parameters)
+    system = specialised(base, p)
+    require_feasible(scene.reference, system, scene.limits, p)
+    return solve_boundary_value(system, scene.reference, p, route, h, progress)
 
-    Raises
-    ------
-    InvalidSetting
-        If the internal dynamics are unstable, so that no integration forward in time can succeed.
-    """
+
+def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, Method | BoundaryValue, str]:
+    """Return the formulation and the method that the analysis recommends, and what it says."""
+    kind, _ = internal_dynamics(scene, model)
+    method = BoundaryValue() if kind == NON_MINIMUM_PHASE else RadauIIA(3)
+    return Reduced(), method, f"{kind}: {ADVICE[kind]}"
+
+
+def warn_of_growth(scene: Scene, model: str | None = None) -> None:
+    """Warn before unstable internal dynamics are integrated forward in time."""
     kind, rate = internal_dynamics(scene, model)
     if kind == NON_MINIMUM_PHASE:
-        raise InvalidSetting(
-            f"{scene.name} has unstable internal dynamics (non-minimum phase): integrating forward in time, errors grow"
-            f" like exp({rate:.3g} t); name a formulation and a method to do it all the same"
+        warnings.warn(
+            f"{scene.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
+            f" exp({rate:.3g} t), {np.exp(rate * scene.reference.duration):.2g}-fold by"
+            f" t = {scene.reference.end_time:g} s; the method BoundaryValue finds the bounded solution",
+            ServocoreWarning,
+            stacklevel=3,
         )
-    return Reduced(), f"{kind}: {ADVICE[kind]}"
 
 
 def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from servocore.dae import Dae
 from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidSetting
-from servocore.feasibility import compile_margins, limit_texts
+from servocore.feasibility import compile_margins, limit_texts, limits_order
 from servocore.formulations import Formulation
 from servocore.methods import Discretisation, Method
 from servocore.methods.base import instantaneous
@@ -35,7 +35,7 @@ def compile_program(
     pointwise = dae.x.numel() == 0
     discretisation = instantaneous(dae) if pointwise else method.discretise(dae)
     array = derivative_array(system)
-    start_order = max(array.reference_order, dae.reference_order, 2)
+    start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = _observed(system)
     start = compile_start(array, dae, discretisation, start_order)
     return Program(
@@ -55,7 +55,7 @@ def compile_program(
         start_instants=start_instants(array, discretisation),
         channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
         parameters=system.parameters.names,
-        equations=tuple(each.name for each in dae.equations),
+        equations=discretisation.labels,
         limits=limit_texts(limits),
     )
 
@@ -201,9 +201,11 @@ class Stepper:
         Parameters
         ----------
         reference_jet : ndarray, shape (start_order + 1, m), or (instants, start_order + 1, m)
-            Reference at the initial time; for a method with `start_instants`, at each of them.
+            Reference at the initial time; for a method with several `start_instants`, at each of them. With the
+            first form such a method starts from exact values instead, and its first inputs are less accurate.
         """
-        return self.program.begin(np.asarray(reference_jet), self.parameters, self.step)
+        jets = np.asarray(reference_jet)
+        return self.program.begin(jets, self.parameters, self.step if jets.ndim == 3 else 0.0)
 
     def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
         """Return the state one step later.

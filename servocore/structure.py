@@ -344,12 +344,14 @@ def combine(equations: SecondOrderEquations) -> SecondOrderEquations | None:
 
 
 def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX) -> tuple[ca.SX, bool, bool]:
-    """Set velocities and accelerations to zero in the rows whose derivatives by them vanish at all probes.
+    """Set variables and their derivatives to constants in the rows whose derivatives by them vanish at all probes.
 
     Returns the rows, whether something vanishes for the home parameters only, and whether anything changed.
     """
     y, system = equations.y, equations.system
-    derivatives = ca.vertcat(ca.vec(y[:, 1]), ca.vec(y[:, 2]))
+    derivatives, rest = ca.vec(y), np.zeros(y.numel())
+    q, _ = system.home_configuration()
+    rest[: len(q)] = q
     by_derivatives = ca.jacobian(rows, derivatives)
     evaluate = ca.Function("by", [y, system.gamma, system.p], [by_derivatives])
 
@@ -365,6 +367,6 @@ def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX) -> tuple[ca
     cleaned = []
     for k in range(rows.numel()):
         absent = [int(j) for j in np.flatnonzero(structural[k] & ~here[k])]
-        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX.zeros(len(absent))) if absent else rows[k])
+        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX(rest[absent])) if absent else rows[k])
     special = bool((present(disturbed=True) & structural & ~here).any())
     return ca.vertcat(*cleaned), special, bool((structural & ~here).any())

@@ -94,15 +94,23 @@ def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(k
 
 def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially():
     this = scene_of("unstable")
-    solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)
+    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
+        solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)
     exact = exact_on_grid("unstable", 800)
     distance = np.abs(solution["s"] - exact["s"])
     (rate,) = (value.real for value in sc.analyse(this).eigenvalues if value.real > 0.0)
     late = solution.t > 3.0
     slope = np.polyfit(solution.t[late], np.log(distance[late]), 1)[0]
     assert slope == pytest.approx(rate, rel=0.05)
-    with pytest.raises(sc.InvalidSetting, match="non-minimum phase"):
-        sc.solve(this)
+
+
+def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution():
+    this = scene_of("unstable")
+    solution = sc.solve(this)
+    assert "BoundaryValue" in solution.advice
+    exact = this.exact(solution.t)
+    for name in ("u", "s"):
+        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
 
 
 def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response():

@@ -125,11 +125,26 @@ def test_the_bounded_solution_at_the_tip_moves_before_the_path_and_fades_on_both
     assert np.abs(exact["u"][1]) > 1e-2
 
 
-def test_forward_integration_at_the_tip_leaves_the_bounded_solution_and_is_not_recommended():
-    with pytest.raises(sc.InvalidSetting, match="non-minimum phase"):
-        sc.solve(scene(tip=True))
-    with pytest.raises(sc.IntegrationFailed):
+def test_forward_integration_at_the_tip_is_warned_of_and_leaves_the_bounded_solution():
+    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"), pytest.raises(sc.IntegrationFailed):
         sc.solve(scene(tip=True), sc.Reduced(), sc.BackwardEuler(), step=DURATION / 3200)
+
+
+def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pre_actuation():
+    arm = scene(tip=True)
+    solution = sc.solve(arm)
+    assert "BoundaryValue" in solution.advice
+    assert solution.t[0] < arm.reference.start_time
+    assert solution.t[-1] > arm.reference.end_time
+    exact = arm.exact(solution.t)
+    for name in ("u", "a", "b"):
+        np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
+
+
+def test_the_tip_follows_its_path_when_the_arm_is_simulated_under_the_bounded_inputs():
+    arm = scene(tip=True)
+    tracked = sc.simulate(arm, sc.solve(arm, step=DURATION / 400))["tracking_error"].max()
+    assert tracked < 1e-6
 
 
 def test_tracking_the_centre_of_percussion_is_refused_with_the_reason():

@@ -11,6 +11,8 @@ from servocore.methods.base import (
     Discretisation,
     Orders,
     at,
+    differenced,
+    labels,
     reference_symbols,
     scales,
     start_symbols,
@@ -25,7 +27,9 @@ class BackwardEuler:
         H(x1) (x1 - x0) = h f(x1, z1, t1),    0 = h(x1, z1, t1)
 
     First order in all variables of a projected form (index 3) at constant step; L-stable. With H(x) evaluated at the
-    new instant. Starts from consistent values at the initial time alone.
+    new instant. On projected forms the velocity at the initial time is (q(t0) - q(t0 - h)) / h, with positions from the
+    exact inversion: with the exact velocity the first step of a path that starts in motion would see half of the
+    acceleration.
 
     The state holds the unknowns at the last two instants: the older one serves to extrapolate the first guess.
     """
@@ -42,7 +46,7 @@ class BackwardEuler:
         old, older, h = ca.SX.sym("old", size), ca.SX.sym("older", size), ca.SX.sym("h")
         reference, (gamma,) = reference_symbols(dae, 1)
         rate = (dae.x - old[:size_x]) / h
-        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
+        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae, 2)
         ratio = ca.SX.sym("ratio")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
@@ -58,7 +62,7 @@ class BackwardEuler:
             state=ca.vertcat(old, older),
             next_state=ca.vertcat(unknowns, old),
             start=start,
-            first_state=ca.repmat(start.values[:, 0], 2, 1),
+            first_state=ca.vec(differenced(dae, start, h, [1.0, -1.0])),
             x=old[:size_x],
             z=old[size_x:],
             nodes=(1.0,),
@@ -66,4 +70,5 @@ class BackwardEuler:
             step=h,
             ratio=ratio,
             rescaled=ca.vertcat(old, old - ratio * (old - older)),
+            labels=labels(dae),
         )

@@ -73,6 +73,8 @@ class Discretisation:
         Symbol of the step size h.
     ratio, rescaled : casadi.SX
         Symbol of a new step size divided by the old one, and the state made ready for it.
+    labels : tuple of str
+        What each row of the equations is called in messages.
     """
 
     equations: SquareSystem
@@ -87,6 +89,7 @@ class Discretisation:
     step: ca.SX
     ratio: ca.SX
     rescaled: ca.SX
+    labels: tuple[str, ...]
 
 
 class Method(Protocol):
@@ -113,6 +116,30 @@ def start_symbols(dae: Dae, instants: int = 1) -> Start:
         ca.SX.sym("history", size_x + size_z, instants),
         ca.SX.sym("rates", size_x),
     )
+
+
+def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
+    """Return the history of a multistep method, shape (len x + len z, len alpha).
+
+    On forms of index two and more the velocities in it are not the exact ones but those that the difference formula
+    sum_i alpha_i x(t - i h) / h makes of the positions, as it will in every step: an exact velocity would meet
+    differenced ones with a jump of the size of their error, and the inputs would feel the jump divided by h. With
+    h = 0 (a start whose step is not known yet) the velocities stay exact.
+    """
+    history = ca.SX(start.values[:, : len(alpha)])
+    if dae.index <= 1:
+        return history
+    places = {(each.variable, each.order): place for place, each in enumerate(dae.unknowns)}
+    available = start.values.size2()
+    for place, unknown in enumerate(dae.unknowns[: dae.x.numel()]):
+        position = places.get((unknown.variable, unknown.order - 1))
+        if position is None:
+            continue
+        for j in range(min(len(alpha), available - len(alpha) + 1)):
+            past = start.values[position, j : j + len(alpha)]
+            quotient = ca.dot(past.T, ca.DM(alpha)) / ca.if_else(h == 0, 1, h)
+            history[place, j] = ca.if_else(h == 0, history[place, j], quotient)
+    return history
 
 
 def reference_symbols(dae: Dae, nodes: int) -> tuple[ca.SX, list[ca.SX]]:
@@ -167,4 +194,10 @@ def instantaneous(dae: Dae) -> Discretisation:
         step=h,
         ratio=ca.SX.sym("ratio"),
         rescaled=old,
+        labels=labels(dae),
     )
+
+
+def labels(dae: Dae) -> tuple[str, ...]:
+    """Names of the rows of a `Dae`."""
+    return tuple(each.name for each in dae.equations)

@@ -13,8 +13,9 @@ from servocore.errors import InvalidSetting
 from servocore.methods.base import (
     Discretisation,
     Orders,
-    Start,
     at,
+    differenced,
+    labels,
     reference_symbols,
     scales,
     start_symbols,
@@ -93,7 +94,7 @@ class BDF:
             state=ca.vec(history),
             next_state=ca.vertcat(unknowns, ca.vec(history[:, :k])),
             start=start,
-            first_state=ca.vec(self._history(dae, start, h)),
+            first_state=ca.vec(differenced(dae, start, h, alpha)),
             x=history[:size_x, 0],
             z=history[size_x:, 0],
             nodes=(1.0,),
@@ -101,23 +102,8 @@ class BDF:
             step=h,
             ratio=ratio,
             rescaled=ca.vec(ca.mtimes(history, _resampling(k + 1, ratio))),
+            labels=labels(dae),
         )
-
-    def _history(self, dae: Dae, start: Start, h: ca.SX) -> ca.SX:
-        """Return [x; z] at 0, -1, ..., -k steps, velocities differenced where the index asks for it."""
-        alpha = [float(each) for each in coefficients(self.order)]
-        history = ca.SX(start.values[:, : self.order + 1])
-        if dae.index <= 1:
-            return history
-        places = {(each.variable, each.order): place for place, each in enumerate(dae.unknowns)}
-        for place, unknown in enumerate(dae.unknowns[: dae.x.numel()]):
-            position = places.get((unknown.variable, unknown.order - 1))
-            if position is not None:
-                for j in range(self.order + 1):
-                    past = start.values[position, j : j + self.order + 1]
-                    terms = [a * past[i] for i, a in enumerate(alpha[: past.numel()])]
-                    history[place, j] = sum(terms, ca.SX(0)) / h
-        return history
 
 
 def _resampling(points: int, ratio: ca.SX) -> ca.SX:

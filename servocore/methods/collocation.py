@@ -11,10 +11,12 @@ from numpy.polynomial import legendre
 
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
+from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import (
     Discretisation,
     Orders,
     at,
+    labels,
     reference_symbols,
     scales,
     start_symbols,
@@ -114,7 +116,9 @@ class RadauIIA:
         return Orders(s, s, max(1, s - 1))
 
     def discretise(self, dae: Dae) -> Discretisation:
-        """Return the equations of one step."""
+        """Return the equations of one step; with one stage they are those of backward Euler."""
+        if self.stages == 1:
+            return BackwardEuler().discretise(dae)
         return _discretise(dae, tableau("radau", self.stages))
 
 
@@ -188,4 +192,5 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         step=h,
         ratio=ca.SX.sym("ratio"),
         rescaled=state,
+        labels=labels(dae) * s,
     )

@@ -12,6 +12,7 @@ from servocore.methods.base import (
     Discretisation,
     Orders,
     at,
+    labels,
     reference_symbols,
     scales,
     start_symbols,
@@ -97,6 +98,14 @@ class GeneralizedAlpha:
             step=h,
             ratio=ca.SX.sym("ratio"),
             rescaled=old,
+            labels=(
+                *(
+                    f"{kind} of {dae.unknowns[k].name}"
+                    for kind in ("position", "velocity", "acceleration")
+                    for k in places_q
+                ),
+                *(labels(dae)[k] for k in rows),
+            ),
         )
 
 

@@ -11,6 +11,7 @@ from servocore.methods.base import (
     Discretisation,
     Orders,
     at,
+    labels,
     reference_symbols,
     scales,
     start_symbols,
@@ -66,4 +67,5 @@ class Trapezoidal:
             step=h,
             ratio=ratio,
             rescaled=ca.vertcat(old, old - ratio * (old - older)),
+            labels=labels(dae),
         )
