@@ -1,0 +1,141 @@
+"""`simulate`: its own accuracy against a pendulum, and what inputs do to the load."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import scipy.special
+from problems import as_scene, driven_pendulum, exact, polynomial_path, problem, redundant_pendulum, scene, solved
+from scipy.interpolate import make_interp_spline
+
+import servocore as sc
+
+CRANE = scene("rotary_crane")
+NO_TORQUE = lambda time: np.zeros(1)  # noqa: ARG005, E731
+
+
+def released(system, start, duration):
+    """Return a scene whose reference only says where the system starts, at rest."""
+    return as_scene(system, polynomial_path([[start]], duration))
+
+
+def period(amplitude):
+    """4 sqrt(l/g) K(m), m = sin^2(amplitude/2)."""
+    return 4.0 * np.sqrt(1.5 / 9.81) * scipy.special.ellipk(np.sin(amplitude / 2) ** 2)
+
+
+@pytest.mark.parametrize("amplitude", [0.01, 1.0, 2.5])
+def test_a_free_pendulum_swings_with_the_period_of_the_elliptic_integral(amplitude):
+    t = np.array([0.0, 0.25, 0.5, 1.0]) * period(amplitude)
+    found = sc.simulate(released(driven_pendulum(), amplitude, t[-1]), NO_TORQUE, t=t, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(found["theta"], amplitude * np.array([1.0, 0.0, -1.0, 1.0]), atol=1e-8)
+
+
+def test_a_free_pendulum_keeps_its_energy():
+    """Over ten swings of more than a right angle, from angles and their rates by a spline of degree seven."""
+    t = np.linspace(0.0, 25.0, 2001)
+    angle = sc.simulate(released(driven_pendulum(), 2.0, 25.0), NO_TORQUE, t=t)["theta"]
+    rate = make_interp_spline(t, angle, k=7).derivative()(t)
+    energy = 1.5**2 * rate**2 / 2 - 9.81 * 1.5 * np.cos(angle)
+    assert np.ptp(energy) < 1e-6 * 9.81 * 1.5
+
+
+def test_tighter_tolerances_give_smaller_errors():
+    """After ten swings and a quarter the pendulum passes the vertical."""
+    errors = []
+    for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
+        t = np.array([0.0, 10.25 * period(2.0)])
+        found = sc.simulate(released(driven_pendulum(), 2.0, t[-1]), NO_TORQUE, t=t, rtol=rtol, atol=rtol)
+        errors.append(abs(found["theta"][-1]))
+    assert all(coarse > 10 * fine for coarse, fine in pairwise(errors))
+    assert errors[-1] < 1e-7
+
+
+def test_redundant_coordinates_swing_as_the_angle_does_and_keep_the_rod():
+    one = released(driven_pendulum(), 1.2, 4.0)
+    other = released(redundant_pendulum("theta"), 1.2, 4.0)
+    t = np.linspace(0.0, 4.0, 81)
+    expected = sc.simulate(one, NO_TORQUE, t=t)
+    found = sc.simulate(other, NO_TORQUE, t=t)
+    np.testing.assert_allclose(found["theta"], expected["theta"], atol=1e-7)
+    np.testing.assert_allclose(np.hypot(found["x"], found["z"]), 1.5, atol=1e-8)
+    assert found.statistics.constraint_violation < 1e-8
+
+
+@pytest.mark.parametrize("name", ["overhead_crane", "cars"])
+def test_exact_inputs_lead_the_load_along_the_path(name):
+    """The closed form as a function of time: every instant of it, not samples."""
+    crane = scene(name)
+    inputs = [each.name for each in crane.model().inputs]
+
+    def force(time):
+        found = crane.exact(np.array([time]))
+        return np.array([found[each][0] for each in inputs])
+
+    t = np.linspace(crane.reference.start_time, crane.reference.end_time, 61)
+    found = sc.simulate(crane, force, t=t, rtol=1e-11, atol=1e-11)
+    assert found["tracking_error"].max() < 1e-8
+    assert found.statistics.constraint_violation < 1e-8
+    for each in crane.model().coordinates.names:
+        np.testing.assert_allclose(found[each], crane.exact(t)[each], atol=1e-7)
+
+
+@pytest.mark.parametrize("model", ["points", "generalized"])
+def test_exact_inputs_lead_the_rotary_crane_s_load_along_the_path(model):
+    """Reduced gives them to rounding; 2000 samples and a cubic spline leave less than a micrometre."""
+    inputs = solved(problem("rotary_crane", "points", "reduced"), 2000)
+    t = np.linspace(0.0, 20.0, 201)
+    found = sc.simulate(CRANE, inputs, t=t, model=model)
+    assert found["tracking_error"].max() < 1e-6
+    expected = exact("rotary_crane", 200)
+    for name in ("phi", "s", "l"):
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-6)
+
+
+def test_the_load_misses_its_end_by_a_first_order_amount_under_backward_euler_inputs():
+    misses = []
+    for steps in (200, 400, 800):
+        inputs = solved(problem("rotary_crane", "points"), steps)
+        found = sc.simulate(CRANE, inputs)
+        misses.append(found["tracking_error"][-1])
+    assert 1e-3 < misses[0] < 1.0
+    for coarse, fine in pairwise(misses):
+        assert coarse / fine == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_heavier_load_than_planned_does_not_arrive():
+    """What the simulation is for: the inputs were made for another crane."""
+    inputs = solved(problem("overhead_crane", "points", "reduced"), 800)
+    found = sc.simulate(scene("overhead_crane").with_parameters(load_mass=130.0), inputs)
+    assert found["tracking_error"][-1] > 0.1
+    assert sc.simulate(scene("overhead_crane"), inputs)["tracking_error"][-1] < 1e-4
+
+
+def test_it_reports_inputs_outputs_observables_and_coordinates_with_units():
+    inputs = solved(problem("overhead_crane", "points", "reduced"), 200)
+    found = sc.simulate(scene("overhead_crane"), inputs)
+    for name, unit in {
+        "F": "N", "M_w": "N.m", "x": "m", "s": "m", "l": "m", "tension": "N", "swing": "rad", "tracking_error": "m",
+    }.items():  # fmt: skip
+        assert found.unit(name) == unit
+    np.testing.assert_allclose(found["F"], inputs["F"], atol=1e-9)
+    np.testing.assert_allclose(found["tension"], exact("overhead_crane", 200)["tension"], rtol=1e-3)
+    np.testing.assert_array_equal(found.t, inputs.t)
+    assert found.statistics.steps > 10
+    assert found.statistics.servo_violation == pytest.approx(found["tracking_error"].max())
+
+
+def test_inputs_given_as_a_function_need_times():
+    with pytest.raises(sc.InvalidSetting, match="need the times at which to report"):
+        sc.simulate(released(driven_pendulum(), 1.0, 1.0), NO_TORQUE)
+
+
+def test_inputs_that_are_not_numbers_end_in_a_sentence_not_in_numbers():
+    with pytest.raises(sc.ServocoreError, match=r"the forward simulation stopped at t = "):
+        sc.simulate(
+            released(driven_pendulum(), 1.0, 1.0),
+            lambda time: np.array([np.nan if time > 0.5 else 0.0]),
+            t=np.linspace(0.0, 1.0, 11),
+        )

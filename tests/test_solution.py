@@ -1,0 +1,196 @@
+"""`Solution`: arrays by name with units, files that are whole or absent, angles that do not jump."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from problems import problem, scene, solved
+
+import servocore as sc
+from servocore.program import Channel
+from servocore.solution import write_atomically
+
+CRANE = scene("rotary_crane")
+
+
+@pytest.fixture(scope="module")
+def solution():
+    return solved(problem("rotary_crane", "points"), 200)
+
+
+def test_it_lists_inputs_then_observables_outputs_and_coordinates(solution):
+    expected = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing", "x", "y", "z", "d_x", "d_y", "p_x", "p_y")
+    assert solution.names == expected
+    units = ["N.m", "N", "N.m", "rad", "m", "m", "N", "rad", "m", "m", "m", "1", "1", "m", "m"]
+    assert [solution.unit(name) for name in solution.names] == units
+
+
+def test_names_give_columns(solution):
+    assert "M_b" in solution
+    assert "M_c" not in solution
+    np.testing.assert_array_equal(solution["F"], solution.values[:, 1])
+    assert solution["F"].shape == solution.t.shape
+
+
+@pytest.mark.parametrize("ask", [lambda s: s["M_c"], lambda s: s.unit("M_c")])
+def test_an_unknown_name_is_refused_and_the_known_ones_listed(solution, ask):
+    with pytest.raises(KeyError, match="M_c; there are M_b, F, M_w, phi, s, l"):
+        ask(solution)
+
+
+def test_the_route_says_model_formulation_and_method(solution):
+    assert solution.route == "rotary crane, points, projected, backward-euler"
+
+
+def test_the_fit_error_of_a_sampled_path_is_handed_on(solution):
+    assert solution.fit_error is None
+    t = np.linspace(0.0, 20.0, 401)
+    path = sc.sampled(t, CRANE.reference.jet(t, 0)[:, 0])
+    found = sc.solve(CRANE.with_reference(path), sc.Projected(), sc.BackwardEuler(), step=0.1)
+    assert found.fit_error == path.fit_error is not None
+
+
+# Statistics ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("model", "most"), [("points", 3.0), ("generalized", 3.2), ("bodies", 3.6)])
+def test_a_step_of_the_default_crane_takes_about_three_newton_iterations(model, most):
+    statistics = solved(problem("rotary_crane", model), 200).statistics
+    assert statistics.steps == 200
+    assert statistics.newton_iterations <= most * 200
+    assert statistics.newton_iterations <= statistics.factorisations
+
+
+def test_iterations_become_fewer_as_steps_become_smaller():
+    counts = [solved(problem("rotary_crane", "points"), n).statistics.newton_iterations / n for n in (200, 800, 1600)]
+    assert counts[0] > counts[1] > counts[2]
+
+
+def test_violations_are_those_of_the_theory(solution):
+    """Positions satisfy the constraints to rounding; velocities, differenced, miss them by a first-order amount."""
+    statistics = solution.statistics
+    assert statistics.servo_violation < 1e-12
+    assert statistics.constraint_violation < 1e-12
+    assert statistics.worst_residual < 1e-12
+    h = 0.1
+    path = CRANE.reference.jet(solution.t, 1)
+    differenced = np.diff(path[:, 0], axis=0) / h
+    assert statistics.servo_rate_violation == pytest.approx(np.abs(differenced - path[1:, 1]).max(), rel=1e-9)
+
+
+# Files ---------------------------------------------------------------------------------------------------------------
+
+
+def read(path):
+    with Path(path).open(newline="") as stream:
+        header, *rows = csv.reader(stream)
+    return header, np.array(rows, dtype=float)
+
+
+def test_csv_brings_every_digit_back(solution, tmp_path):
+    solution.to_csv(tmp_path / "inputs.csv")
+    header, table = read(tmp_path / "inputs.csv")
+    assert header == ["time", *solution.names]
+    np.testing.assert_array_equal(table[:, 0], solution.t)
+    np.testing.assert_array_equal(table[:, 1:], solution.values)
+
+
+def test_csv_holds_the_names_asked_for_in_their_order(solution, tmp_path):
+    solution.to_csv(tmp_path / "some.csv", ["z", "M_b"])
+    header, table = read(tmp_path / "some.csv")
+    assert header == ["time", "z", "M_b"]
+    np.testing.assert_array_equal(table[:, 2], solution["M_b"])
+
+
+def test_csv_holds_numbers_that_are_hard_to_write(tmp_path):
+    values = np.array([[np.pi], [1e-310], [-0.0], [np.nan], [np.inf], [1 / 3]])
+    sc.Solution(np.arange(6.0), (Channel("v", "m"),), values, "by hand").to_csv(tmp_path / "hard.csv")
+    _, table = read(tmp_path / "hard.csv")
+    np.testing.assert_array_equal(table[:, 1:], values)
+    assert np.signbit(table[2, 1])
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_rest(solution, tmp_path, monkeypatch):
+    target = tmp_path / "inputs.csv"
+    target.write_text("old")
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "replace", full)
+    with pytest.raises(sc.InvalidSetting, match=r"cannot write .*inputs.csv: No space left on device"):
+        solution.to_csv(target)
+    assert target.read_text() == "old"
+    assert os.listdir(tmp_path) == ["inputs.csv"]
+
+
+def test_an_interrupted_write_leaves_no_rest(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / "new.txt", "content")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_folder_that_does_not_exist_is_refused_by_name(solution, tmp_path):
+    with pytest.raises(sc.InvalidSetting, match=r"cannot write .*nowhere"):
+        solution.to_csv(tmp_path / "nowhere" / "inputs.csv")
+
+
+def test_unknown_names_write_nothing(solution, tmp_path):
+    with pytest.raises(KeyError, match="M_c"):
+        solution.to_csv(tmp_path / "inputs.csv", ["M_c"])
+    assert os.listdir(tmp_path) == []
+
+
+def test_text_and_bytes_are_written_whole(tmp_path):
+    write_atomically(tmp_path / "text", "grün\n")
+    write_atomically(tmp_path / "bytes", b"\x00\xff")
+    assert (tmp_path / "text").read_text(encoding="utf-8") == "grün\n"
+    assert (tmp_path / "bytes").read_bytes() == b"\x00\xff"
+
+
+# Angles --------------------------------------------------------------------------------------------------------------
+
+
+def turns(count, duration=60.0):
+    """Waypoints around the axis, every 30 degrees."""
+    angles = np.linspace(0.0, 2 * np.pi * count, 12 * abs(count) + 1)
+    return sc.through(np.column_stack([4 * np.cos(angles), 4 * np.sin(angles), -5 + 0 * angles]), duration=duration)
+
+
+@pytest.mark.parametrize("model", ["points", "generalized", "bodies"])
+@pytest.mark.parametrize("count", [2, -2])
+def test_the_bridge_angle_goes_on_beyond_full_turns(model, count):
+    crane = CRANE.with_reference(turns(count))
+    found = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.3, model=model)
+    assert np.abs(np.diff(found["phi"])).max() < 0.3
+    assert found["phi"][-1] - found["phi"][0] == pytest.approx(2 * np.pi * count, abs=1e-9)
+    np.testing.assert_allclose(found["phi"], crane.exact(found.t)["phi"], atol=1e-9)
+
+
+def test_angles_of_exact_inversion_are_continuous_too():
+    found = sc.solve(CRANE.with_reference(turns(2)), sc.Reduced(), step=0.3)
+    assert found["phi"][-1] - found["phi"][0] == pytest.approx(4 * np.pi, abs=1e-9)
+
+
+@pytest.mark.parametrize("model", ["points", "generalized"])
+def test_crossing_the_cut_of_the_arc_tangent_leaves_no_trace(model):
+    """From 170 to 190 degrees: the same inputs as from -10 to 10 degrees."""
+
+    def sweep(degrees):
+        angles = np.radians([degrees - 10, degrees, degrees + 10])
+        path = np.column_stack([5 * np.cos(angles), 5 * np.sin(angles), [-5, -4, -5]])
+        return CRANE.with_reference(sc.through(path, duration=15.0))
+
+    across, ahead = (sc.solve(sweep(d), sc.Projected(), sc.BackwardEuler(), step=0.1, model=model) for d in (180, 0))
+    for name in ("M_b", "F", "M_w"):
+        np.testing.assert_allclose(across[name], ahead[name], rtol=1e-8, atol=1e-7)
+    np.testing.assert_allclose(np.diff(across["phi"]), np.diff(ahead["phi"]), atol=1e-10)
