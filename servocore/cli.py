@@ -172,9 +172,9 @@ def show_levels(
 
     Each model runs along the default path by exact inversion (the derivative
     array, solved instant by instant) and by projected backward Euler. Times are
-    microseconds an instant: median and quartiles of warm runs. Errors are the
-    largest of any input, as a fraction of its largest value. Other work on the
-    machine shows in the times; trust the ratios.
+    microseconds of the processor an instant: median and quartiles of warm runs.
+    Errors are the largest of any input, as a fraction of its largest value.
+    Other work on the machine shows in the times a little; trust the ratios.
     """
     scenes = _asked_for(scene, every, parameters)
     _require_places(csv, markdown, parameters)

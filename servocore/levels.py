@@ -1,8 +1,8 @@
 """What the models of a scene cost and how exact they are: measured, for tables and machines.
 
 Every model is run along the reference of its scene by two routes: the derivative array as `Reduced` (the exact
-inversion where there are no internal dynamics), and backward Euler on the projected equations. Runs are warm and taken
-in turn, so that disturbances meet them alike. Trust the ratios: machines are busy.
+inversion where there are no internal dynamics), and backward Euler on the projected equations. Times are processor
+times of warm runs, taken in turn so that disturbances meet them alike. Trust the ratios: machines are busy.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from servocore.analysis import analyse
+from servocore.analysis import NON_MINIMUM_PHASE, analyse
 from servocore.calls import Call
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.feasibility import side_by_side
@@ -33,6 +33,9 @@ ROUTES: dict[str, tuple[Formulation, Method]] = {
 """What is compared; the method of the first is of use only where there are internal dynamics to integrate."""
 
 Key = TypeVar("Key")
+
+_CLOCK = time.process_time if time.get_clock_info("process_time").resolution <= 1e-6 else time.perf_counter
+"""Processor time where it is fine enough: other work on the machine then counts little."""
 
 Describe = Callable[[str], None]
 """Called with what is going on."""
@@ -62,7 +65,7 @@ class Cost:
     unknowns : int or None
         Of one instant.
     microseconds : Spread or None
-        An instant, of the bare compiled loop.
+        Processor time an instant, of the bare compiled loop.
     error : float or None
         Largest error of any input, as a fraction of that input's largest value; None without an exact answer.
     refusal : str
@@ -118,8 +121,11 @@ def measure_levels(
     runs: dict[tuple[int, str], Callable[[], object]] = {}
     for model in scene.models:
         tell(f"preparing {scene.name}, {model}")
-        level = _unmeasured(scene, model)
+        level, refusal = _unmeasured(scene, model)
         for route, (formulation, method) in ROUTES.items():
+            if refusal:
+                level.costs[route] = Cost(refusal=refusal)
+                continue
             try:
                 level.costs[route] = _size_and_error(scene, formulation, method, model, instants)
                 runs[len(levels), route] = compiled_run(scene, formulation, method, model, instants)
@@ -133,12 +139,14 @@ def measure_levels(
     return tuple(levels)
 
 
-def _unmeasured(scene: Scene, model: str) -> Level:
+def _unmeasured(scene: Scene, model: str) -> tuple[Level, str]:
+    """Return the level without its costs, and why there can be none if the analysis says so."""
     report = analyse(scene, model=model)
     if report.index is None or report.internal_degrees_of_freedom is None or report.reason:
         raise InvalidReference(f"{scene.name}, {model}: {report.reason}")
     size, needed = len(scene.model(model).coordinates), model == scene.default_model
-    return Level(scene.name, model, needed, size, report.index, report.internal_degrees_of_freedom, {})
+    level = Level(scene.name, model, needed, size, report.index, report.internal_degrees_of_freedom, {})
+    return level, report.advice if report.classification == NON_MINIMUM_PHASE else ""
 
 
 def _size_and_error(scene: Scene, formulation: Formulation, method: Method, model: str, instants: int) -> Cost:
@@ -178,12 +186,12 @@ def compiled_run(
 
 
 def timed_in_turn(runs: dict[Key, Callable[[], object]], repeats: int) -> dict[Key, list[float]]:
-    """Time every run `repeats` times in s, one after another and round again, after a round to warm up."""
+    """Take the processor time of every run in s, `repeats` times round in turn, after a round to warm up."""
     seconds: dict[Key, list[float]] = {key: [] for key in runs}
     for repeat in range(repeats + 1):
         for key, run in runs.items():
-            begin = time.perf_counter()
+            begin = _CLOCK()
             run()
             if repeat:
-                seconds[key].append(time.perf_counter() - begin)
+                seconds[key].append(_CLOCK() - begin)
     return seconds

@@ -30,9 +30,9 @@ For every model these tables compare two routes:
   is one step of `RadauIIA(3)` on the `Reduced` form, which integrates them.
 * *projected*: one step of backward Euler on the projected equations, the method of the paper.
 
-*Unknowns* are those of one instant. Times are the median and the quartiles of {repeats} warm runs over {instants}
-instants; *of projected* is the ratio to the projected step of the same model. *Error* is the largest error of any input
-over the whole path, as a fraction of that input's largest value.
+*Unknowns* are those of one instant. Times are processor times, the median and the quartiles of {repeats} warm runs
+over {instants} instants; *of projected* is the ratio to the projected step of the same model. *Error* is the largest
+error of any input over the whole path, as a fraction of that input's largest value.
 
 This page is written by
 

@@ -91,6 +91,13 @@ def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measure
     assert "needs inertia" in lines[1]["refusal"]
 
 
+def test_unstable_internal_dynamics_are_not_stepped_forward():
+    unstable = sc.scenes.mass_on_car().with_parameters(stiffness=-5.0)
+    found = measure_levels(unstable, instants=INSTANTS, repeats=1)
+    assert {cost.microseconds for level in found for cost in level.costs.values()} == {None}
+    assert any("BoundaryValue" in each for each in remarks(found))
+
+
 def test_a_scene_without_an_exact_answer_has_costs_but_no_errors():
     scene = replace(sc.scenes.cars(), closed_form=None)
     (level,) = measure_levels(scene, instants=INSTANTS, repeats=1)
