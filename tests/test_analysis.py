@@ -1,0 +1,356 @@
+"""The analysis says before a run what a run will find: index, internal dynamics, singular points, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendulum
+
+import servocore as sc
+from servocore.analysis import ADVICE, condition_number
+
+CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
+CRANE_MODELS = [(name, model) for name in CRANES for model in sc.scenes.REGISTRY[name]().models]
+FLAT_SCENES = (*CRANES, "cars")
+LEVEL, UNDAMPED, PUSHED = {"inclination": 0.0}, {"damping": 0.0}, {"stiffness": -5.0}
+
+
+@cache
+def scene(name: str) -> sc.Scene:
+    return sc.scenes.REGISTRY[name]()
+
+
+@cache
+def mass_on_car(**changed: float) -> sc.Scene:
+    return scene("mass_on_car").with_parameters(**changed)
+
+
+def internal_roots(this: sc.Scene) -> np.ndarray:
+    """Roots of m2 sin(alpha)^2 r^2 + d r + k = 0."""
+    p = this.parameter_values()
+    inertia = p["mass"] * np.sin(p["inclination"]) ** 2
+    return np.roots(np.trim_zeros([inertia, p["damping"], p["stiffness"]], "f"))
+
+
+# Structure -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "model"), CRANE_MODELS)
+def test_a_crane_has_index_five_and_no_internal_dynamics_in_all_its_coordinates(name, model):
+    report = sc.analyse(scene(name), model=model)
+    freedom = 3 if name == "overhead_crane" else 5
+    assert (report.degrees_of_freedom, report.inputs, report.outputs) == (
+        freedom,
+        freedom - freedom // 2,
+        report.inputs,
+    )
+    assert (report.index, report.internal_degrees_of_freedom, report.internal_states) == (5, 0, ())
+    assert (report.classification, report.eigenvalues, report.reason) == ("flat", (), "")
+    assert 1.0 <= report.condition < 1e4
+
+
+def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates():
+    crane = scene("rotary_crane")
+    sizes = {model: len(crane.model(model).coordinates) for model in crane.models}
+    assert sizes == {"points": 9, "generalized": 5, "bodies": 42}
+    for model, size in sizes.items():
+        report = sc.analyse(crane, model=model)
+        assert (report.degrees_of_freedom, report.inputs) == (5, 3)
+        assert len(report.variable_offsets) == size + crane.model(model).lam.numel() + 3
+        assert len(report.equation_offsets) == len(report.variable_offsets)
+
+
+@pytest.mark.parametrize("make", [actuated_chain, driven_pendulum, redundant_pendulum], ids=lambda each: each.__name__)
+def test_as_many_inputs_as_degrees_of_freedom_make_index_three(make):
+    report = sc.analyse(make())
+    assert report.degrees_of_freedom == report.inputs
+    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (3, 0, "flat")
+
+
+@pytest.mark.parametrize("count", range(2, 9))
+def test_n_cars_have_index_2n_plus_1_and_are_flat(count):
+    report = sc.analyse(sc.scenes.cars(count))
+    assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
+    assert dict(report.equation_offsets)["servo constraint on y"] == 2 * count
+    assert report.classification == "flat"
+
+
+def test_generalised_coordinates_need_a_remedy_and_redundant_ones_do_not():
+    for name, model in CRANE_MODELS:
+        remedy = sc.analyse(scene(name), model=model).remedy
+        assert bool(remedy) == (model == "generalized")
+        assert "combined with servo accelerations" in remedy or not remedy
+
+
+# Internal dynamics ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["generalized", "points"])
+@pytest.mark.parametrize(
+    ("changed", "index", "states", "kind"),
+    [
+        ({}, 3, 2, "minimum phase"),
+        (UNDAMPED, 3, 2, "weakly minimum phase"),
+        (LEVEL, 4, 1, "minimum phase"),
+        (LEVEL | UNDAMPED, 5, 0, "flat"),
+        (PUSHED, 3, 2, "non-minimum phase"),
+        (LEVEL | PUSHED, 4, 1, "non-minimum phase"),
+    ],
+)
+def test_the_data_of_the_mass_on_a_car_decide_about_index_and_internal_dynamics(model, changed, index, states, kind):
+    this = mass_on_car(**changed)
+    report = sc.analyse(this, model=model)
+    assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, kind)
+    assert report.internal_states == ("q.s", "q.s'")[:states]
+    assert report.advice == ADVICE[kind]
+    expected = internal_roots(this) if states else np.zeros(0)
+    np.testing.assert_allclose(np.sort_complex(report.eigenvalues), np.sort_complex(expected), rtol=1e-9, atol=1e-12)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    stiffness=st.floats(0.5, 50.0) | st.floats(-50.0, -0.5),
+    damping=st.floats(0.1, 10.0),
+    inclination=st.floats(0.2, 1.5),
+    mass=st.floats(0.1, 10.0),
+)
+def test_eigenvalues_are_those_of_the_mass_on_its_spring_for_any_data(stiffness, damping, inclination, mass):
+    this = mass_on_car(stiffness=stiffness, damping=damping, inclination=inclination, mass=mass)
+    report = sc.analyse(this)
+    expected = internal_roots(this)
+    # Coefficients instead of roots: a double root is known to half the digits only.
+    np.testing.assert_allclose(np.poly(report.eigenvalues), np.poly(expected), rtol=1e-9)
+    assert report.classification == ("minimum phase" if stiffness > 0.0 else "non-minimum phase")
+    assert [each.real for each in report.eigenvalues] == sorted(
+        (each.real for each in report.eigenvalues), reverse=True
+    )
+
+
+def test_an_unstable_problem_is_not_stepped_forward_unless_one_insists_and_then_with_the_rate():
+    this = mass_on_car(**PUSHED)
+    rate = max(internal_roots(this).real)
+    solution = sc.solve(this)
+    assert solution.advice == f"non-minimum phase: {ADVICE['non-minimum phase']}"
+    exact = this.exact(solution.t)["u"]
+    np.testing.assert_allclose(solution["u"], exact, atol=1e-3 * np.abs(exact).max())
+    assert solution.t[0] < this.reference.start_time  # it moves before the path does
+    with pytest.warns(sc.ServocoreWarning, match=rf"non-minimum phase.* like exp\({rate:.3g} t\)"):
+        forward = sc.solve(this, sc.Reduced(), sc.RadauIIA(3))
+    assert np.abs(forward["u"] - this.exact(forward.t)["u"]).max() > 0.1 * np.abs(exact).max()
+
+
+# Redundant constraints and singular points ---------------------------------------------------------------------------
+
+
+def with_constraint(system: sc.MechanicalSystem, extra: ca.SX, at: int) -> sc.MechanicalSystem:
+    rows = ca.vertsplit(system.constraints)
+    constraints = ca.vertcat(*rows[:at], extra, *rows[at:])
+    return replace(system, constraints=constraints, multipliers=ca.SX.sym("lam", len(rows) + 1), observables={})
+
+
+@pytest.mark.parametrize(
+    ("factors", "at", "named"),
+    [
+        ((0, 0, 0, 1), 4, "g_5"),
+        ((0, 0, 0, -3), 4, "g_5"),
+        ((1, 0, 0, 0), 0, "g_2"),
+        ((1, -2, 0, 0.5), 4, "g_5"),
+    ],
+)
+def test_a_redundant_constraint_is_named_and_left_out(factors, at, named):
+    points = scene("rotary_crane").model("points")
+    doubled = with_constraint(points, ca.dot(ca.DM(factors), points.constraints), at)
+    report, alone = sc.analyse(doubled), sc.analyse(points)
+    assert report.remedy == f"redundant constraints left out: {named}"
+    assert report.name == doubled.name
+    assert (report.degrees_of_freedom, report.index, report.internal_degrees_of_freedom) == (5, 5, 0)
+    assert report.classification == "flat"
+    if at == 4:
+        assert report.condition == pytest.approx(alone.condition)
+
+
+def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them():
+    chain = actuated_chain()
+    report = sc.analyse(replace(chain, output=ca.vertcat(chain.q[0], 2 * chain.q[0])))
+    assert report.classification == "singular here"
+    assert report.index is None
+    assert "internal dynamics   unknown" in str(report)
+    assert report.reason.startswith("actuated chain: ")
+
+
+def test_an_input_that_moves_nothing_is_singular():
+    chain = actuated_chain()
+    report = sc.analyse(replace(chain, input_matrix=ca.sparsify(ca.SX([[-1, 0], [0, 0]]))))
+    assert report.classification == "singular here"
+    assert "structurally singular" in report.reason
+
+
+THROUGH_AXIS = sc.rest_to_rest((3.0, 0.0, -5.0), (-3.0, 0.0, -5.0), 20.0)
+HURRIED = sc.rest_to_rest((3.0, 0.0, -5.0), (3.0, 0.0, -1.0), 1.0)
+ABOVE_GIRDER = sc.rest_to_rest((3.0, 0.0, -5.0), (3.0, 0.0, 1.0), 20.0)
+
+
+@pytest.mark.parametrize("model", ["points", "generalized", "bodies"])
+@pytest.mark.parametrize(
+    ("path", "said"),
+    [
+        (THROUGH_AXIS, r"at t = 10 s the trolley reaches the slewing axis"),
+        (HURRIED, r"at t = 0\.\d+ s the rope goes slack: g \+ z'' is -"),
+        (ABOVE_GIRDER, r"at t = 1\d\.\d+ s the load"),
+    ],
+)
+def test_solve_refuses_a_singular_path_before_it_steps_with_the_sentence_of_the_analysis(model, path, said):
+    this = scene("rotary_crane").with_reference(path)
+    report = sc.analyse(this, model=model)
+    assert report.classification == "singular here"
+    assert report.index == 5
+    assert report.condition == np.inf
+    for formulation in (None, sc.Projected()):
+        with pytest.raises(sc.InvalidReference, match=said) as refused:
+            sc.solve(this, formulation, model=model, progress=lambda *_: pytest.fail("it stepped"))
+        assert str(refused.value) == report.reason
+
+
+@pytest.mark.parametrize("model", ["points", "generalized", "bodies"])
+def test_without_limits_the_system_jacobian_shows_the_singular_point(model):
+    unlimited = replace(scene("rotary_crane").with_reference(THROUGH_AXIS), limits=())
+    report = sc.analyse(unlimited, model=model)
+    assert report.classification == "singular here"
+    assert report.reason == f"rotary crane, {model} is singular at t = 10 s: the system Jacobian has condition inf"
+    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = 9\.9 s to 10 s was not solved"):
+        sc.solve(unlimited, model=model)
+
+
+def test_parameters_can_make_the_same_path_singular():
+    report = sc.analyse(scene("overhead_crane").with_parameters(gravity=0.1))
+    assert report.classification == "singular here"
+    assert "the rope goes slack" in report.reason
+    assert report.advice == "another path, other parameters or another model"
+
+
+def test_the_condition_tells_units_from_singularity():
+    assert condition_number(np.diag([1e8, 1.0, 1e-8])) < 100.0
+    assert condition_number(np.array([[1e6, 1e6], [1e-6, 1e-6]])) > 1e12
+    assert condition_number(np.diag([1.0, 0.0])) == np.inf
+    assert condition_number(np.array([[1.0, np.nan], [0.0, 1.0]])) == np.inf
+
+
+# The report ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_is_frozen_and_prints_a_page():
+    report = sc.analyse(mass_on_car())
+    with pytest.raises(FrozenInstanceError):
+        report.index = 7
+    lines = str(report).splitlines()
+    assert lines[0] == "mass on car, generalized"
+    assert "  index               3" in lines
+    assert "  internal dynamics   2 degrees of freedom (q.s, q.s')" in lines
+    assert "  classification      minimum phase" in lines
+    assert "  equations           2: servo constraint on y; 0: momentum of x, momentum of s" in lines
+    assert "  variables           2: q.x, q.s; 0: u.u" in lines
+    assert not any(line.strip() in ("reason", "remedy") for line in lines)
+
+
+def test_long_lists_of_a_printed_report_are_cut_and_the_report_keeps_them():
+    report = sc.analyse(scene("rotary_crane"), model="bodies")
+    assert " more" in str(report)
+    assert max(map(len, str(report).splitlines())) < 400
+    assert len(report.variable_offsets) == 42 + 37 + 3
+
+
+def test_analysing_twice_says_the_same():
+    assert str(sc.analyse(scene("gantry_crane"))) == str(sc.analyse(scene("gantry_crane")))
+
+
+# What solve makes of it ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*FLAT_SCENES, "mass_on_car"])
+def test_solve_without_arguments_takes_the_reduced_form_and_says_why(name):
+    solution = sc.solve(scene(name))
+    kind = sc.analyse(scene(name)).classification
+    assert solution.advice == f"{kind}: {ADVICE[kind]}"
+    assert "reduced" in solution.route
+    assert sc.solve(scene(name), sc.Reduced()).advice == ""
+
+
+def peaks(exact: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
+    return np.array([max(np.abs(exact[name]).max(), 1e-3) for name in names])
+
+
+@pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
+@pytest.mark.parametrize("steps", [2, 7, 200])
+def test_the_inputs_are_exact_on_every_grid(name, model, steps):
+    this = scene(name)
+    inputs = tuple(each.name for each in this.model().inputs)
+    solution = sc.solve(this, step=this.reference.duration / steps, model=model)
+    exact, fine = this.exact(solution.t), this.exact(np.linspace(0.0, this.reference.duration, 400))
+    found = np.array([np.abs(solution[each] - exact[each]).max() for each in inputs])
+    assert (found < 1e-10 * peaks(fine, inputs)).all()
+
+
+def inverted(stepper: sc.Stepper, this: sc.Scene, state: np.ndarray, t: np.ndarray, names: tuple[str, ...]):
+    """Advance to the instants in the order given, each from the state before; rows of inputs."""
+    rows = []
+    for jet in this.reference.jet(t, stepper.start_order):
+        state, report = stepper.advance(state, jet)
+        assert report.converged
+        values = stepper.values(state, jet)
+        rows.append([values[name] for name in names])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
+def test_instants_may_come_in_any_order_for_nothing_is_remembered(name, model):
+    this = scene(name)
+    inputs = tuple(each.name for each in this.model().inputs)
+    stepper = sc.Stepper(this, sc.Reduced(), sc.BackwardEuler(), 0.1, model)
+    random = np.random.default_rng(5)
+    t = random.uniform(this.reference.start_time, this.reference.end_time, 30)
+    state, _ = stepper.start(this.reference.jet(t[0], stepper.start_order))
+    first = inverted(stepper, this, state, t, inputs)
+    order = random.permutation(len(t))
+    np.testing.assert_array_equal(inverted(stepper, this, state, t[order], inputs), first[order])
+    nothing = np.full_like(state, np.nan)
+    np.testing.assert_array_equal(inverted(stepper, this, nothing, t[:3], inputs), first[:3])
+    exact = this.exact(t)
+    assert (np.abs(first - np.column_stack([exact[each] for each in inputs])).max(axis=0) < 1e-10 * peaks(
+        exact, inputs)).all()  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CRANES)
+@settings(max_examples=6, deadline=None)
+@given(data=st.data())
+def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name, data):
+    this = scene(name)
+    outputs = [each.name for each in this.model().outputs]
+    ends = [
+        [data.draw(st.floats(-6.0, -2.0) if each == "z" else st.floats(2.0, 6.0)) for each in outputs] for _ in range(2)
+    ]
+    duration, profile = data.draw(st.floats(8.0, 30.0)), data.draw(st.sampled_from([sc.DEGREE9, sc.DEGREE13]))
+    changed = {
+        each.name: each.default * data.draw(st.floats(0.5, 2.0))
+        for each in this.model().parameters.declared
+        if each.name != "gravity"
+    }
+    this = this.with_reference(sc.rest_to_rest(*ends, duration, profile)).with_parameters(**changed)
+    inputs = tuple(each.name for each in this.model().inputs)
+    for model in this.models:
+        solution = sc.solve(this, step=duration / data.draw(st.integers(3, 40)), model=model)
+        exact, fine = this.exact(solution.t), this.exact(np.linspace(0.0, duration, 200))
+        found = np.array([np.abs(solution[each] - exact[each]).max() for each in inputs])
+        assert (found < 1e-10 * peaks(fine, inputs)).all(), model
+
+
+def test_a_scene_of_one_s_own_is_analysed_like_any_other():
+    this = as_scene(actuated_chain(), sc.rest_to_rest((0.0, 0.0), (1.0, 2.0), 2.0))
+    report = sc.analyse(this)
+    assert (report.index, report.classification) == (3, "flat")
+    assert sc.solve(this).advice.startswith("flat: ")
