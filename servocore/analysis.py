@@ -10,15 +10,10 @@ import casadi as ca
 import numpy as np
 
 from servocore.calls import Call
-from servocore.derivative_array import (
-    DerivativeArray,
-    compile_array_solver,
-    compile_inversion,
-    derivative_array,
-    first_guess,
-)
+from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.feasibility import require_feasible
+from servocore.internal_dynamics import DAMPED, internal_eigenvalues
 from servocore.scene import Scene
 from servocore.structure import specialised, system_jacobian
 from servocore.symbols import Array
@@ -30,9 +25,7 @@ WEAKLY_MINIMUM_PHASE = "weakly minimum phase"
 NON_MINIMUM_PHASE = "non-minimum phase"
 SINGULAR = "singular here"
 
-_DAMPED = 1e-9  # real parts of smaller magnitude, relative to the eigenvalue, count as zero
 _SINGULAR_CONDITION = 1e12
-_EQUILIBRIUM_ITERATIONS = 20
 _SURVEY_POINTS = 201
 
 ADVICE = {
@@ -204,8 +197,8 @@ def _classified(eigenvalues: tuple[complex, ...]) -> str:
         return FLAT
     if not np.isfinite(eigenvalues).all():
         return SINGULAR
-    growth = max(value.real - _DAMPED * abs(value) for value in eigenvalues)
-    decay = max(value.real + _DAMPED * abs(value) for value in eigenvalues)
+    growth = max(value.real - DAMPED * abs(value) for value in eigenvalues)
+    decay = max(value.real + DAMPED * abs(value) for value in eigenvalues)
     if growth > 0.0:
         return NON_MINIMUM_PHASE
     return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
@@ -304,104 +297,3 @@ def condition_number(matrix: Array) -> float:
         scaled = scaled / np.sqrt(np.where(largest > 0.0, largest, 1.0))
     values = np.linalg.svd(scaled, compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
-
-
-@dataclass(frozen=True, eq=False)
-class Equilibrium:
-    """Where the internal dynamics rest while the output does, and how they leave from there.
-
-    Attributes
-    ----------
-    states : ndarray, shape (n_x,)
-        Internal states.
-    eigenvalues : tuple of complex
-        Of the linearisation.
-    stable, unstable : ndarray, shapes (n_s, n_x) and (n_u, n_x)
-        Rows that span the left eigenspaces: `unstable @ (x - states)` = 0 on the stable manifold (to first order) and
-        the other way round. Eigenvalues on the imaginary axis count as stable.
-    """
-
-    states: Array
-    eigenvalues: tuple[complex, ...]
-    stable: Array
-    unstable: Array
-
-
-def internal_eigenvalues(array: DerivativeArray, p: Array) -> tuple[complex, ...]:
-    """Eigenvalues of the internal dynamics, linearised at their equilibrium with the output at rest at home."""
-    if not array.states:
-        return ()
-    return internal_equilibrium(array, p, np.array(array.system.home)).eigenvalues
-
-
-def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equilibrium:
-    """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
-    gamma = np.zeros((len(array.system.outputs), array.reference_order + 1))
-    gamma[:, 0] = output
-    places = [array.unknowns.index((j, order + 1)) for j, order in array.states]
-    own = [array.unknowns.index(each) for each in array.states]
-    solver, sensitivity, guess_function = _linearisation(array)
-    guess = np.asarray(guess_function(gamma, p)).ravel()
-    A = np.zeros((len(own), len(own)))
-    for _ in range(_EQUILIBRIUM_ITERATIONS):
-        values = np.asarray(solver(gamma, p, guess)[0]).ravel()
-        A, rate = np.asarray(sensitivity(values, gamma, p))[places], values[places]
-        if not np.abs(rate).max() > 1e-12:
-            break
-        guess = values
-        guess[own] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
-    if not np.isfinite(A).all():
-        unknown = np.full(len(own), np.nan)
-        return Equilibrium(unknown, tuple(map(complex, unknown)), np.zeros((0, len(own))), np.zeros((0, len(own))))
-    eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
-    growing = sum(value.real > _DAMPED * abs(value) for value in eigenvalues)
-    return Equilibrium(
-        guess[own], eigenvalues, _left_space(A, growing, stable=True), _left_space(A, growing, stable=False)
-    )
-
-
-def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
-    """Rows that span the left invariant subspace of the stable or of the unstable eigenvalues (ordered Schur form)."""
-    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    threshold = sorted(np.linalg.eigvals(A).real, reverse=True)
-    limit = (
-        -np.inf
-        if growing == len(A)
-        else (np.inf if growing == 0 else (threshold[growing - 1] + threshold[growing]) / 2)
-    )
-
-    def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - the signature SciPy calls
-        return real <= limit if stable else real > limit
-
-    _, basis, count = scipy.linalg.schur(A.T, output="real", sort=wanted)
-    return np.asarray(basis[:, :count].T, dtype=np.float64)
-
-
-@lru_cache(maxsize=32)
-def _linearisation(array: DerivativeArray) -> tuple[ca.Function, ca.Function, ca.Function]:
-    return compile_array_solver(array), _sensitivity(array), first_guess(array)
-
-
-def _sensitivity(array: DerivativeArray) -> ca.Function:
-    """Return (unknowns, gamma, p) -> derivatives of all unknowns by the states, shape (unknowns, states)."""
-    system = array.system
-    states, rest = array.column(array.states), array.column(array.determined)
-    by_rest, by_states = ca.jacobian(array.residual, rest), ca.jacobian(array.residual, states)
-    reference = system.gamma[:, : array.reference_order + 1]
-    arguments = [array.column(array.unknowns), reference, system.p]
-    terms = ca.Function("sc_terms", arguments, [by_rest, -by_states])
-    numbers = [
-        ca.MX.sym("y", len(array.unknowns)),
-        ca.MX.sym("gamma", *reference.shape),
-        ca.MX.sym("p", len(system.parameters)),
-    ]
-    matrix, right = terms(*numbers)
-    solution = ca.solve(matrix, ca.densify(right), "qr")
-    size = len(array.states)
-    order = [array.determined.index(each) if each not in array.states else None for each in array.unknowns]
-    rows = [
-        solution[k, :] if k is not None else ca.MX(ca.DM.eye(size)[array.states.index(each), :])
-        for k, each in zip(order, array.unknowns, strict=True)
-    ]
-    return ca.Function("sc_sensitivity", numbers, [ca.vertcat(*rows)])

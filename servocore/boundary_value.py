@@ -16,13 +16,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.analysis import Equilibrium, internal_equilibrium
 from servocore.calls import Call
 from servocore.dae import Dae
 from servocore.derivative_array import DerivativeArray, compile_array_solver, derivative_array, first_guess
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting
 from servocore.feasibility import side_by_side
 from servocore.formulations import Reduced
+from servocore.internal_dynamics import Equilibrium, internal_equilibrium
 from servocore.loop import Progress, Run, observe, statistics
 from servocore.methods import RadauIIA
 from servocore.methods.base import at, reference_symbols
@@ -314,7 +314,7 @@ def _report(problem: _Problem, t: Array, unknowns: Array, iterations: int, route
     program = compile_program(problem.system, Reduced(), RadauIIA(1))
     states = np.zeros((program.state_size, len(t)))
     states[: len(unknowns)] = unknowns
-    values, violations = observe(program, states, problem.reference.jet(t, program.start_order), problem.p)
+    values, violations = observe(program, problem.reference, problem.p, t, states)
     done = Run(states, iterations, iterations, 0.0)
     return Solution(
         t,

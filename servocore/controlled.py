@@ -41,7 +41,7 @@ def solve_to_tolerance(stepper: Stepper, control: Adaptive, t: Array, progress: 
 
 def _solution(stepper: Stepper, t: Array, done: Run) -> Solution:
     reference, program = stepper.scene.reference, stepper.program
-    values, violations = observe(program, done.states, reference.jet(t, program.start_order), stepper.parameters)
+    values, violations = observe(program, reference, stepper.parameters, t, done.states)
     return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from servocore.newton import SquareSystem, compile_solver
 from servocore.projection import pivot_columns
 from servocore.structure import Signature, analyse_structure, system_jacobian_at_home
+from servocore.symbols import Array
 from servocore.system import MechanicalSystem
 
 _REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
@@ -111,13 +112,15 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     )
 
 
-def choose_states(found: Signature) -> tuple[tuple[int, int], ...]:
+def choose_states(found: Signature, J: Array | None = None) -> tuple[tuple[int, int], ...]:
     """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
 
     At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
-    column pivoting on the system Jacobian and nested from level to level; the others are states.
+    column pivoting on the system Jacobian and nested from level to level; the others are states. The Jacobian is
+    taken at the system's home unless `J` is given.
     """
-    J, c, d = system_jacobian_at_home(found), found.equation_offsets, found.variable_offsets
+    J = system_jacobian_at_home(found) if J is None else J
+    c, d = found.equation_offsets, found.variable_offsets
     chosen = list(range(len(d)))
     states: list[tuple[int, int]] = []
     for level in range(1, max(d) + 1):

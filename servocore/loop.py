@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -80,36 +80,56 @@ def run(
         If a step is not solved.
     """
     count = len(t) - 1
-    chunks = -(-count // CHUNK)
-    length = -(-count // chunks)
-    loop = _accumulated(program.step, length)
+    length = -(-count // -(-count // CHUNK))
     state, first_residual = begin(reference, program, p, step)
-    states, counts, residuals = [state[:, None]], [np.zeros((2, 0))], [np.array([first_residual])]
+    parts = [Run(state[:, None], 0, 0, first_residual)]
     for done in range(0, count, length):
-        used = min(length, count - done)
-        # A last chunk that is not full is padded with the final instant; what it gives there is dropped.
-        ends = t[np.minimum(np.arange(done + 1, done + length + 1), count)]
-        nodes = [reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
-        gamma = np.concatenate(nodes, axis=1)
-        found, count_rows, worst = loop(
-            states[-1][:, -1],
-            side_by_side(gamma),
-            np.full((1, length), step),
-            np.tile(p[:, None], length),
+        part, complete = advance(
+            reference, program, p, t[done : done + length + 1], step, parts[-1].states[:, -1], length
         )
-        found, count_rows, worst = found[:, :used], count_rows[:, :used], worst.ravel()[:used]
-        failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
-        if failed.any():
-            at = int(failed.argmax())
-            before = found[:, at - 1] if at else states[-1][:, -1]
-            raise failure(reference, program, p, before, t[done + at], step)
-        states.append(found)
-        counts.append(count_rows)
-        residuals.append(worst)
+        if not complete:
+            at = done + part.states.shape[1] - 1
+            raise failure(reference, program, p, part.states[:, -1], t[at], step)
+        parts.append(replace(part, states=part.states[:, 1:]))
         if progress is not None:
-            progress(done + used, count)
-    iterations, factorisations = np.hstack(counts).sum(axis=1)
-    return Run(np.hstack(states), round(iterations), round(factorisations), float(np.concatenate(residuals).max()))
+            progress(min(done + length, count), count)
+    return joined(parts)
+
+
+def joined(parts: list[Run]) -> Run:
+    """Put runs of the same program one after the other."""
+    return Run(
+        np.hstack([part.states for part in parts]),
+        sum(part.newton_iterations for part in parts),
+        sum(part.factorisations for part in parts),
+        max(part.worst_residual for part in parts),
+    )
+
+
+def advance(
+    reference: Reference, program: Program, p: Array, t: Array, step: float, state: Array, length: int
+) -> tuple[Run, bool]:
+    """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
+
+    Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
+    not full is padded with the final instant; what it gives there is dropped.
+    """
+    used = len(t) - 1
+    ends = t[np.minimum(np.arange(1, length + 1), used)]
+    nodes = [reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
+    found, counts, worst = _accumulated(program.step, length)(
+        state,
+        side_by_side(np.concatenate(nodes, axis=1)),
+        np.full((1, length), step),
+        np.tile(p[:, None], length),
+    )
+    found, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (found, counts))
+    worst = worst.ravel()[:used]
+    failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
+    good = int(failed.argmax()) if failed.any() else used
+    iterations, factorisations = counts[:, :good].sum(axis=1)
+    states = np.hstack([state[:, None], found[:, :good]])
+    return Run(states, round(iterations), round(factorisations), float(worst[:good].max(initial=0.0))), good == used
 
 
 def failure(
@@ -125,14 +145,23 @@ def failure(
     )
 
 
-def observe(program: Program, states: Array, jets: Array, p: Array) -> tuple[Array, Array]:
-    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
-    count = len(jets)
+def observe(program: Program, reference: Reference, p: Array, t: Array, states: Array) -> tuple[Array, Array]:
+    """Return observed values (N, channels), angles made continuous, and violations (4, N).
+
+    Raises
+    ------
+    IntegrationFailed
+        If the states have left the branch of the equations that is wanted.
+    """
+    jets, count = reference.jet(t, program.start_order), len(t)
     values, violations = _mapped(program.observe, count)(states, side_by_side(jets), np.tile(p[:, None], count))
     table = values.T
     for k, channel in enumerate(program.channels):
         if channel.wraps:
             table[:, k] = np.unwrap(table[:, k])
+        if channel.positive and not (table[:, k] > 0.0).all():
+            first = int((~(table[:, k] > 0.0)).argmax())
+            program.require_branch(table[first], float(t[first]))
     return table, violations
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.calls import Call
-from servocore.errors import InvalidReference, ServocoreError
+from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 
 Array = npt.NDArray[np.float64]
 
@@ -27,12 +27,16 @@ _FORMAT = "servocore program 1"
 
 @dataclass(frozen=True)
 class Channel:
-    """Name and unit of one observed value; `wraps` marks an angle known up to full turns."""
+    """Name and unit of one observed value.
+
+    `wraps` marks an angle known up to full turns, `positive` a value that is negative on a wrong branch.
+    """
 
     name: str
     unit: str
     description: str = ""
     wraps: bool = False
+    positive: bool = False
 
 
 @dataclass(frozen=True)
@@ -147,6 +151,15 @@ class Program:
         if self.limits:
             (margins,) = self._calls["margins"](gamma[: self.start_order + 1].T, p)
             require_margins(self.limits, margins, time)
+
+    def require_branch(self, values: Array, time: float) -> None:
+        """Raise `IntegrationFailed` if observed values belong to another branch of the equations."""
+        for channel, value in zip(self.channels, values, strict=True):
+            if channel.positive and not value > 0.0:
+                raise IntegrationFailed(
+                    f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit}, on another branch"
+                    f" of the equations than the one wanted; a smaller step keeps to its own"
+                )
 
     def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
         """Name the equation that the first guess of a step violates most."""

@@ -33,6 +33,8 @@ class Statistics:
         Steps that error control took back.
     error_estimate : float or None
         With error control: its estimate of the largest error of the inputs, relative to their peaks.
+    choices_of_states : int
+        How often the states of internal dynamics were chosen, the first time included.
     """
 
     steps: int
@@ -45,6 +47,7 @@ class Statistics:
     constraint_rate_violation: float
     rejected: int = 0
     error_estimate: float | None = None
+    choices_of_states: int = 1
 
 
 NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -11,11 +11,13 @@ from servocore.accuracy import Adaptive, Fixed
 from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.boundary_value import BoundaryValue, solve_boundary_value
 from servocore.controlled import solve_to_tolerance
+from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidSetting, ServocoreWarning
 from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
 from servocore.methods import BackwardEuler, Method, RadauIIA
+from servocore.rechoosing import solve_with_states
 from servocore.references import Reference
 from servocore.scene import Scene
 from servocore.solution import Solution
@@ -79,6 +81,7 @@ def solve(
         return replace(_solve_bounded(scene, formulation, method, step, model, progress), advice=advice)
     formulation = formulation or Reduced()
     warn_of_growth(scene, model)
+    warn_of_jumps(scene, model)
     control = step if isinstance(step, Adaptive) else Fixed(step) if not isinstance(step, Fixed) else step
     if output_step is not None and not isinstance(control, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
@@ -88,6 +91,8 @@ def solve(
     require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters)
     if isinstance(control, Adaptive):
         solution = solve_to_tolerance(stepper, control, t, progress)
+    elif isinstance(formulation, Reduced) and stepper.index == 1:
+        solution = solve_with_states(stepper, formulation, t, progress)
     else:
         solution = solve_at_constant_step(stepper, t, progress)
     return replace(solution, advice=advice)
@@ -97,7 +102,7 @@ def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None
     """Step through the instants `t`, one step of the stepper apart, and report every one."""
     reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
     done = run(reference, program, p, t, stepper.step, progress)
-    values, violations = observe(program, done.states, reference.jet(t, program.start_order), p)
+    values, violations = observe(program, reference, p, t, done.states)
     return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
 
 
@@ -136,6 +141,21 @@ def warn_of_growth(scene: Scene, model: str | None = None) -> None:
             f"{scene.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
             f" exp({rate:.3g} t), {np.exp(rate * scene.reference.duration):.2g}-fold by"
             f" t = {scene.reference.end_time:g} s; the method BoundaryValue finds the bounded solution",
+            ServocoreWarning,
+            stacklevel=3,
+        )
+
+
+def warn_of_jumps(scene: Scene, model: str | None = None) -> None:
+    """Warn if the path is not smooth enough for continuous inputs."""
+    base = scene.model(model)
+    order = derivative_array(specialised(base, base.parameters.values(scene.parameters))).reference_order
+    reference = scene.reference
+    if reference.smoothness < order <= reference.max_order:
+        warnings.warn(
+            f"the inputs of {scene.name} need the path's derivative of order {order}, but the path is continuous up to"
+            f" order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
+            f" {reference.end_time:g} s, the ends included, wherever that derivative does",
             ServocoreWarning,
             stacklevel=3,
         )

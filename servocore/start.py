@@ -35,17 +35,24 @@ def compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order:
     Values at the initial time come from the exact inversion. Values before it come from the exact inversion there;
     with internal dynamics, from integrating the reduced form backwards with small steps of high order.
     """
+    restart = compile_restart(array, dae, step, order)
+    _, gamma, h, p = (ca.MX.sym("argument", *restart.size_in(k)) for k in range(4))
+    first, counts, residual = compile_inversion(array)(gamma[:, : array.reference_order + 1], p)
+    return ca.Function("sc_start", [gamma, h, p], [restart(first, gamma, h, p), counts, residual])
+
+
+def compile_restart(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
+    """Compile (unknowns of the array now, gamma as for `compile_start`, h, p) -> first state."""
     system = array.system
-    instants = start_instants(array, step)
-    gamma = ca.MX.sym("gamma", system.gamma.size1(), (order + 1) * len(instants))
+    first = ca.MX.sym("now", len(array.unknowns))
+    gamma = ca.MX.sym("gamma", system.gamma.size1(), (order + 1) * len(start_instants(array, step)))
     h, p = ca.MX.sym("h"), ca.MX.sym("p", system.p.numel())
     jets = [block[:, : array.reference_order + 1] for block in ca.horzsplit(gamma, order + 1)]
-    inversion = compile_inversion(array, "sc_inversion")
-    first, counts, residual = inversion(jets[0], p)
     found = [first]
     if array.states:
         found += _backwards(array, first, jets[1:], h, p)
-    else:
+    elif len(jets) > 1:
+        inversion = compile_inversion(array)
         found += [inversion(jet, p)[0] for jet in jets[1:]]
     places = [array.position(each.variable, each.order) for each in dae.unknowns]
     values = ca.horzcat(*[each[places] for each in found])
@@ -53,7 +60,7 @@ def compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order:
         ca.MX(0, 1), *[_rate(array, each.variable, each.order + 1, first) for each in dae.unknowns[: dae.x.numel()]]
     )
     assemble = ca.Function("sc_first", [step.start.values, step.start.rates, step.step], [ca.densify(step.first_state)])
-    return ca.Function("sc_start", [gamma, h, p], [assemble(values, rates, h), counts, residual])
+    return ca.Function("sc_restart", [first, gamma, h, p], [assemble(values, rates, h)])
 
 
 def _rate(array: DerivativeArray, variable: str, order: int, values: ca.MX) -> ca.MX:
@@ -66,7 +73,8 @@ def _backwards(array: DerivativeArray, first: ca.MX, jets: list[ca.MX], h: ca.MX
     """Integrate the reduced form from the initial time backwards, one step of the method at a time."""
     if not jets:
         return []
-    dae = Reduced().dae(array.system)
+    states = tuple((array.names[j], order) for j, order in array.states)
+    dae = Reduced(states=states).dae(array.system)
     step = _BACKWARDS.discretise(dae)
     solve = compile_solver("sc_backwards", step.equations, [step.next_state])
     entries = (*array.states, *array.determined)

@@ -13,7 +13,7 @@ from servocore.dae import Dae
 from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidSetting
 from servocore.feasibility import compile_margins, limit_texts, limits_order
-from servocore.formulations import Formulation
+from servocore.formulations import Formulation, Reduced
 from servocore.methods import Discretisation, Method
 from servocore.methods.base import instantaneous
 from servocore.newton import compile_solver
@@ -34,7 +34,7 @@ def compile_program(
     # Without differential states every instant stands alone: a step is a start.
     pointwise = dae.x.numel() == 0
     discretisation = instantaneous(dae) if pointwise else method.discretise(dae)
-    array = derivative_array(system)
+    array = formulation.array(system) if isinstance(formulation, Reduced) else derivative_array(system)
     start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = _observed(system)
     start = compile_start(array, dae, discretisation, start_order)
@@ -53,7 +53,7 @@ def compile_program(
         start_order=start_order,
         nodes=discretisation.nodes,
         start_instants=start_instants(array, discretisation),
-        channels=tuple(Channel(each.name, each.unit, each.description, each.wraps) for each, _ in known),
+        channels=tuple(Channel(each.name, each.unit, each.description, each.wraps, each.positive) for each, _ in known),
         parameters=system.parameters.names,
         equations=discretisation.labels,
         limits=limit_texts(limits),

@@ -35,6 +35,9 @@ class Quantity:
         Typical magnitude in `unit`; scales Newton's stopping test.
     wraps : bool
         True for an angle computed by atan2: a trajectory of it is made continuous.
+    positive : bool
+        True for what the equations hold only the square of: a negative value belongs to another branch, on which a
+        step that is too large may land.
     """
 
     name: str
@@ -42,6 +45,7 @@ class Quantity:
     description: str = ""
     nominal: float = 1.0
     wraps: bool = False
+    positive: bool = False
 
 
 @dataclass(frozen=True)

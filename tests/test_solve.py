@@ -110,9 +110,15 @@ def test_progress_is_told_after_every_chunk_and_ends_with_all_steps():
 
 
 def test_a_single_step_is_a_run():
-    found = solve(step=20.0)
+    scene = CRANE.with_reference(path((5, 0, -5), (4.5, 0.5, -4)))
+    found = solve(scene, step=20.0)
     assert found.t.tolist() == [0.0, 20.0]
-    np.testing.assert_allclose(found["s"], CRANE.exact(found.t)["s"], rtol=1e-12)
+    np.testing.assert_allclose(found["s"], scene.exact(found.t)["s"], rtol=1e-12)
+
+
+def test_a_step_so_large_that_it_lands_on_another_branch_is_refused():
+    with pytest.raises(sc.IntegrationFailed, match=r"at t = 20 s s is -2\.8\S* m, on another branch"):
+        solve(step=20.0)
 
 
 def test_solving_twice_gives_the_same_digits():

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from servocore.dae import Dae, Equation, Unknown
-from servocore.derivative_array import derivative_array, nominal
+from servocore.derivative_array import DerivativeArray, derivative_array, nominal
 from servocore.system import MechanicalSystem
 
 
@@ -19,13 +19,27 @@ class Reduced:
     variables but the states of the internal dynamics; those become the differential unknowns. Without internal
     dynamics (every crane here) nothing is left to integrate: the inputs at an instant follow from the reference and its
     derivatives at that instant, to round-off, whatever the step.
+
+    Parameters
+    ----------
+    states : tuple of (str, int), optional
+        States of the internal dynamics, each a variable and the order of its derivative: ("q.s", 0), ("q.s", 1). Chosen
+        by pivoting when not given, and chosen again by `solve` where they become a bad choice during a run.
     """
 
     name: str = "reduced"
+    states: tuple[tuple[str, int], ...] = ()
+
+    def array(self, system: MechanicalSystem) -> DerivativeArray:
+        """Return the derivative array with these states, or with those that suit the system's home."""
+        array = derivative_array(system)
+        if not self.states:
+            return array
+        return replace(array, states=tuple((array.names.index(name), order) for name, order in self.states))
 
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return x_dot = next derivative of x, 0 = derivative array."""
-        array = derivative_array(system)
+        array = self.array(system)
         unknowns = (*array.states, *array.determined)
         n = len(system.coordinates)
         size_x = len(array.states)

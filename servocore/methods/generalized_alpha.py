@@ -42,6 +42,13 @@ class GeneralizedAlpha:
         """Name on command lines and in tables."""
         return f"generalized-alpha-{self.rho:g}"
 
+    @property
+    def parameters(self) -> tuple[float, float, float, float]:
+        """Return (alpha_m, alpha_f, beta, gamma) for second order and the spectral radius `rho`."""
+        alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
+        gamma = 0.5 + alpha_f - alpha_m
+        return alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma
+
     def orders(self, index: int) -> Orders:  # noqa: ARG002 - the same on every form up to index 3
         """Return the orders of convergence on a form of the given index."""
         return Orders(2, 2, 2)
@@ -50,9 +57,7 @@ class GeneralizedAlpha:
         """Return the equations of one step; raises `InvalidModel` if x is not made of pairs (q, v)."""
         places_q, places_v = _pairs(dae)
         n, size_z = len(places_q), dae.z.numel()
-        alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
-        gamma = 0.5 + alpha_f - alpha_m
-        beta = (gamma + 0.5) ** 2 / 4
+        alpha_m, alpha_f, beta, gamma = self.parameters
         old = ca.SX.sym("old", 4 * n + size_z)
         q0, v0, z0, a0, rate0 = ca.vertsplit(old, [0, n, 2 * n, 2 * n + size_z, 3 * n + size_z, 4 * n + size_z])
         a1, rate1, h = ca.SX.sym("a", n), ca.SX.sym("v_dot", n), ca.SX.sym("h")

@@ -48,7 +48,7 @@ OUTPUTS = (
 )
 BRIDGE = Quantity("s_x", "m", "bridge position along the rails")
 TROLLEY = Quantity("s_y", "m", "trolley position on the bridge")
-ROPE = Quantity("l", "m", "rope length")
+ROPE = Quantity("l", "m", "rope length", positive=True)
 TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 

@@ -38,7 +38,7 @@ INPUTS = (
 )
 OUTPUTS = (Quantity("x", "m", "load position"), Quantity("z", "m", "load position, negative below the girder"))
 TROLLEY = Quantity("s", "m", "trolley position")
-ROPE = Quantity("l", "m", "rope length")
+ROPE = Quantity("l", "m", "rope length", positive=True)
 TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical, positive where the load is ahead")
 

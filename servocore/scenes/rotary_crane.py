@@ -49,8 +49,8 @@ OUTPUTS = (
     Quantity("z", "m", "load position, negative below the girder"),
 )
 PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
-TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis")
-ROPE = Quantity("l", "m", "rope length")
+TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
+ROPE = Quantity("l", "m", "rope length", positive=True)
 TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 

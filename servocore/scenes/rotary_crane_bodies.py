@@ -63,8 +63,8 @@ WINCH_MASS_SHARE = 0.3
 _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
-TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis")
-ROPE = Quantity("l", "m", "rope length")
+TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
+ROPE = Quantity("l", "m", "rope length", positive=True)
 TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 

@@ -1,0 +1,98 @@
+"""States of internal dynamics are chosen again where they become a bad choice."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import servocore as sc
+
+PARAMETERS = sc.Parameters(
+    sc.Parameter("gravity", 9.81, "m/s2", 0.0, 100.0), sc.Parameter("damping", 0.3, "kg/s", 0.0, 100.0)
+)
+DURATION = 2.0
+
+
+@cache
+def cart_with_pendulum():
+    """A cart whose position is prescribed; the pendulum on it, x and y of its bob, swings as it likes."""
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in "sxy"))
+    (s, x, y), (v_s, v_x, v_y) = ca.vertsplit(coordinates.q), ca.vertsplit(coordinates.v)
+    gamma, d = ca.SX.sym("gamma", 1, 25), PARAMETERS["damping"]
+    input_matrix = ca.SX(1, 3)
+    input_matrix[0, 0] = -1
+    return sc.MechanicalSystem(
+        name="cart with pendulum",
+        coordinates=coordinates,
+        parameters=PARAMETERS,
+        inputs=(sc.Quantity("u", "N"),),
+        outputs=(sc.Quantity("position", "m"),),
+        mass=ca.SX.eye(3),
+        potential=PARAMETERS["gravity"] * y,
+        force=ca.vertcat(d * (v_x - v_s), -d * (v_x - v_s), -d * v_y),
+        constraints=(x - s) ** 2 + y**2 - 1,
+        input_matrix=input_matrix,
+        output=s,
+        gamma=gamma,
+        guess=ca.vertcat(gamma[0, 0], gamma[0, 0], -1.0),
+        home=(0.0,),
+    )
+
+
+@cache
+def scene():
+    return sc.Scene("cart", {"redundant": cart_with_pendulum}, sc.rest_to_rest((0.0,), (12.0,), DURATION))
+
+
+@cache
+def angle(steps):
+    """Angle of the pendulum from its own equation, theta'' = -g sin - s'' cos - d theta'."""
+    reference = scene().reference
+
+    def rate(t, state):
+        theta, omega = state
+        return [omega, -9.81 * np.sin(theta) - reference.jet(t, 2)[2, 0] * np.cos(theta) - 0.3 * omega]
+
+    t = np.linspace(0.0, DURATION, steps + 1)
+    return solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0]
+
+
+def error(method, steps):
+    solution = sc.solve(scene(), sc.Reduced(), method, step=DURATION / steps)
+    return np.abs(solution["x"] - solution["s"] - np.sin(angle(steps))).max(), solution.statistics
+
+
+def test_the_pendulum_goes_over_the_top_so_no_single_coordinate_serves_as_state():
+    assert np.degrees(np.abs(angle(200)).max()) > 360.0
+
+
+@pytest.mark.parametrize(("method", "order"), [(sc.BDF(3), 3), (sc.RadauIIA(3), 5)])
+def test_order_survives_every_new_choice_of_states(method, order):
+    (coarse, _), (fine, statistics) = error(method, 400), error(method, 800)
+    assert statistics.choices_of_states > 2
+    assert np.log2(coarse / fine) > order - 0.4
+    assert statistics.constraint_violation < 1e-13
+
+
+def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular():
+    stepper = sc.Stepper(scene(), sc.Reduced(states=(("q.x", 0), ("q.x", 1))), sc.RadauIIA(3), step=DURATION / 400)
+    reference = scene().reference
+    state, report = stepper.start(reference.jet(0.0, stepper.start_order))
+    worst = 0.0
+    for k in range(400):
+        t = DURATION / 400 * (k + np.array(stepper.nodes))
+        state, report = stepper.advance(state, reference.jet(t, stepper.start_order))
+        if not report.converged:
+            break
+        values = stepper.values(state, reference.jet(float(t[-1]), stepper.start_order))
+        worst = max(worst, abs(values["x"] - values["s"] - np.sin(angle(400)[k + 1])))
+    assert not report.converged or worst > 100 * error(sc.RadauIIA(3), 400)[0]
+
+
+def test_a_system_that_never_needs_another_choice_makes_one():
+    solution = sc.solve(sc.scenes.mass_on_car(), step=0.02)
+    assert solution.statistics.choices_of_states == 1
