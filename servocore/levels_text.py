@@ -38,7 +38,8 @@ This page is written by
 
     {command}
 
-and comes from one run on {machine}. Other work may have shared the machine: trust the ratios.
+and comes from one run on {machine}.
+Other work may have shared the machine: trust the ratios.
 
 {tables}
 ## Reading it
