@@ -2,6 +2,7 @@
 
 from servocore.references.base import Reference
 from servocore.references.csv_file import from_csv, waypoints_from_csv
+from servocore.references.periodic import Periodic, figure_of_eight, periodic
 from servocore.references.profiles import (
     DEGREE3,
     DEGREE5,
@@ -20,9 +21,12 @@ __all__ = [
     "DEGREE7",
     "DEGREE9",
     "DEGREE13",
+    "Periodic",
     "Profile",
     "Reference",
+    "figure_of_eight",
     "from_csv",
+    "periodic",
     "rest_to_rest",
     "sampled",
     "three_phase",

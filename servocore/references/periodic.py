@@ -1,0 +1,152 @@
+"""Paths that repeat themselves: sums of harmonics, known exactly at every order and after any number of cycles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from servocore.errors import InvalidReference
+from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Periodic(Reference):
+    """Trigonometric polynomial gamma(t) = centre + sum_k (cosines_k cos(k w t) + sines_k sin(k w t)), w = 2 pi/period.
+
+    The time since `start_time` is first reduced to one period, exactly: the thousandth cycle is as accurate as the
+    first. Before `start_time` and after `end_time` the motion goes on.
+
+    Attributes
+    ----------
+    period : float
+        In s.
+    centre : ndarray, shape (dimension,)
+        Mean position in m.
+    cosines, sines : ndarray, shape (harmonics, dimension)
+        Amplitudes of the harmonics k = 1, 2, ... in m.
+    """
+
+    period: float
+    centre: FloatArray
+    cosines: FloatArray
+    sines: FloatArray
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for array in (self.centre, self.cosines, self.sines):
+            array.setflags(write=False)
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        turn = np.fmod(t - self.start_time, self.period) / self.period
+        gamma = np.zeros((t.size, order + 1, self.dimension))
+        gamma[:, 0] = self.centre
+        for k, (cosine, sine) in enumerate(zip(self.cosines, self.sines, strict=True), 1):
+            angle = 2.0 * np.pi * np.fmod(k * turn, 1.0)
+            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+            rate = 2.0 * np.pi * k / self.period
+            a, b = cosine, sine  # of the derivative at hand: (a cos + b sin)' = rate (b cos - a sin)
+            for j in range(order + 1):
+                gamma[:, j] += rate**j * (a * c + b * s)
+                a, b = b, -a
+        return gamma
+
+
+def periodic(
+    centre: Sequence[float],
+    cosines: npt.ArrayLike,
+    sines: npt.ArrayLike,
+    period: float,
+    cycles: int = 1,
+    start_time: float = 0.0,
+) -> Periodic:
+    """Return a path that repeats itself, from its harmonics.
+
+    It is in motion at its start and end, and before and after: a load that is to follow it has to move already.
+
+    Parameters
+    ----------
+    centre : sequence of float, shape (dimension,)
+        Mean position in m.
+    cosines, sines : array_like, shape (harmonics, dimension)
+        Amplitudes of cos(k w t) and sin(k w t), k = 1, 2, ..., in m, with t counted from `start_time`.
+    period : float
+        Time of one cycle in s, positive.
+    cycles : int
+        How many cycles the path has, one or more.
+    start_time : float
+        When the first begins, in s.
+
+    Returns
+    -------
+    Periodic
+        The path; its jets are exact at every order.
+
+    Raises
+    ------
+    InvalidReference
+        If a number is not finite, the tables do not fit one another, or the period or the cycles are not positive.
+    """
+    middle, first, second = points([centre], "centre")[0], points(cosines, "cosine"), points(sines, "sine")
+    if first.shape != second.shape or first.shape[1] != middle.size:
+        raise InvalidReference(
+            f"a centre with {middle.size} components needs cosines and sines with as many columns and equally many"
+            f" rows, not tables of shapes {first.shape} and {second.shape}"
+        )
+    if not (np.isfinite(period) and period > 0.0):
+        raise InvalidReference(f"the period of a path must be a positive time, not {period} s")
+    if not (isinstance(cycles, int) and cycles >= 1):
+        raise InvalidReference(f"a periodic path has one or more whole cycles, not {cycles}")
+    return Periodic(
+        start_time=float(start_time),
+        end_time=float(start_time + cycles * period),
+        dimension=middle.size,
+        max_order=ANALYTIC_ORDER,
+        smoothness=ANALYTIC_ORDER,
+        period=float(period),
+        centre=middle,
+        cosines=first,
+        sines=second,
+    )
+
+
+def figure_of_eight(
+    centre: Sequence[float],
+    along: Sequence[float],
+    across: Sequence[float],
+    period: float,
+    cycles: int = 1,
+    start_time: float = 0.0,
+) -> Periodic:
+    """Return the figure of eight centre + along sin(w t) + across sin(2 w t), w = 2 pi/period.
+
+    Parameters
+    ----------
+    centre : sequence of float, shape (dimension,)
+        Where it crosses itself, in m; also its start.
+    along, across : sequence of float, shape (dimension,)
+        Half of its length and half of its width, as vectors in m.
+    period : float
+        Time of one round in s, positive.
+    cycles : int
+        Number of rounds, one or more.
+    start_time : float
+        When the first begins, in s.
+
+    Returns
+    -------
+    Periodic
+        The path; its jets are exact at every order.
+
+    Raises
+    ------
+    InvalidReference
+        As `periodic`.
+    """
+    return periodic(centre, np.zeros((2, len(centre))), [along, across], period, cycles, start_time)
