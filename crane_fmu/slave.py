@@ -23,6 +23,7 @@ from crane_fmu.interface import DIMENSION, Interface, Variable
 from crane_fmu.slave_checks import internal_steps, require_finite, require_legal, require_step
 from crane_fmu.slave_motion import Snapshot, advance, begin, told
 from crane_fmu.slave_paths import ROWS, Array, LoadPath, hermite, taylor
+from crane_fmu.slave_quick import quick_step
 from servocore import InvalidSetting, Program, ServocoreError
 
 INTERFACE_FILE = "interface.json"
@@ -30,6 +31,7 @@ _STATE_FORMAT = "rotary crane state 1"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _BUNDLE = Path(__file__).parents[1].name
 _INPUTS = ROWS * DIMENSION
+_INPUT_REFERENCES = list(range(_INPUTS))
 
 Callback = TypeVar("Callback", bound=Callable[..., Any])
 
@@ -150,7 +152,7 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
             if not math.isfinite(self._start_time):
                 raise InvalidSetting(f"the start time must be a finite number, not {self._start_time} s")
             self._program = self._require_program()
-            jet = self._required_jet(self._start_time)
+            jet = _matrix(self._required_jet(self._start_time))
             p, _ = self._required_parameters()
             self._adopt(begin(self._program, jet, p, self._start_time))
             self._failure = ""
@@ -170,6 +172,13 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         p, internal_step = self._required_parameters()
         jet = self._required_jet(current_time + step_size if self._at_end else current_time)
         count = internal_steps(internal_step, step_size)
+        quick = quick_step(program) if count == 1 else None
+        usual = quick(now, jet, 0.0 if self._at_end else step_size, step_size, p) if quick else None
+        self._adopt(usual or self._unusual_step(now, program, _matrix(jet), step_size, count, p))
+        return True
+
+    def _unusual_step(self, now: Snapshot, program: Program, jet: Array, h: float, count: int, p: Array) -> Snapshot:
+        """Take a step that is the first, has another size, is divided, or is to be refused with a sentence."""
         path: LoadPath
         if not self._at_end:
             now = told(program, now, jet, p)
@@ -177,9 +186,8 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         elif count == 1 and program.nodes == (1.0,):
             path = lambda _: jet  # noqa: E731
         else:
-            path = hermite(now.jet, jet, step_size)
-        self._adopt(advance(program, now, path, step_size, count, p))
-        return True
+            path = hermite(now.jet, jet, h)
+        return advance(program, now, path, h, count, p)
 
     def _ready(self) -> tuple[Snapshot, Program]:
         if self._phase != _STEPPING:
@@ -191,8 +199,9 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
     def _adopt(self, snapshot: Snapshot) -> None:
         """Make a snapshot the present; the only place where outputs change."""
         self._snapshot = snapshot
+        values = snapshot.values.tolist()
         for k, channel in zip(self._outputs, self._channels, strict=True):
-            self._reals[k] = float(snapshot.values[channel])
+            self._reals[k] = values[channel]
 
     # --- what the variables say ----------------------------------------------------------------------------------
 
@@ -210,10 +219,10 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         self._at_end, self._parameters = at_end, None
         return program
 
-    def _required_jet(self, time: float) -> Array:
+    def _required_jet(self, time: float) -> list[float]:
         inputs = self._reals[:_INPUTS]
-        require_finite(inputs, self._interface.variables[:_INPUTS], time)
-        return np.array(inputs).reshape(ROWS, DIMENSION)
+        require_finite(inputs, self._interface.variables, time)
+        return inputs
 
     def _required_parameters(self) -> tuple[Array, float]:
         """Return the program's parameters and the internal step, checked when they have changed."""
@@ -230,13 +239,16 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Take inputs and parameters; what they are worth is judged when they are used."""
         reals = self._reals
+        self._stale = True
+        if vrs == _INPUT_REFERENCES:
+            reals[:_INPUTS] = values
+            return
         for vr, value in zip(vrs, values, strict=True):
             if vr < _INPUTS:
                 reals[vr] = value
             elif self._settable(vr, text=False):
                 reals[vr] = value
                 self._parameters = None
-        self._stale = True
 
     @guarded(_nothing)
     def set_string(self, vrs: list[int], values: list[str]) -> None:
@@ -314,6 +326,10 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         except ValueError:
             return {}
         return found if isinstance(found, dict) else {}
+
+
+def _matrix(jet: list[float]) -> Array:
+    return np.array(jet).reshape(ROWS, DIMENSION)
 
 
 def _registered(variable: Variable) -> Any:

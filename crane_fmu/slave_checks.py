@@ -50,7 +50,7 @@ def require_finite(inputs: Sequence[float], variables: Sequence[Variable], time:
     """Raise `InvalidReference` naming the first input that is NaN or infinite."""
     if math.isfinite(sum(inputs)):
         return
-    for value, variable in zip(inputs, variables, strict=True):
+    for value, variable in zip(inputs, variables, strict=False):  # the inputs are the first in the table
         if not math.isfinite(value):
             raise InvalidReference(f"at t = {time:.6g} s the input {variable.name} is {value}, not a finite number")
 

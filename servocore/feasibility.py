@@ -31,11 +31,15 @@ def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: 
     return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])
 
 
-def require_feasible(reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array) -> None:
-    """Raise `InvalidReference` if the path breaks a limit anywhere.
+def require_feasible(
+    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None = None
+) -> None:
+    """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
 
     The margins are surveyed on a fine grid; around the smallest of each the grid is refined.
     """
+    _require_at(reference, system, tuple(each for each in limits if each.at_instants_only), p, t)
+    limits = tuple(each for each in limits if not each.at_instants_only)
     if not limits:
         return
     texts = limit_texts(limits)
@@ -52,6 +56,16 @@ def require_feasible(reference: Reference, system: MechanicalSystem, limits: tup
             margin = _margins(reference, system, limits, p, t)[k]
             lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
             require_margins((text,), margin[[lowest]], float(t[lowest]))
+
+
+def _require_at(
+    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None
+) -> None:
+    if not limits or t is None:
+        return
+    for text, margin in zip(limit_texts(limits), _margins(reference, system, limits, p, t), strict=True):
+        lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
+        require_margins((text,), margin[[lowest]], float(t[lowest]))
 
 
 def _margins(reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array) -> Array:

@@ -33,6 +33,8 @@ class Limit:
         What happens at the bound, as part of a sentence: ``the rope goes slack``.
     expression : callable
         (gamma (m, orders), parameters) -> the quantity as a CasADi expression.
+    at_instants_only : bool
+        Whether the path may break the limit between the instants of a grid.
     """
 
     quantity: str
@@ -40,6 +42,7 @@ class Limit:
     bound: float
     reason: str
     expression: Callable[[ca.SX, Parameters], ca.SX]
+    at_instants_only: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,9 @@ class Scene:
         Where the scene ends.
     parameters : mapping of str to float
         Values that differ from the defaults.
+    follow_branch : bool
+        Whether every instant of the exact inversion starts from the one before instead of the model's guess: where
+        several configurations belong to one output, a run then stays on the branch on which it started.
     """
 
     name: str
@@ -74,6 +80,7 @@ class Scene:
     independent_solution: IndependentSolution | None = None
     limits: tuple[Limit, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
+    follow_branch: bool = False
 
     @property
     def default_model(self) -> str:

@@ -88,7 +88,7 @@ def solve(
     setting = output_step if isinstance(control, Adaptive) else control.h
     t, h = time_grid(scene.reference, setting)
     stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model)
-    require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters)
+    require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters, t)
     if isinstance(control, Adaptive):
         solution = solve_to_tolerance(stepper, control, t, progress)
     elif isinstance(formulation, Reduced) and stepper.index == 1:

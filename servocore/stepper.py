@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.derivative_array import derivative_array
+from servocore.derivative_array import DerivativeArray, compile_array_solver, derivative_array
 from servocore.errors import InvalidSetting
 from servocore.feasibility import compile_margins, limit_texts, limits_order
 from servocore.formulations import Formulation, Reduced
@@ -27,9 +27,16 @@ from servocore.system import MechanicalSystem
 
 @lru_cache(maxsize=64)
 def compile_program(
-    system: MechanicalSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...] = ()
+    system: MechanicalSystem,
+    formulation: Formulation,
+    method: Method,
+    limits: tuple[Limit, ...] = (),
+    follow_branch: bool = False,
 ) -> Program:
-    """Compile a model with a formulation and a method; repeated calls return the same program."""
+    """Compile a model with a formulation and a method; repeated calls return the same program.
+
+    With `follow_branch` an exact inversion starts from the instant before instead of the model's guess.
+    """
     dae = formulation.dae(system)
     # Without differential states every instant stands alone: a step is a start.
     pointwise = dae.x.numel() == 0
@@ -38,10 +45,14 @@ def compile_program(
     start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = _observed(system)
     start = compile_start(array, dae, discretisation, start_order)
+    if pointwise:
+        step = _compile_following_step(array, start_order) if follow_branch else _compile_pointwise_step(start)
+    else:
+        step = _compile_step(discretisation)
     return Program(
         name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
         start=start,
-        step=_compile_pointwise_step(start, discretisation) if pointwise else _compile_step(discretisation),
+        step=step,
         observe=_compile_observe(system, dae, discretisation, known, start_order),
         margins=compile_margins(system, limits, start_order),
         guess_residual=_compile_guess_residual(discretisation),
@@ -79,8 +90,18 @@ def _compile_step(step: Discretisation) -> ca.Function:
     return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
 
 
-def _compile_pointwise_step(start: ca.Function, step: Discretisation) -> ca.Function:
-    state, h = ca.MX.sym("state", step.state.numel()), ca.MX.sym("h")
+def _compile_following_step(array: DerivativeArray, order: int) -> ca.Function:
+    """Invert exactly, starting from the instant before: without internal dynamics its state is all unknowns."""
+    solver = compile_array_solver(array)
+    system = array.system
+    state, h = ca.MX.sym("state", len(array.unknowns)), ca.MX.sym("h")
+    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
+    found = solver(gamma[:, : array.reference_order + 1], p, state)
+    return ca.Function("sc_step", [state, gamma, h, p], list(found))
+
+
+def _compile_pointwise_step(start: ca.Function) -> ca.Function:
+    state, h = ca.MX.sym("state", start.numel_out(0)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(2))
     return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
 
@@ -170,7 +191,7 @@ class Stepper:
         base = self.scene.model(self.model)
         p = base.parameters.values(self.scene.parameters)
         system = specialised(base, p)
-        program = compile_program(system, self.formulation, self.method, self.scene.limits)
+        program = compile_program(system, self.formulation, self.method, self.scene.limits, self.scene.follow_branch)
         object.__setattr__(self, "program", program)
         object.__setattr__(self, "system", system)
         object.__setattr__(self, "parameters", p)

@@ -18,6 +18,7 @@ same inputs. Left out: friction, rope mass and elasticity, wind.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
@@ -59,8 +60,11 @@ SMALLEST_RADIUS = 1e-3
 """The trolley must stay farther from the slewing axis than this, in m: on the axis phi is undefined."""
 
 
+SIGNED_TROLLEY = Quantity("s", "m", "trolley position along the bridge, negative beyond the slewing axis")
+
+
 @cache
-def points() -> MechanicalSystem:
+def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
 
     q = (d, p, s, l, r): bridge direction d (mass J_b), trolley point p (mass m_t), trolley distance s (massless),
@@ -69,8 +73,8 @@ def points() -> MechanicalSystem:
     names = ("d_x", "d_y", "p_x", "p_y", "s", "l", "x", "y", "z")
     coordinates = Coordinates(*(Quantity(name, "1" if name.startswith("d") else "m") for name in names))
     q, p = coordinates.q, PARAMETERS
-    direction, trolley, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
-    rope = load - ca.vertcat(trolley, 0)
+    direction, place, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
+    rope = load - ca.vertcat(place, 0)
     lam = ca.SX.sym("lam", 4)
     gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
     radius = ca.norm_2(gamma[:2, 0])
@@ -93,7 +97,7 @@ def points() -> MechanicalSystem:
         outputs=OUTPUTS,
         mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
-        constraints=ca.vertcat(ca.sumsqr(direction) - 1, trolley - s * direction, ca.sumsqr(rope) - rope_length**2),
+        constraints=ca.vertcat(ca.sumsqr(direction) - 1, place - s * direction, ca.sumsqr(rope) - rope_length**2),
         input_matrix=-forces.T,
         output=load,
         multipliers=lam,
@@ -102,7 +106,7 @@ def points() -> MechanicalSystem:
         home=HOME,
         observables={
             PHI: ca.atan2(direction[1], direction[0]),
-            TROLLEY: s,
+            trolley: s,
             ROPE: rope_length,
             # The force on the load is -lam d|rope|^2/dr = -2 lam rope, towards the trolley when lam > 0.
             TENSION: 2 * lam[3] * rope_length,
@@ -123,14 +127,14 @@ def bodies() -> MechanicalSystem:
 
 
 @cache
-def generalized() -> MechanicalSystem:
+def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
 
     The swing angles turn with the bridge: alpha in its plane, beta out of it. Singular where beta = 90 degrees.
     """
-    base = points()
+    base = points(trolley)
     coordinates = Coordinates(
-        PHI, TROLLEY, ROPE,
+        PHI, trolley, ROPE,
         Quantity("swing_in", "rad", "swing in the bridge's plane, outwards"),
         Quantity("swing_out", "rad", "swing out of the bridge's plane, towards larger phi"),
     )  # fmt: skip
@@ -210,12 +214,50 @@ LIMITS = (
 )  # fmt: skip
 
 
-def rotary_crane() -> Scene:
-    """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s."""
+def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
+    """Evaluate the closed form along a path that may cross the slewing axis: s changes sign, phi does not jump.
+
+    The times must increase. Between two instants a turn of phi by more than a right angle counts as a crossing.
+    """
+    answer = closed_form(reference, parameters)
+    jumps = np.abs(np.angle(np.exp(1j * np.diff(answer["phi"])))) > np.pi / 2
+    sign = np.concatenate([[1.0], np.cumprod(np.where(jumps, -1.0, 1.0))])
+    angle = np.unwrap(answer["phi"] + np.where(sign < 0.0, np.pi, 0.0))
+    return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
+
+
+def rotary_crane(*, across_axis: bool = False) -> Scene:
+    """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
+
+    Parameters
+    ----------
+    across_axis : bool
+        Whether the trolley may pass through the slewing axis to negative s, on a girder that reaches beyond it. The
+        path then decides only between the instants: on the axis itself phi is undefined, and an instant that falls
+        there is refused.
+    """
+    reference = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
+    if not across_axis:
+        return Scene(
+            name="rotary_crane",
+            models={"points": points, "generalized": generalized, "bodies": bodies},
+            reference=reference,
+            closed_form=closed_form,
+            limits=LIMITS,
+        )
     return Scene(
         name="rotary_crane",
-        models={"points": points, "generalized": generalized, "bodies": bodies},
-        reference=rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0),
-        closed_form=closed_form,
-        limits=LIMITS,
+        models={"points": _signed_points, "generalized": _signed_generalized},
+        reference=reference,
+        closed_form=through_axis,
+        limits=(*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True)),
+        follow_branch=True,
     )
+
+
+def _signed_points() -> MechanicalSystem:
+    return points(SIGNED_TROLLEY)
+
+
+def _signed_generalized() -> MechanicalSystem:
+    return generalized(SIGNED_TROLLEY)
