@@ -34,9 +34,9 @@ from crane_fmu.writing import write_together
 
 FILE_NAME = "RotaryCrane.fmu"
 FORMULATIONS: Mapping[str, sc.Formulation] = {
+    "reduced": sc.Reduced(),
     "projected": sc.Projected(),
     "original": sc.Original(),
-    "reduced": sc.Reduced(),
 }
 """Formulations that the FMU offers; the first is the default."""
 
@@ -48,6 +48,7 @@ _OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_motion", "slave_pat
 _SERVOCORE_SOURCES = ("calls", "errors", "program")
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _CHECK_SECONDS = 300.0
+_PREFIX = "rotary_crane_"
 
 _SERVOCORE_FACE = '''"""The part of servocore that an FMU needs."""
 
@@ -97,7 +98,7 @@ class Content:
         digest = hashlib.sha256(f"{_ENTRY}{metadata.version('pythonfmu')}".encode())
         for path, text in sorted(self.files.items()):
             digest.update(f"{path}\0{text}\0".encode())
-        return f"rotary_crane_{digest.hexdigest()[:16]}"
+        return f"{_PREFIX}{digest.hexdigest()[:16]}"
 
     @property
     def bundle(self) -> str:
@@ -218,7 +219,7 @@ def _packed_by_pythonfmu(content: Content, folder: Path) -> dict[str, bytes]:
     entry = folder / f"{content.name}.py"
     entry.write_text(_ENTRY.format(bundle=content.bundle), encoding="utf-8")
     options = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
-    with _no_traces(content.name):
+    with _no_traces():
         archive = FmuBuilder.build_FMU(entry, folder / FILE_NAME, project_files=[bundle], **options)
     with zipfile.ZipFile(archive) as packed_members:
         return {name: packed_members.read(name) for name in packed_members.namelist()}
@@ -230,17 +231,26 @@ def _privately(source: str, bundle: str, packages: str = "crane_fmu|servocore") 
 
 
 @contextmanager
-def _no_traces(prefix: str) -> Iterator[None]:
-    """Undo what PythonFMU's builder leaves behind: its search path and the modules of the FMU."""
+def _no_traces() -> Iterator[None]:
+    """Undo what PythonFMU's builder leaves behind: its search path and the modules of the FMU.
+
+    Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
+    for those it packs, and find no slave that is its own.
+    """
     search_path, write_bytecode = list(sys.path), sys.dont_write_bytecode
     sys.dont_write_bytecode = True
+    _forget_modules()
     try:
         yield
     finally:
         sys.path[:] = search_path
         sys.dont_write_bytecode = write_bytecode
-        for name in [each for each in sys.modules if each.startswith(prefix)]:
-            del sys.modules[name]
+        _forget_modules()
+
+
+def _forget_modules() -> None:
+    for name in [each for each in sys.modules if each.startswith(_PREFIX)]:
+        del sys.modules[name]
 
 
 def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from types import TracebackType
@@ -46,7 +48,8 @@ class SentenceGroup(TyperGroup):
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command line and end the process; the arguments are Typer's own."""
         try:
-            code = super().main(*args, **{**options, "standalone_mode": False})
+            with _notes_on_the_error_stream():
+                code = super().main(*args, **{**options, "standalone_mode": False})
         except sc.ServocoreError as error:
             _refuse(str(error))
         except typer.Abort:
@@ -55,6 +58,23 @@ class SentenceGroup(TyperGroup):
             message = error.format_message().rstrip(".")
             _refuse(f"{message[:1].lower()}{message[1:]}; see {NAME} --help")
         sys.exit(code if isinstance(code, int) else 0)
+
+
+@contextmanager
+def _notes_on_the_error_stream() -> Iterator[None]:
+    """Print the library's warnings as plain lines; those of others stay as they are."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, sc.ServocoreWarning):
+                print(f"{NAME}: note: {message}", file=sys.stderr)
+            else:
+                others(message, category, *place, **more)
+
+        warnings.showwarning = show
+        warnings.simplefilter("always", sc.ServocoreWarning)
+        yield
 
 
 def _refuse(sentence: str) -> NoReturn:
@@ -159,6 +179,19 @@ Step = Annotated[
     float | None,
     _option(_CRANE, "--step", metavar="H", text="Step (s); divides the duration. Default: duration/200."),
 ]
+RelativeTolerance = Annotated[
+    float | None,
+    _option(_CRANE, "--rtol", metavar="R", text="In place of a step: error of the inputs relative to their peaks."),
+]
+AbsoluteTolerance = Annotated[
+    float | None,
+    _option(_CRANE, "--atol", metavar="A", text="In place of a step: error of the inputs in their own units."),
+]
+OutputStep = Annotated[
+    float | None,
+    _option(_CRANE, "--output-step", metavar="H",
+            text="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
+]  # fmt: skip
 OutputFile = Annotated[
     Path | None,
     _option(_RESULTS, "--output", "-o", metavar="FILE.csv",
@@ -196,6 +229,9 @@ def feedforward(
     formulation: FormulationName = ff.Route.formulation,
     method: MethodName = ff.Route.method,
     step: Step = None,
+    rtol: RelativeTolerance = None,
+    atol: AbsoluteTolerance = None,
+    output_step: OutputStep = None,
     output: OutputFile = None,
     plot: PlotFile = None,
 ) -> None:
@@ -213,7 +249,9 @@ def feedforward(
     changed = {} if parameters is None else read_parameters(parameters, sc.scenes.rotary_crane())
     contents = {}
     with PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, ff.Route(model, formulation, method, step), progress)
+        solution = ff.feedforward(
+            path, changed, ff.Route(model, formulation, method, step, rtol, atol, output_step), progress
+        )
         table = ff.csv_text(solution)
         if plot is not None:
             contents[plot] = _drawn(solution, plot.suffix.lower())

@@ -19,19 +19,21 @@ COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 """Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
 
 FORMULATIONS: Mapping[str, sc.Formulation] = {
+    "reduced": sc.Reduced(),
     "projected": sc.Projected(),
     "original": sc.Original(),
-    "reduced": sc.Reduced(),
 }
 """Formulations that can be asked for by name; the first is the default."""
 
 METHODS: Mapping[str, sc.Method] = {
     "backward-euler": sc.BackwardEuler(),
-    "bdf2": sc.BDF(2),
-    "bdf3": sc.BDF(3),
-    "radau3": sc.RadauIIA(3),
+    **{f"bdf{order}": sc.BDF(order) for order in range(1, 7)},
+    **{f"radau{stages}": sc.RadauIIA(stages) for stages in range(1, 6)},
+    "trapezoidal": sc.Trapezoidal(),
+    **{f"gauss{stages}": sc.Gauss(stages) for stages in range(1, 6)},
+    "generalized-alpha": sc.GeneralizedAlpha(),
 }
-"""Methods that can be asked for by name; the first is the default."""
+"""Methods that can be asked for by name, BDF by order, Radau and Gauss by stages; the first is the default."""
 
 THREE_PHASE = "three-phase"
 PROFILES: Mapping[str, sc.Profile] = {
@@ -120,15 +122,37 @@ class FileRequest:
 
 @dataclass(frozen=True)
 class Route:
-    """How the inputs are computed: names of `MODELS`, `FORMULATIONS` and `METHODS`, and the step in s.
+    """How the inputs are computed: names of `MODELS`, `FORMULATIONS` and `METHODS`, and the step or a tolerance.
 
-    Without a step, the duration of the path is divided by 200.
+    Attributes
+    ----------
+    model, formulation, method : str
+        Names.
+    step : float or None
+        Constant step in s; without it, the duration of the path is divided by 200.
+    rtol, atol : float or None
+        Error control in place of a step: `servocore.Adaptive`. One of them is enough.
+    output_step : float or None
+        With error control: time between rows in s; without it, the duration of the path is divided by 200.
     """
 
     model: str = MODELS[0]
     formulation: str = next(iter(FORMULATIONS))
     method: str = next(iter(METHODS))
     step: float | None = None
+    rtol: float | None = None
+    atol: float | None = None
+    output_step: float | None = None
+
+    def accuracy(self) -> float | sc.Adaptive | None:
+        """Return what `servocore.solve` takes as its step; raises `InvalidSetting` if the options contradict."""
+        if self.rtol is None and self.atol is None:
+            if self.output_step is not None:
+                raise sc.InvalidSetting("--output-step belongs to --rtol or --atol; without them every step is a row")
+            return self.step
+        if self.step is not None:
+            raise sc.InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
+        return sc.Adaptive(0.0 if self.rtol is None else self.rtol, 0.0 if self.atol is None else self.atol)
 
 
 def feedforward(
@@ -164,10 +188,19 @@ def feedforward(
     choose(scene.models, route.model, "model")
     formulation = choose(FORMULATIONS, route.formulation, "formulation")
     method = choose(METHODS, route.method, "method")
+    accuracy = route.accuracy()
     with np.errstate(all="ignore"):  # what is not finite is refused below with a sentence, not warned of
         scene = scene.with_reference(path.reference())
-        _require_few_rows(scene.reference.duration, route.step)
-        return sc.solve(scene, formulation, method, step=route.step, model=route.model, progress=progress)
+        _require_few_rows(scene.reference.duration, route.step if route.output_step is None else route.output_step)
+        return sc.solve(
+            scene,
+            formulation,
+            method,
+            step=accuracy,
+            output_step=route.output_step,
+            model=route.model,
+            progress=progress,
+        )
 
 
 def _require_few_rows(duration: float, step: float | None) -> None:

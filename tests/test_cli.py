@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ from crane_fmu.parameters_file import read_parameters
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
+PAPER = ["--formulation", "projected", "--method", "backward-euler"]
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -75,7 +77,7 @@ class TestFeedforward:
         assert os.listdir() == []
 
     def test_a_file_holds_what_solve_returns_to_the_last_bit(self):
-        assert run("feedforward", *LINE, "--step", 0.1, "--output", "inputs.csv").exit_code == 0
+        assert run("feedforward", *LINE, *PAPER, "--step", 0.1, "--output", "inputs.csv").exit_code == 0
         header, values = table(Path("inputs.csv").read_text())
         solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
         assert header == HEADER
@@ -87,7 +89,7 @@ class TestFeedforward:
     def test_the_inputs_approach_the_closed_form_with_the_first_order_and_the_motion_is_exact(self):
         crane, errors = sc.scenes.rotary_crane(), []
         for step in (0.1, 0.05):
-            _, values = table(run("feedforward", *LINE, "--step", step).stdout)
+            _, values = table(run("feedforward", *LINE, *PAPER, "--step", step).stdout)
             exact = crane.exact(values[:, 0])
             errors.append([np.abs(values[:, k] - exact[name]).max() for k, name in ((1, "M_b"), (2, "F"), (3, "M_w"))])
             for k, name in ((4, "phi"), (5, "s"), (6, "l"), (7, "x"), (8, "y"), (9, "z")):
@@ -96,7 +98,7 @@ class TestFeedforward:
 
     @pytest.mark.parametrize("model", MODELS)
     def test_every_model_is_as_close_to_the_closed_form_as_its_step_is_small(self, model):
-        _, values = table(run("feedforward", *LINE, "--step", 0.0125, "--model", model).stdout)
+        _, values = table(run("feedforward", *LINE, *PAPER, "--step", 0.0125, "--model", model).stdout)
         exact = sc.scenes.rotary_crane().exact(values[:, 0])
         for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
             assert np.abs(values[:, k] - exact[name]).max() < 0.04 * np.abs(exact[name]).max(), name
@@ -104,11 +106,50 @@ class TestFeedforward:
             np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
 
     @pytest.mark.parametrize("formulation", FORMULATIONS)
-    @pytest.mark.parametrize("method", METHODS)
-    def test_every_formulation_and_method_can_be_asked_for(self, formulation, method):
-        result = run("feedforward", *LINE, "--formulation", formulation, "--method", method)
+    def test_every_formulation_can_be_asked_for(self, formulation):
+        result = run("feedforward", *LINE, "--formulation", formulation)
         assert result.exit_code == 0
         assert table(result.stdout)[0] == HEADER
+
+    @pytest.mark.parametrize("method", METHODS)
+    def test_every_method_can_be_asked_for(self, method):
+        result = run("feedforward", *LINE, "--formulation", "projected", "--method", method)
+        assert result.exit_code == 0
+        header, values = table(result.stdout)
+        assert header == HEADER
+        if not method.startswith("gauss"):  # between its nodes a collocation polynomial that damps nothing may stray
+            np.testing.assert_allclose(values[:, 5], sc.scenes.rotary_crane().exact(values[:, 0])["s"], atol=1e-6)
+
+    def test_by_default_the_inputs_are_exact(self):
+        _, values = table(run("feedforward", *LINE).stdout)
+        exact = sc.scenes.rotary_crane().exact(values[:, 0])
+        for k, name in enumerate(HEADER.split(",")[1:10], start=1):
+            np.testing.assert_allclose(values[:, k], exact[name], atol=1e-8, err_msg=name)
+
+    @pytest.mark.parametrize("options", [["--rtol", 1e-3], ["--atol", 0.5], ["--rtol", 1e-3, "--atol", 0.1]])
+    def test_a_tolerance_takes_the_place_of_a_step(self, options):
+        result = run("feedforward", *LINE, "--formulation", "projected", "--method", "radau3", *options)
+        _, values = table(result.stdout)
+        assert values.shape == (201, 11)
+        exact = sc.scenes.rotary_crane().exact(values[:, 0])
+        for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
+            assert np.abs(values[:, k] - exact[name]).max() < 2e-3 * np.abs(exact[name]).max() + 0.5, name
+
+    def test_rows_under_a_tolerance_are_where_they_are_wanted(self):
+        result = run("feedforward", *LINE, "--rtol", 1e-3, "--output-step", 0.5)
+        assert table(result.stdout)[1][:, 0].tolist() == [0.5 * k for k in range(41)]
+
+    def test_a_warning_of_the_library_is_a_note_and_the_table_comes_all_the_same(self, monkeypatch):
+        def warn(*arguments, **options):
+            warnings.warn("mind the gap", sc.ServocoreWarning, stacklevel=1)
+            return solve(*arguments, **options)
+
+        solve = sc.solve
+        monkeypatch.setattr(sc, "solve", warn)
+        result = run("feedforward", *LINE)
+        assert result.exit_code == 0
+        assert result.stderr == "crane-fmu: note: mind the gap\n"
+        assert len(result.stdout.splitlines()) == 202
 
     @pytest.mark.parametrize("profile", PROFILES)
     def test_every_profile_can_be_asked_for(self, profile):
@@ -195,6 +236,13 @@ REFUSED_PATHS = {
     "no step": ([*LINE, "--step", 0], "step"),
     "negative step": ([*LINE, "--step", -0.1], "step"),
     "step that is no number": ([*LINE, "--step", "nan"], "step"),
+    "step and tolerance": ([*LINE, "--step", 0.1, "--rtol", 1e-3], "--step"),
+    "rows of their own without a tolerance": ([*LINE, "--output-step", 0.1], "--rtol"),
+    "negative tolerance": ([*LINE, "--rtol", -1], "rtol"),
+    "tolerance that is no number": ([*LINE, "--atol", "nan"], "atol"),
+    "no tolerance": ([*LINE, "--rtol", 0], "tolerances"),
+    "rows that do not divide": ([*LINE, "--rtol", 1e-3, "--output-step", 0.3], "divide"),
+    "too many rows": ([*LINE, "--rtol", 1e-3, "--output-step", 1e-9], "rows"),
     "step with letters": ([*LINE, "--step", "small"], "--step"),
     "step beyond the duration": ([*LINE, "--step", 21], "duration"),
     "step that does not divide": ([*LINE, "--step", 0.3], "divide"),
@@ -330,7 +378,7 @@ def test_the_examples_of_the_page_run(arguments):
 
 
 def test_the_page_names_every_option_and_every_choice():
-    listed = set(re.findall(r"--[a-z]+", run("feedforward", "--help").stdout)) - {"--help"}
+    listed = set(re.findall(r"--[a-z][a-z-]*", run("feedforward", "--help").stdout)) - {"--help"}
     assert {option for option in listed if f"`{option}" not in PAGE} == set()
     for name in (*PROFILES, *MODELS, *FORMULATIONS, *METHODS, *sc.scenes.rotary_crane().parameter_values()):
         assert re.search(rf"(`|^){name}\b", PAGE, re.MULTILINE), name
