@@ -29,6 +29,7 @@ import servocore as sc
 from crane_fmu.description import complete
 from crane_fmu.description_page import documentation_page, user_page
 from crane_fmu.interface import Interface, crane_interface
+from crane_fmu.shim import add_shim
 from crane_fmu.slave import INTERFACE_FILE, program_file
 from crane_fmu.writing import write_together
 
@@ -136,7 +137,7 @@ def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
         raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
     content = collect(tell)
     tell("packing")
-    archive = packed(content)
+    archive = packed(content, tell)
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         candidate = Path(folder) / FILE_NAME
         candidate.write_bytes(archive)
@@ -182,7 +183,7 @@ def _text(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def packed(content: Content) -> bytes:
+def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     """Return the archive: PythonFMU's, completed and reproducible."""
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         raw = _packed_by_pythonfmu(content, Path(folder))
@@ -193,7 +194,22 @@ def packed(content: Content) -> bytes:
     members["documentation/index.html"] = documentation_page(user_page(content.interface)).encode()
     members["documentation/licenses/pythonfmu.txt"] = _licence("pythonfmu")
     members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()
-    return _zipped(members)
+    return _zipped(_for_native_hosts(members, tell))
+
+
+def _for_native_hosts(members: dict[str, bytes], tell: Progress) -> dict[str, bytes]:
+    """Add the library that opens Python, where it can be compiled."""
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        touched = [name for name in members if name.startswith("binaries/") or name == "modelDescription.xml"]
+        for name in touched:
+            (Path(folder) / name).parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / name).write_bytes(members[name])
+        if not add_shim(Path(folder), tell):
+            return members
+        binaries = {
+            each.relative_to(folder).as_posix(): each.read_bytes() for each in Path(folder, "binaries").glob("*/*")
+        }
+    return {**members, **binaries}
 
 
 def _licence(package: str) -> bytes:

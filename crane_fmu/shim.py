@@ -27,6 +27,9 @@ PLATFORM = "linux64"
 REAL_BINARY = "pythonfmu.so"
 """Name of PythonFMU's binary beside the shim."""
 
+REQUIRED_PACKAGES = ("numpy", "casadi")
+"""Packages that the Python of the host must have."""
+
 _SOURCE = Path(__file__).parent / "native" / "shim.c"
 _HEADERS = Path(fmpy.__file__).parent / "c-code"
 _COMPILERS = ("cc", "gcc", "clang")
@@ -103,10 +106,12 @@ def _compiler() -> list[str] | None:
 
 def _configuration(guid: str) -> str:
     libraries = ", ".join(f'"{_c_text(each)}"' for each in python_libraries())
+    packages = ", ".join(f'"{each}"' for each in REQUIRED_PACKAGES)
     plain = guid.removeprefix("{").removesuffix("}")
     return (
         f'#define FMU_GUID "{_c_text(plain)}"\n'
         f'#define REAL_BINARY "{REAL_BINARY}"\n'
+        f"#define REQUIRED_PACKAGES {packages}\n"
         f"#define PYTHON_LIBRARIES {libraries}\n"
     )
 

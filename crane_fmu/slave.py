@@ -120,6 +120,12 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         sentence = str(error) if expected else f"internal error in {callback}: {type(error).__name__}: {error}"
         self.log(sentence, Fmi2Status.discard if expected else Fmi2Status.error)
 
+    def log(
+        self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: None = None
+    ) -> None:
+        """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
+        super().log(msg.replace("%", "%%"), status, category, debug)
+
     # --- phases -------------------------------------------------------------------------------------------------
 
     @guarded(_nothing)

@@ -3,7 +3,7 @@
    PythonFMU's binary needs Python in the process, undoes no escape of an address but %20 and trusts every pointer.
    This one opens libpython where the host has none, undoes all escapes, compares the GUID, tells the host's logger
    in a sentence why an instance cannot be made, and refuses null pointers. shim_config.h is written at build:
-   FMU_GUID, REAL_BINARY (a file name) and PYTHON_LIBRARIES (what to try, best first).
+   FMU_GUID, REAL_BINARY (a file name), REQUIRED_PACKAGES and PYTHON_LIBRARIES (what to try, best first).
 
    Environment, for hosts that are not Python:
      CRANE_FMU_LIBPYTHON  the Python library to open, a file or a name; nothing else is tried then
@@ -16,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 #include <wchar.h>
 
 #include "fmi2Functions.h"
@@ -91,18 +92,24 @@ static int open_python(char *why) {
     return 0;
 }
 
-/* Let the interpreter find the packages of CRANE_FMU_PYTHON, or of the active virtual environment. */
+/* Let the interpreter find the packages of CRANE_FMU_PYTHON, or of the active virtual environment, or of the interpreter
+   that the library belongs to: without that it would take those of any python3 on the search path. */
 static void choose_packages(void) {
     void (*set_name)(const wchar_t *) = (void (*)(const wchar_t *))python("Py_SetProgramName");
     wchar_t *(*decode)(const char *, size_t *) = (wchar_t * (*)(const char *, size_t *)) python("Py_DecodeLocale");
     const char *chosen = getenv("CRANE_FMU_PYTHON"), *environment = getenv("VIRTUAL_ENV");
     char path[LONGEST];
+    Dl_info library;
     if (chosen && *chosen)
         snprintf(path, sizeof path, "%s", chosen);
     else if (environment && *environment)
         snprintf(path, sizeof path, "%s/bin/python", environment);
-    else
-        return; /* Python looks for python3 on the search path itself */
+    else if (dladdr(python("Py_Initialize"), &library) && library.dli_fname && strchr(library.dli_fname, '/')) {
+        const int folder = (int)(strrchr(library.dli_fname, '/') - library.dli_fname);
+        snprintf(path, sizeof path, "%.*s/../bin/python3", folder, library.dli_fname);
+        if (access(path, X_OK)) return; /* Python looks for python3 on the search path itself */
+    } else
+        return;
     wchar_t *name = set_name && decode ? decode(path, NULL) : NULL;
     if (name) set_name(name); /* Python keeps the pointer */
 }
@@ -117,10 +124,45 @@ static int start_python(char *why) {
         return 0;
     }
     if (running()) return 1;
+    int *utf8 = (int *)python("Py_UTF8Mode"); /* paths are UTF-8 whatever the host's locale says */
+    if (utf8) *utf8 = 1;
     choose_packages();
     start(0);
     release();
     return 1;
+}
+
+/* Import what the FMU stands on. PythonFMU would meet a failure later, and harm the host's memory over it. */
+static int import_packages(char *why) {
+    static const char *const packages[] = {REQUIRED_PACKAGES};
+    int (*hold)(void) = (int (*)(void))python("PyGILState_Ensure");
+    void (*release)(int) = (void (*)(int))python("PyGILState_Release");
+    void *(*import)(const char *) = (void *(*)(const char *))python("PyImport_ImportModule");
+    void (*fetch)(void **, void **, void **) = (void (*)(void **, void **, void **))python("PyErr_Fetch");
+    void *(*text)(void *) = (void *(*)(void *))python("PyObject_Str");
+    const char *(*utf8)(void *) = (const char *(*)(void *))python("PyUnicode_AsUTF8");
+    void (*give_back)(void *) = (void (*)(void *))python("Py_DecRef");
+    if (!hold || !release || !import || !fetch || !text || !utf8 || !give_back) return 1;
+    const int state = hold();
+    int done = 1;
+    for (size_t k = 0; done && k < sizeof packages / sizeof *packages; k++) {
+        void *module = import(packages[k]), *error[3] = {NULL, NULL, NULL};
+        if (module) {
+            give_back(module);
+            continue;
+        }
+        fetch(&error[0], &error[1], &error[2]);
+        void *message = error[1] ? text(error[1]) : NULL;
+        const char *reason = message ? utf8(message) : NULL;
+        sentence(why, "the FMU needs NumPy and CasADi in the Python that runs it, but importing %s failed: %s; install what"
+                      " resources/requirements.txt in the FMU lists, or name an interpreter that has it in the"
+                      " environment variable CRANE_FMU_PYTHON", packages[k], reason ? reason : "no reason given");
+        give_back(message);
+        for (int part = 0; part < 3; part++) give_back(error[part]);
+        done = 0;
+    }
+    release(state);
+    return done;
 }
 
 /* --- PythonFMU's binary ------------------------------------------------------------------------------------------- */
@@ -151,7 +193,7 @@ static int open_real(char *why) {
 
 static int load(char *why) {
     pthread_mutex_lock(&loading);
-    if (!loaded) loaded = open_python(why) && start_python(why) && open_real(why);
+    if (!loaded) loaded = open_python(why) && start_python(why) && import_packages(why) && open_real(why);
     const int done = loaded;
     pthread_mutex_unlock(&loading);
     return done;
