@@ -50,6 +50,9 @@ $(INSTALLED): pyproject.toml | $(BIN)/python
 	@echo "Installing servocore and its tools into .venv (about a minute)"
 	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[dev]'; \
 	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[dev]'; fi
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[dev,masters]'; \
+	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[dev,masters]'; fi >/dev/null 2>&1 \
+	|| echo "Not all of ecospy, libcosimpy and fmu-manipulation-toolbox can be installed here; their tests are skipped"
 	@touch $@
 
 $(BIN)/python:

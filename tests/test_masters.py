@@ -1,0 +1,231 @@
+"""Independent simulation tools: each runs every FMU in a process of its own and must get what `solve` gets.
+
+The tools come with the extra `masters` (`pip install -e .[masters]`; ecos also needs the system's libtbb12). Tests with
+a tool that is missing are skipped; with SERVOCORE_REQUIRE_MASTERS set, as in .ci/run, they fail.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy import read_model_description
+from fmu_host import JET, OUTPUTS, fmu_file, in_a_process, scratch
+
+import servocore as sc
+
+CRANE = sc.scenes.rotary_crane()
+STEP, COUNT = 0.1, 60
+TOLERANCE = 1e-9  # of each output's peak
+FILES = {"RotaryCrane": fmu_file}
+
+# Each script gets a task (file, step, jets at the ends of all steps, settings, names) and prints rows of outputs.
+HEAD = """
+import json, sys
+from pathlib import Path
+task = json.loads(Path(sys.argv[1]).read_text())
+jets, names, wanted, step = task["jets"], task["inputs"], task["outputs"], task["step"]
+rows = []
+"""
+
+FMPY = """
+import fmpy, numpy as np
+# inputs of the end of a step are set at its start, but for the initialisation; see docs/fmu.md
+times = [-step, 0.0] + [step * k for k in range(len(jets) - 1)]
+table = np.zeros(len(times), dtype=[("time", float), *((name, float) for name in names)])
+table["time"] = times
+for row, jet in zip(table, [jets[0], *jets]):
+    for name, value in zip(names, jet):
+        row[name] = value
+result = fmpy.simulate_fmu(
+    task["file"], start_time=0.0, stop_time=step * (len(jets) - 1), output_interval=step, input=table,
+    start_values=task["settings"], output=wanted,
+)
+rows = [[float(row[name]) for name in wanted] for row in result]
+"""
+
+ECOSPY = """
+import os
+from ecospy import EcosSimulation, EcosSimulationStructure
+with EcosSimulationStructure() as structure:
+    structure.add_model("crane", task["file"])
+    initial = dict(zip(names, map(float, jets[0]))) | task["settings"]
+    structure.add_parameter_set("initial", {f"crane::{name}": value for name, value in initial.items()})
+    with EcosSimulation(structure=structure, step_size=step) as simulation:
+        assert simulation.init(parameter_set="initial")
+        rows.append([simulation.get_real(f"crane::{name}") for name in wanted])
+        for jet in jets[1:]:
+            for name, value in zip(names, jet):
+                simulation.set_real(f"crane::{name}", value)
+            simulation.step()
+            rows.append([simulation.get_real(f"crane::{name}") for name in wanted])
+"""
+
+LIBCOSIM = """
+from libcosimpy.CosimExecution import CosimExecution
+from libcosimpy.CosimManipulator import CosimManipulator
+from libcosimpy.CosimObserver import CosimObserver
+from libcosimpy.CosimSlave import CosimLocalSlave
+execution = CosimExecution.from_step_size(round(step * 1e9))
+slave = execution.add_local_slave(CosimLocalSlave(fmu_path=task["file"], instance_name="crane"))
+references = task["references"]
+inputs, outputs = [references[name] for name in names], [references[name] for name in wanted]
+for reference, value in zip(inputs, jets[0]):
+    assert execution.real_initial_value(slave, reference, value)
+for name, value in task["settings"].items():
+    assert execution.string_initial_value(slave, references[name], value)
+observer, manipulator = CosimObserver.create_last_value(), CosimManipulator.create_override()
+assert execution.add_observer(observer) and execution.add_manipulator(manipulator)
+for jet in jets[1:]:
+    assert manipulator.slave_real_values(slave, inputs, jet)
+    assert execution.step()
+    rows.append(list(observer.last_real_values(slave, outputs)))
+"""
+
+TAIL = "\nprint('rows:', json.dumps(rows), flush=True)\n"
+
+MASTERS = {"fmpy": FMPY, "ecospy": ECOSPY, "libcosimpy": LIBCOSIM}
+
+
+def required(module: str) -> None:
+    """Skip, or fail where masters are required, if a tool is missing or does not load."""
+    reason = f"{module} is not installed: pip install -e .[masters]"
+    if find_spec(module) is not None:
+        done = in_a_process(f"import {module}")
+        if done.returncode == 0:
+            return
+        reason = f"{module} does not load (ecos needs libtbb12): {done.stderr.strip().splitlines()[-1]}"
+    if os.environ.get("SERVOCORE_REQUIRE_MASTERS"):
+        pytest.fail(reason)
+    pytest.skip(reason)
+
+
+@cache
+def solution() -> sc.Solution:
+    return sc.solve(CRANE, sc.Reduced(), step=STEP)
+
+
+def in_master(script: str, task: dict[str, object], place: Path) -> np.ndarray:
+    place.write_text(json.dumps(task))
+    done = in_a_process(HEAD + script + TAIL, place)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
+    (line,) = [each for each in done.stdout.splitlines() if each.startswith("rows: ")]
+    return np.array(json.loads(line.removeprefix("rows: ")))
+
+
+@pytest.mark.parametrize("master", MASTERS)
+def test_every_master_gets_what_solve_gets(master, tmp_path):
+    required(master)
+    wanted = solution()
+    times = wanted.t[40 : 40 + COUNT + 1] - wanted.t[40]  # in motion from the first step
+    jets = CRANE.reference.jet(wanted.t[40 : 40 + COUNT + 1], 4)
+    variables = read_model_description(str(fmu_file())).modelVariables
+    task = {
+        "file": str(fmu_file()),
+        "step": STEP,
+        "jets": jets.reshape(len(times), -1).tolist(),
+        "inputs": list(JET),
+        "outputs": list(OUTPUTS),
+        "settings": {"input_time": "end", "formulation": "reduced"},
+        "references": {each.name: each.valueReference for each in variables},
+    }
+    found = in_master(MASTERS[master], task, tmp_path / "task.json")
+    assert len(found) in (COUNT, COUNT + 1)  # libcosim does not show the initial values
+    for name, column in zip(OUTPUTS, found.T, strict=True):
+        exact = wanted[name][40 : 40 + COUNT + 1][-len(found) :]
+        worst = np.abs(column - exact).max() / np.abs(wanted[name]).max()
+        assert worst < TOLERANCE, f"{name} differs by {worst:.1e} of its peak"
+
+
+IDLE = {
+    "fmpy": """
+import sys, fmpy
+assert len(fmpy.simulate_fmu(sys.argv[1], stop_time=1.0, output_interval=0.1)) == 11
+""",
+    "ecospy": """
+import sys
+from ecospy import EcosSimulation, EcosSimulationStructure
+with EcosSimulationStructure() as structure:
+    structure.add_model("one", sys.argv[1])
+    structure.add_model("two", sys.argv[1])
+    with EcosSimulation(structure=structure, step_size=0.1) as simulation:
+        assert simulation.init()
+        simulation.step(10)
+        assert abs(simulation.get_time() - 1.0) < 1e-9
+""",
+    "libcosimpy": """
+import sys
+from libcosimpy.CosimExecution import CosimExecution
+from libcosimpy.CosimSlave import CosimLocalSlave
+execution = CosimExecution.from_step_size(100_000_000)
+for name in ("one", "two"):
+    execution.add_local_slave(CosimLocalSlave(fmu_path=sys.argv[1], instance_name=name))
+assert execution.step(10)
+""",
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("master", IDLE)
+def test_every_fmu_runs_in_every_master_with_nothing_connected(master, name):
+    required(master)
+    done = in_a_process(IDLE[master] + "print('alive', flush=True)\n", FILES[name]())
+    assert "alive" in done.stdout, done.stderr
+    assert done.returncode == 0
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_fmpy_finds_no_problems(name):
+    command = [sys.executable, "-m", "fmpy", "validate", str(FILES[name]())]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_fmutool_finds_no_problems(name):
+    required("fmu_manipulation_toolbox")
+    code = "import sys; from fmu_manipulation_toolbox.cli.fmutool import fmutool; sys.exit(fmutool())"
+    command = [sys.executable, "-c", code, "-input", str(FILES[name]()), "-check"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=scratch())
+    said = done.stdout + done.stderr
+    assert done.returncode == 0, said
+    assert "WARNING" not in said
+    assert "ERROR" not in said
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name, tmp_path):
+    required("ecospy")
+    program = Path(str(find_spec("ecospy").origin)).parent / "binaries" / "ecos"  # type: ignore[union-attr]
+    if not program.is_file():
+        pytest.skip("this ecospy has no command line")
+    copy = tmp_path / "ecos"  # the package forgets to make it executable
+    shutil.copy(program, copy)
+    copy.chmod(0o755)
+    table = tmp_path / "table.csv"
+    command = [copy, "simulate", "--path", FILES[name](), "--stopTime", "1", "--stepSize", "0.1"]
+    done = subprocess.run(
+        [str(each) for each in command],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        cwd=tmp_path,
+        env={"PATH": os.defpath, "HOME": str(tmp_path), "CRANE_FMU_PYTHON": sys.executable},
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    (table,) = tmp_path.glob("*.csv")
+    head, *rows = [line.split(", ") for line in table.read_text().splitlines()]
+    assert len(rows) == 11
+    if name == "RotaryCrane":
+        last = dict(zip(head, rows[-1], strict=True))
+        assert float(last["instance::M_w[REAL]"]) == pytest.approx(-98.1, abs=1e-6)
+        assert float(last["instance::l[REAL]"]) == pytest.approx(5.0, abs=1e-6)
