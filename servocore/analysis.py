@@ -14,8 +14,9 @@ from servocore.derivative_array import DerivativeArray, compile_inversion, deriv
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.feasibility import require_feasible
 from servocore.internal_dynamics import DAMPED, internal_eigenvalues
+from servocore.redundancy import prepared
 from servocore.scene import Scene
-from servocore.structure import specialised, system_jacobian
+from servocore.structure import equilibrated, system_jacobian
 from servocore.symbols import Array
 from servocore.system import MechanicalSystem
 
@@ -148,16 +149,12 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
         return _report(subject, np.array(subject.home_parameters), None)
     base = subject.model(model)
     p = base.parameters.values(subject.parameters)
-    return _report(specialised(base, p), p, subject)
+    return _report(base, p, subject)
 
 
 def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> StructureReport:
-    dependent = redundant_constraints(system, p)
-    if dependent:
-        reduced = without_constraints(system, dependent)
-        report = _report(reduced, p, scene)
-        named = ", ".join(f"g_{k + 1}" for k in dependent)
-        return replace(report, name=system.name, remedy=f"redundant constraints left out: {named}")
+    system, dropped = prepared(system, p)
+    left_out = f"redundant constraints left out: {', '.join(f'g_{k + 1}' for k in dropped)}" if dropped else ""
     outline = StructureReport(
         name=system.name,
         degrees_of_freedom=system.degrees_of_freedom,
@@ -183,7 +180,7 @@ def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> Structur
         variable_offsets=tuple(zip(array.names, found.variable_offsets, strict=True)),
         internal_degrees_of_freedom=found.degrees_of_freedom,
         internal_states=tuple(array.names[j] + "'" * order for j, order in array.states),
-        remedy=found.equations.remedy,
+        remedy="; ".join(each for each in (left_out, found.equations.remedy) if each),
     )
     condition, reason = _along_reference(array, p, scene)
     if reason:
@@ -211,40 +208,13 @@ def internal_dynamics(scene: Scene, model: str | None = None) -> tuple[str, floa
     """
     base = scene.model(model)
     p = base.parameters.values(scene.parameters)
-    eigenvalues = _eigenvalues(specialised(base, p), tuple(p))
+    eigenvalues = _eigenvalues(prepared(base, p)[0], tuple(p))
     return _classified(eigenvalues), max((value.real for value in eigenvalues), default=0.0)
 
 
 @lru_cache(maxsize=256)
 def _eigenvalues(system: MechanicalSystem, p: tuple[float, ...]) -> tuple[complex, ...]:
     return internal_eigenvalues(derivative_array(system), np.array(p))
-
-
-def redundant_constraints(system: MechanicalSystem, p: Array) -> list[int]:
-    """Return the holonomic constraints whose Jacobian rows depend on those before them, at the home configuration."""
-    if not system.lam.numel():
-        return []
-    q, _ = system.home_configuration()
-    G = np.asarray(ca.Function("G", [system.q, system.p], [system.G])(q, p))
-    dependent = []
-    basis = np.zeros((0, G.shape[1]))
-    for k, row in enumerate(G):
-        rest = row - (basis @ row) @ basis
-        rest = rest - (basis @ rest) @ basis
-        length = float(np.linalg.norm(rest))
-        if length <= 1e-9 * max(1.0, float(np.linalg.norm(row))):
-            dependent.append(k)
-        else:
-            basis = np.vstack([basis, rest / length])
-    return dependent
-
-
-def without_constraints(system: MechanicalSystem, dropped: list[int]) -> MechanicalSystem:
-    """Return the system without some of its holonomic constraints; their multipliers become zero."""
-    kept = [k for k in range(system.lam.numel()) if k not in dropped]
-    gone = system.lam[dropped]
-    observables = {k: ca.substitute(e, gone, ca.SX.zeros(len(dropped))) for k, e in system.observables.items()}
-    return replace(system, constraints=system.constraints[kept], multipliers=system.lam[kept], observables=observables)
 
 
 def _along_reference(array: DerivativeArray, p: Array, scene: Scene | None) -> tuple[float, str]:
@@ -291,9 +261,5 @@ def condition_number(matrix: Array) -> float:
     """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
     if not np.isfinite(matrix).all():
         return float("inf")
-    scaled = matrix.copy()
-    for axis in (1, 0, 1, 0):
-        largest = np.abs(scaled).max(axis=axis, keepdims=True)
-        scaled = scaled / np.sqrt(np.where(largest > 0.0, largest, 1.0))
-    values = np.linalg.svd(scaled, compute_uv=False)
+    values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")

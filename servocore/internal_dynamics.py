@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
+from servocore.calls import Call
 from servocore.derivative_array import DerivativeArray, compile_array_solver, first_guess
 from servocore.symbols import Array
 
@@ -56,8 +59,8 @@ def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equ
     A = np.zeros((len(own), len(own)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
         values = np.asarray(solver(gamma, p, guess)[0]).ravel()
-        A, rate = np.asarray(sensitivity(values, gamma, p))[places], values[places]
-        if not np.abs(rate).max() > 1e-12:
+        A, rate = sensitivity(values, gamma, p)[places], values[places]
+        if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
         guess = values
         guess[own] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
@@ -90,29 +93,29 @@ def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _linearisation(array: DerivativeArray) -> tuple[ca.Function, ca.Function, ca.Function]:
+def _linearisation(
+    array: DerivativeArray,
+) -> tuple[ca.Function, Callable[[Array, Array, Array], Array], ca.Function]:
     return compile_array_solver(array), _sensitivity(array), first_guess(array)
 
 
-def _sensitivity(array: DerivativeArray) -> ca.Function:
-    """Return (unknowns, gamma, p) -> derivatives of all unknowns by the states, shape (unknowns, states)."""
+def _sensitivity(array: DerivativeArray) -> Callable[[Array, Array, Array], Array]:
+    """Return (unknowns, gamma (m, orders), p) -> derivatives of all unknowns by the states, (unknowns, states)."""
     system = array.system
     states, rest = array.column(array.states), array.column(array.determined)
-    by_rest, by_states = ca.jacobian(array.residual, rest), ca.jacobian(array.residual, states)
     reference = system.gamma[:, : array.reference_order + 1]
     arguments = [array.column(array.unknowns), reference, system.p]
-    terms = ca.Function("sc_terms", arguments, [by_rest, -by_states])
-    numbers = [
-        ca.MX.sym("y", len(array.unknowns)),
-        ca.MX.sym("gamma", *reference.shape),
-        ca.MX.sym("p", len(system.parameters)),
-    ]
-    matrix, right = terms(*numbers)
-    solution = ca.solve(matrix, ca.densify(right), "qr")
-    size = len(array.states)
-    order = [array.determined.index(each) if each not in array.states else None for each in array.unknowns]
-    rows = [
-        solution[k, :] if k is not None else ca.MX(ca.DM.eye(size)[array.states.index(each), :])
-        for k, each in zip(order, array.unknowns, strict=True)
-    ]
-    return ca.Function("sc_sensitivity", numbers, [ca.vertcat(*rows)])
+    matrices = [ca.densify(ca.jacobian(array.residual, each)) for each in (rest, states)]
+    terms = Call(ca.Function("sc_terms", arguments, matrices))
+    own = [array.unknowns.index(each) for each in array.states]
+    others = [array.unknowns.index(each) for each in array.determined]
+
+    def sensitivity(values: Array, gamma: Array, p: Array) -> Array:
+        by_rest, by_states = (each.reshape(len(others), -1, order="F") for each in terms(values, gamma, p))
+        result = np.full((len(values), len(own)), np.nan)
+        result[own] = np.eye(len(own))
+        with contextlib.suppress(np.linalg.LinAlgError):
+            result[others] = -np.linalg.solve(by_rest, by_states)
+        return result
+
+    return sensitivity

@@ -11,9 +11,9 @@ import numpy as np
 from servocore.derivative_array import compile_inversion, derivative_array
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
 from servocore.program import Channel
+from servocore.redundancy import prepared
 from servocore.scene import Scene
 from servocore.solution import Solution, Statistics
-from servocore.structure import specialised
 from servocore.symbols import Array, Quantity
 from servocore.system import MechanicalSystem
 
@@ -70,7 +70,7 @@ def simulate(
 
     base = scene.model(model)
     p = base.parameters.values(scene.parameters)
-    system = specialised(base, p)
+    system = prepared(base, p)[0]
     if isinstance(inputs, Solution):
         t = inputs.t if t is None else t
         evaluate = interpolated(inputs, system)

@@ -18,11 +18,11 @@ from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
 from servocore.methods import BackwardEuler, Method, RadauIIA
 from servocore.rechoosing import solve_with_states
+from servocore.redundancy import prepared
 from servocore.references import Reference
 from servocore.scene import Scene
 from servocore.solution import Solution
 from servocore.stepper import Stepper
-from servocore.structure import specialised
 from servocore.symbols import Array
 
 _DEFAULT_STEPS = 200
@@ -121,7 +121,7 @@ def _solve_bounded(
     _, h = time_grid(scene.reference, step.h if isinstance(step, Fixed) else step)
     base = scene.model(model)
     p = base.parameters.values(scene.parameters)
-    system = specialised(base, p)
+    system = prepared(base, p)[0]
     require_feasible(scene.reference, system, scene.limits, p)
     return solve_boundary_value(system, scene.reference, p, route, h, progress)
 
@@ -149,7 +149,7 @@ def warn_of_growth(scene: Scene, model: str | None = None) -> None:
 def warn_of_jumps(scene: Scene, model: str | None = None) -> None:
     """Warn if the path is not smooth enough for continuous inputs."""
     base = scene.model(model)
-    order = derivative_array(specialised(base, base.parameters.values(scene.parameters))).reference_order
+    order = derivative_array(prepared(base, base.parameters.values(scene.parameters))[0]).reference_order
     reference = scene.reference
     if reference.smoothness < order <= reference.max_order:
         warnings.warn(

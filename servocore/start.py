@@ -87,5 +87,6 @@ def _backwards(array: DerivativeArray, first: ca.MX, jets: list[ca.MX], h: ca.MX
     for k in range(0, len(jets), stages):
         gamma = [jet[:, : dae.reference_order + 1] for jet in jets[k : k + stages]]
         state = solve(ca.vertcat(state, ca.vec(ca.horzcat(*gamma)), -h, p))[0]
-        found.append(state[: len(entries)][from_dae])
+        # A start whose step is not known yet (h = 0) takes the present for the past.
+        found.append(ca.if_else(h == 0, first, state[: len(entries)][from_dae]))
     return found

@@ -18,9 +18,9 @@ from servocore.methods import Discretisation, Method
 from servocore.methods.base import instantaneous
 from servocore.newton import compile_solver
 from servocore.program import Channel, Program, StepReport
+from servocore.redundancy import prepared
 from servocore.scene import Limit, Scene
 from servocore.start import compile_start, start_instants
-from servocore.structure import specialised
 from servocore.symbols import Array, Quantity
 from servocore.system import MechanicalSystem
 
@@ -190,7 +190,7 @@ class Stepper:
             raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
         base = self.scene.model(self.model)
         p = base.parameters.values(self.scene.parameters)
-        system = specialised(base, p)
+        system = prepared(base, p)[0]
         program = compile_program(system, self.formulation, self.method, self.scene.limits, self.scene.follow_branch)
         object.__setattr__(self, "program", program)
         object.__setattr__(self, "system", system)

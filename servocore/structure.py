@@ -27,7 +27,8 @@ ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
 
 _PROBES = 3  # points at which a coefficient must vanish to count as absent
-_VANISHING = 1e-10
+_COPIES, _TREMOR = 16, 1e-7  # of each point, to tell a coefficient from the round-off of terms that cancel
+_SWEEPS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,13 +236,13 @@ def system_jacobian_at_home(found: Signature) -> Array:
 def regular(found: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
     return any(
-        np.linalg.matrix_rank(_equilibrated(J)) == len(J) for J in _jacobian_at_probes(found, p) if np.isfinite(J).all()
+        np.linalg.matrix_rank(equilibrated(J)) == len(J) for J in _jacobian_at_probes(found, p) if np.isfinite(J).all()
     )
 
 
 def _left_over(found: Signature) -> str:
     """Name the equations and variables between which a singular system Jacobian has lost rank."""
-    J = _equilibrated(_jacobian_at_probes(found, None)[0])
+    J = equilibrated(_jacobian_at_probes(found, None)[0])
     left, _, right = np.linalg.svd(np.nan_to_num(J))
     names = found.equations.equations, found.equations.names
     worst = [
@@ -263,12 +264,14 @@ def _jacobian_at_probes(found: Signature, p: Array | None) -> list[Array]:
     return [np.asarray(evaluate(*point)) for point in _probe_points(found.equations, p)]
 
 
-def _equilibrated(matrix: Array) -> Array:
-    """Divide rows, then columns, by their largest entries, so that units do not decide about rank."""
+def equilibrated(matrix: Array) -> Array:
+    """Scale rows and columns to unit maximum (Ruiz 2001), so that units do not decide about rank and condition."""
     scaled = matrix.copy()
-    for axis in (1, 0):
-        largest = np.abs(scaled).max(axis=axis, keepdims=True)
-        scaled = scaled / np.where(largest > 0.0, largest, 1.0)
+    for sweep in range(_SWEEPS):
+        for axis in (1, 0):
+            largest = np.abs(scaled).max(axis=axis, keepdims=True)
+            factor = np.where(largest > 0.0, largest, 1.0)
+            scaled = scaled / (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)
     return scaled
 
 
@@ -343,6 +346,23 @@ def combine(equations: SecondOrderEquations) -> SecondOrderEquations | None:
     )
 
 
+def _is_not_noise(evaluate: ca.Function, point: tuple[Array, Array, Array]) -> npt.NDArray[np.bool_]:
+    """Tell which results are numbers of their own, however small, and which the round-off of terms that cancel.
+
+    The arguments tremble by a relative 1e-7: a true number trembles as little, round-off changes altogether.
+    """
+    generator = np.random.default_rng(31)
+    y, gamma, p = point
+    copies = []
+    for _ in range(_COPIES):
+        factors = (1.0 + _TREMOR * generator.uniform(-1.0, 1.0, each.shape) for each in (y, p))
+        trembling_y, trembling_p = (each * factor for each, factor in zip((y, p), factors, strict=True))
+        copies.append(np.asarray(evaluate(trembling_y, gamma, trembling_p)))
+    values = np.stack(copies)
+    found: npt.NDArray[np.bool_] = np.abs(values.mean(axis=0)) > 3.0 * values.std(axis=0)
+    return found
+
+
 def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX) -> tuple[ca.SX, bool, bool]:
     """Set variables and their derivatives to constants in the rows whose derivatives by them vanish at all probes.
 
@@ -357,8 +377,7 @@ def _without_vanishing(equations: SecondOrderEquations, rows: ca.SX) -> tuple[ca
 
     def present(disturbed: bool) -> npt.NDArray[np.bool_]:
         points = _probe_points(equations, disturbed=disturbed)
-        values = np.stack([np.abs(np.asarray(evaluate(*point))) for point in points]).max(axis=0)
-        found: npt.NDArray[np.bool_] = values > _VANISHING * (1.0 + values.max(axis=1, keepdims=True))
+        found: npt.NDArray[np.bool_] = np.any([_is_not_noise(evaluate, point) for point in points], axis=0)
         return found
 
     structural = np.zeros(by_derivatives.shape, dtype=bool)

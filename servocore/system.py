@@ -285,6 +285,10 @@ def generalise(
             f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
             f" not {len(coordinates)} generalised coordinates"
         )
+    if mapping.shape != (len(system.coordinates), 1):
+        raise InvalidModel(
+            f"{system.name}: the mapping has shape {mapping.shape}, expected {(len(system.coordinates), 1)}"
+        )
     mu, nu = coordinates.q, coordinates.v
     P = ca.jacobian(mapping, mu)
     velocity = ca.mtimes(P, nu)

@@ -10,6 +10,7 @@ from servocore.dae import Dae
 from servocore.methods.base import (
     Discretisation,
     Orders,
+    Start,
     at,
     differenced,
     labels,
@@ -40,13 +41,19 @@ class BackwardEuler:
         """Return the orders of convergence on a form of the given index."""
         return Orders(1, 1, 1)
 
+    @staticmethod
+    def _first_state(dae: Dae, start: Start, h: ca.SX) -> ca.SX:
+        if dae.index <= 1:
+            return ca.repmat(start.values, 2, 1)
+        return ca.vec(differenced(dae, start, h, [1.0, -1.0]))
+
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step of (31)."""
         size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
         old, older, h = ca.SX.sym("old", size), ca.SX.sym("older", size), ca.SX.sym("h")
         reference, (gamma,) = reference_symbols(dae, 1)
         rate = (dae.x - old[:size_x]) / h
-        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae, 2)
+        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae, 2 if dae.index > 1 else 1)
         ratio = ca.SX.sym("ratio")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
@@ -62,7 +69,7 @@ class BackwardEuler:
             state=ca.vertcat(old, older),
             next_state=ca.vertcat(unknowns, old),
             start=start,
-            first_state=ca.vec(differenced(dae, start, h, [1.0, -1.0])),
+            first_state=self._first_state(dae, start, h),
             x=old[:size_x],
             z=old[size_x:],
             nodes=(1.0,),
