@@ -1,0 +1,61 @@
+"""Holonomic constraints that say what others say already: found, named and left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from servocore.structure import specialised
+from servocore.symbols import Array
+from servocore.system import MechanicalSystem
+
+
+@lru_cache(maxsize=256)
+def _prepared(system: MechanicalSystem, p: tuple[float, ...]) -> tuple[MechanicalSystem, tuple[int, ...]]:
+    values = np.array(p)
+    dropped = tuple(redundant_constraints(system, values))
+    kept = _without(system, dropped) if dropped else system
+    return specialised(kept, values), dropped
+
+
+@lru_cache(maxsize=64)
+def _without(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
+    return without_constraints(system, list(dropped))
+
+
+def prepared(system: MechanicalSystem, p: Array) -> tuple[MechanicalSystem, tuple[int, ...]]:
+    """Return the system that is solved for the parameter values `p`, and the constraints left out of it.
+
+    Redundant holonomic constraints are left out, and the structure is that of these values (`specialised`).
+    """
+    return _prepared(system, tuple(float(value) for value in p))
+
+
+def redundant_constraints(system: MechanicalSystem, p: Array) -> list[int]:
+    """Return the holonomic constraints whose Jacobian rows depend on those before them, at the home configuration."""
+    if not system.lam.numel():
+        return []
+    q, _ = system.home_configuration()
+    G = np.asarray(ca.Function("G", [system.q, system.p], [system.G])(q, p))
+    dependent = []
+    basis = np.zeros((0, G.shape[1]))
+    for k, row in enumerate(G):
+        rest = row - (basis @ row) @ basis
+        rest = rest - (basis @ rest) @ basis
+        length = float(np.linalg.norm(rest))
+        if length <= 1e-9 * max(1.0, float(np.linalg.norm(row))):
+            dependent.append(k)
+        else:
+            basis = np.vstack([basis, rest / length])
+    return dependent
+
+
+def without_constraints(system: MechanicalSystem, dropped: list[int]) -> MechanicalSystem:
+    """Return the system without some of its holonomic constraints; their multipliers become zero."""
+    kept = [k for k in range(system.lam.numel()) if k not in dropped]
+    gone = system.lam[dropped]
+    observables = {k: ca.substitute(e, gone, ca.SX.zeros(len(dropped))) for k, e in system.observables.items()}
+    return replace(system, constraints=system.constraints[kept], multipliers=system.lam[kept], observables=observables)
