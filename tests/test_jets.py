@@ -73,9 +73,7 @@ def test_sines_and_cosines_have_their_textbook_derivatives():
     angle = 3.0 * TIMES + 0.2
     for k in range(ORDER + 1):
         np.testing.assert_allclose(sine.derivatives()[k], 3.0**k * np.sin(angle + k * np.pi / 2), atol=1e-11)
-        np.testing.assert_allclose(
-            cosine.derivatives()[k], 3.0**k * np.cos(angle + k * np.pi / 2), atol=1e-11
-        )
+        np.testing.assert_allclose(cosine.derivatives()[k], 3.0**k * np.cos(angle + k * np.pi / 2), atol=1e-11)
 
 
 def test_a_quotient_of_exponentials_is_the_exponential_of_the_difference():

@@ -106,9 +106,7 @@ def test_rounded_rows_of_all_derivatives_are_good_enough_as_they_are(tolerance, 
 def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups, tmp_path):
     rows = table(CURVE, 0.1, groups)
     rows[:, -3] *= -1.0
-    with pytest.raises(
-        InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"
-    ):
+    with pytest.raises(InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"):
         from_csv(write(tmp_path / "bad.csv", rows, groups))
 
 

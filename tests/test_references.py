@@ -265,9 +265,7 @@ def test_the_derivatives_of_a_spline_are_the_taylor_coefficients_of_its_position
     centers = t[~np.isin(np.round(t), TIMES)]
     for step in delta:
         for order in range(9):
-            powers = step ** np.arange(10 - order) / [
-                np.prod(np.arange(1.0, i + 1)) for i in range(10 - order)
-            ]
+            powers = step ** np.arange(10 - order) / [np.prod(np.arange(1.0, i + 1)) for i in range(10 - order)]
             expanded = np.einsum("i,nid->nd", powers, jets[:, order:])
             np.testing.assert_allclose(expanded, PATH.jet(centers + step, 9)[:, order], rtol=0.0, atol=1e-13)
 
