@@ -321,6 +321,6 @@ def _report(problem: _Problem, t: Array, unknowns: Array, iterations: int, route
         program.channels,
         values,
         f"{problem.dae.name}, {route.name}",
-        statistics(done, violations),
+        statistics(done, values[:, : len(problem.system.inputs)], violations),
         problem.reference.fit_error,
     )

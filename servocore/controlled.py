@@ -42,7 +42,8 @@ def solve_to_tolerance(stepper: Stepper, control: Adaptive, t: Array, progress: 
 def _solution(stepper: Stepper, t: Array, done: Run) -> Solution:
     reference, program = stepper.scene.reference, stepper.program
     values, violations = observe(program, reference, stepper.parameters, t, done.states)
-    return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
+    summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
+    return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
 
 
 def _exact(stepper: Stepper, t: Array, progress: Progress | None) -> Solution:

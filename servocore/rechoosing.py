@@ -165,5 +165,6 @@ def _put_together(stepper: Stepper, segments: list[_Segment], t: Array) -> Solut
         max(segment.run.worst_residual for segment in segments),
     )
     choices = 1 + sum(a.program is not b.program for a, b in itertools.pairwise(segments))
-    summary = replace(statistics(total, np.hstack(violations)), choices_of_states=choices)
+    summary = statistics(total, values[:, : len(stepper.system.inputs)], np.hstack(violations))
+    summary = replace(summary, choices_of_states=choices)
     return Solution(t, program.channels, values, program.name, summary, reference.fit_error)

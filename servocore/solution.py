@@ -35,6 +35,9 @@ class Statistics:
         With error control: its estimate of the largest error of the inputs, relative to their peaks.
     choices_of_states : int
         How often the states of internal dynamics were chosen, the first time included.
+    input_noise : float or None
+        Round-off floor of the inputs, relative to their peaks, as seen in the result: what in them alternates from
+        instant to instant. An upper bound, close where the step is small; None for runs too short to tell.
     """
 
     steps: int
@@ -48,6 +51,7 @@ class Statistics:
     rejected: int = 0
     error_estimate: float | None = None
     choices_of_states: int = 1
+    input_noise: float | None = None
 
 
 NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -103,7 +103,8 @@ def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None
     reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
     done = run(reference, program, p, t, stepper.step, progress)
     values, violations = observe(program, reference, p, t, done.states)
-    return Solution(t, program.channels, values, program.name, statistics(done, violations), reference.fit_error)
+    summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
+    return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
 
 
 def _solve_bounded(

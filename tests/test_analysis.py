@@ -354,3 +354,21 @@ def test_a_scene_of_one_s_own_is_analysed_like_any_other():
     report = sc.analyse(this)
     assert (report.index, report.classification) == (3, "flat")
     assert sc.solve(this).advice.startswith("flat: ")
+
+
+def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero():
+    """Entries of 0.1 beside one of 1e9: an absolute threshold once dropped them, and M_b was wrong without a word."""
+    heavy = sc.scenes.rotary_crane().with_parameters(bridge_inertia=1e9, load_mass=1e6)
+    for model in heavy.models:
+        solution = sc.solve(heavy, sc.Reduced(), step=1.0, model=model)
+        exact = heavy.exact(solution.t)
+        for name in ("M_b", "F", "M_w"):
+            peak = np.abs(exact[name]).max()
+            np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * peak)
+
+
+def test_a_tiny_damper_is_a_damper_and_none_is_none():
+    level = sc.scenes.mass_on_car().with_parameters(inclination=0.0, damping=1e-6)
+    assert (sc.analyse(level).index, sc.analyse(level).internal_degrees_of_freedom) == (4, 1)
+    undamped = level.with_parameters(damping=0.0)
+    assert (sc.analyse(undamped).index, sc.analyse(undamped).internal_degrees_of_freedom) == (5, 0)

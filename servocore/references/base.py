@@ -23,6 +23,10 @@ ANALYTIC_ORDER = 99
 """`Reference.max_order` of paths whose pieces are known in closed form: every order a solver could want."""
 
 
+LONGEST_TIME = 1e9
+"""No path begins or ends farther from zero, in s: powers of a longer duration overflow."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reference(ABC):
     """A path gamma(t) that the servo output shall follow, eq. (1): c(q, t) = Phi(q) - gamma(t) = 0.
@@ -54,6 +58,11 @@ class Reference(ABC):
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start_time) and np.isfinite(self.end_time)):
             raise InvalidReference(f"path times must be finite, not {self.start_time} to {self.end_time} s")
+        if max(abs(self.start_time), abs(self.end_time)) > LONGEST_TIME:
+            raise InvalidReference(
+                f"path times must lie within {LONGEST_TIME:g} s of zero, not from {self.start_time:g} s"
+                f" to {self.end_time:g} s"
+            )
         if not self.end_time > self.start_time:
             raise InvalidReference(
                 f"the path must end after it starts, but it runs from {self.start_time} to {self.end_time} s"

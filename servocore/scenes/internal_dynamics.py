@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Literal
 
 import numpy as np
 
@@ -18,9 +19,17 @@ Rates = Callable[[Array, Array], Array]
 _RTOL, _ATOL = 1e-13, 1e-14
 _LONGEST_STEP = 1 / 100  # of the whole time, so that interpolation within a step is as accurate as the step
 
+_STIFF = 2e4  # steps of an explicit method, about
 _FADING = 32.0  # exp(-32) is round-off
 _BOUNDARY_TOLERANCE = 1e-10
 _UNDECIDED = 1e-12  # real parts of smaller magnitude, relative to the eigenvalue, count as zero
+
+
+def _suited(rate: Rate, start: float, size: int, span: tuple[float, float]) -> Literal["DOP853", "Radau"]:
+    """Return DOP853, or Radau where the fastest eigenvalue would make an explicit method crawl."""
+    columns = [(rate(start, 1e-6 * unit) - rate(start, np.zeros(size))) / 1e-6 for unit in np.eye(size)]
+    fastest = float(np.abs(np.linalg.eigvals(np.array(columns).T)).max(initial=0.0))
+    return "Radau" if fastest * (span[1] - span[0]) > _STIFF else "DOP853"
 
 
 def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
@@ -53,7 +62,8 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
     if later.any():
         span = (start, float(t[-1]))
         solution = scipy.integrate.solve_ivp(
-            rate, span, np.zeros(size), method="DOP853", t_eval=t[later], rtol=_RTOL, atol=_ATOL,
+            rate, span, np.zeros(size), method=_suited(rate, start, size, span), t_eval=t[later],
+            rtol=_RTOL, atol=_ATOL,
             max_step=(span[1] - span[0]) * _LONGEST_STEP,
         )  # fmt: skip
         _require_solved(solution.status == 0, solution.message)
