@@ -1,0 +1,166 @@
+"""What the atlas records: predictions, observations and verdicts, one line each, and the table of all of them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import astuple, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+SURVIVES, FAILS, REFUSED = "survives", "fails", "refused"
+
+
+@dataclass(frozen=True)
+class Record:
+    """One prediction with what was observed.
+
+    Attributes
+    ----------
+    row : str
+        Name of the row.
+    scene, route : str
+        What was run, and how.
+    parameter, value : str
+        What was varied or measured, and where.
+    expected : str
+        As `about`, `at_most` or `at_least` write it, or a word that the observation must begin with.
+    observed : str
+        A number, or the name of an error.
+    verdict : str
+        `SURVIVES`, `FAILS` or `REFUSED`: what became of the route.
+    """
+
+    row: str
+    scene: str
+    route: str
+    parameter: str
+    value: str
+    expected: str
+    observed: str
+    verdict: str
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the observation is what was expected."""
+        return meets(self.expected, self.observed)
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What a row measured.
+
+    Attributes
+    ----------
+    records : list of Record
+        Lines of the table.
+    facts : dict
+        Numbers that the page's sentences quote, by name.
+    curves : dict
+        What the figure draws, by name.
+    """
+
+    row: str
+    records: list[Record] = field(default_factory=list)
+    facts: dict[str, Any] = field(default_factory=dict)
+    curves: dict[str, Any] = field(default_factory=dict)
+
+    def add(
+        self, scene: str, route: str, parameter: str, value: float | str, expected: str, observed: float | str,
+        verdict: str,
+    ) -> None:  # fmt: skip
+        """Record one observation."""
+        shown, seen = (each if isinstance(each, str) else number(each) for each in (value, observed))
+        self.records.append(Record(self.row, scene, route, parameter, shown, expected, seen, verdict))
+
+    def surprises(self) -> list[Record]:
+        """Return the records whose observation is not what was expected."""
+        return [each for each in self.records if not each.agrees]
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One way to fail: what the page says of it, how it is measured and drawn.
+
+    Attributes
+    ----------
+    name, title : str
+        File name of the figure, and heading.
+    avoid, do : str
+        For the table at the top of the page.
+    theory, survivor, limit : str
+        What fails and at which rate; what survives; where that ends. `{name:.2g}` quotes a fact.
+    caption : str
+        Under the figure.
+    measure : callable
+        (quick) -> Findings; `quick` means seconds in place of minutes.
+    draw : callable
+        Findings -> Figure.
+    """
+
+    name: str
+    title: str
+    avoid: str
+    do: str
+    theory: str
+    survivor: str
+    limit: str
+    caption: str
+    measure: Callable[[bool], Findings]
+    draw: Callable[[Findings], Figure]
+
+
+def number(value: float) -> str:
+    """Write a number as the table shows it."""
+    return f"{float(value):.4g}"
+
+
+def about(value: float, tolerance: float) -> str:
+    """Expect a number within a tolerance."""
+    return f"{value:.4g} +- {tolerance:.2g}"
+
+
+def at_most(value: float) -> str:
+    """Expect a number up to a bound."""
+    return f"<= {value:.4g}"
+
+
+def at_least(value: float) -> str:
+    """Expect a number from a bound on; infinity counts."""
+    return f">= {value:.4g}"
+
+
+def meets(expected: str, observed: str) -> bool:
+    """Whether an observation is what was expected."""
+    head, _, rest = expected.partition(" ")
+    if head == "<=":
+        return _value(observed) <= float(rest)
+    if head == ">=":
+        return _value(observed) >= float(rest)
+    if rest.startswith("+- "):
+        return abs(_value(observed) - float(head)) <= float(rest[3:])
+    return observed.startswith(expected)
+
+
+def _value(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def write_csv(path: Path, records: Iterable[Record]) -> None:
+    """Write the table."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([each.name for each in fields(Record)])
+        writer.writerows(astuple(each) for each in records)
+
+
+def read_csv(path: Path) -> list[Record]:
+    """Read the table."""
+    with path.open(newline="", encoding="utf-8") as stream:
+        return [Record(**line) for line in csv.DictReader(stream)]
