@@ -58,14 +58,14 @@ class Reference(ABC):
     def __post_init__(self) -> None:
         if not (np.isfinite(self.start_time) and np.isfinite(self.end_time)):
             raise InvalidReference(f"path times must be finite, not {self.start_time} to {self.end_time} s")
+        if not self.end_time > self.start_time:
+            raise InvalidReference(
+                f"the path must end after it starts, but it runs from {self.start_time} to {self.end_time} s"
+            )
         if max(abs(self.start_time), abs(self.end_time)) > LONGEST_TIME:
             raise InvalidReference(
                 f"path times must lie within {LONGEST_TIME:g} s of zero, not from {self.start_time:g} s"
                 f" to {self.end_time:g} s"
-            )
-        if not self.end_time > self.start_time:
-            raise InvalidReference(
-                f"the path must end after it starts, but it runs from {self.start_time} to {self.end_time} s"
             )
 
     @property
