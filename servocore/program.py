@@ -21,7 +21,7 @@ from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 
 Array = npt.NDArray[np.float64]
 
-_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale")
+_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
 _FORMAT = "servocore program 1"
 
 
@@ -89,6 +89,8 @@ class Program:
         Like `step`, to the residual of every equation at the first guess, for messages.
     rescale : casadi.Function
         (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
+    between : casadi.Function
+        (state, fraction, h) -> the state with its own instant moved to a fraction of the last step.
     """
 
     name: str
@@ -98,6 +100,7 @@ class Program:
     margins: ca.Function
     guess_residual: ca.Function
     rescale: ca.Function
+    between: ca.Function
     index: int
     order: int
     start_order: int
@@ -141,6 +144,10 @@ class Program:
     def rescaled(self, state: Array, ratio: float) -> Array:
         """Make a state ready for steps of another size; for forms of index one and less."""
         return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
+
+    def moved(self, state: Array, fraction: float, h: float) -> Array:
+        """Move a state's own instant to a fraction of its last step, for `values` there: dense output."""
+        return self._calls["between"](state, fraction, h)[0]
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
         """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""
@@ -191,17 +198,16 @@ class Program:
             document = json.loads(text)
             if document.pop("format") != _FORMAT:
                 raise ServocoreError("the saved program has another format")
-            saved_with = document.pop("casadi")
+            document.pop("casadi")  # for humans
             for attribute in _FUNCTIONS:
                 document[attribute] = ca.Function.deserialize(document[attribute])
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            document["channels"] = tuple(Channel(**each) for each in document["channels"])
+            document["limits"] = tuple(LimitText(**each) for each in document["limits"])
+            for attribute in ("nodes", "start_instants", "parameters", "equations"):
+                document[attribute] = tuple(document[attribute])
+            return cls(**document)
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
             raise ServocoreError(f"the saved program cannot be read: {error}") from error
-        del saved_with
-        document["channels"] = tuple(Channel(**each) for each in document["channels"])
-        document["limits"] = tuple(LimitText(**each) for each in document["limits"])
-        for attribute in ("nodes", "start_instants", "parameters", "equations"):
-            document[attribute] = tuple(document[attribute])
-        return cls(**document)
 
 
 def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:

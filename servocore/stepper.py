@@ -59,6 +59,11 @@ def compile_program(
         rescale=ca.Function(
             "sc_rescale", [discretisation.state, discretisation.ratio], [ca.densify(discretisation.rescaled)]
         ),
+        between=ca.Function(
+            "sc_between",
+            [discretisation.state, discretisation.fraction, discretisation.step],
+            [ca.densify(discretisation.between)],
+        ),
         index=dae.index,
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
@@ -241,7 +246,20 @@ class Stepper:
         jets = np.asarray(reference_jet)
         return self.program.advance(state, jets[None] if jets.ndim == 2 else jets, self.step, self.parameters)
 
-    def values(self, state: Array, reference_jet: Array) -> dict[str, float]:
-        """Return what the state says of its own instant, by name."""
+    def values(self, state: Array, reference_jet: Array, *, fraction: float = 1.0) -> dict[str, float]:
+        """Return what the state says of its own instant, by name; or of an instant within its last step.
+
+        Parameters
+        ----------
+        state : ndarray
+            From `advance`.
+        reference_jet : ndarray, shape (start_order + 1, m)
+            Reference at the instant asked for.
+        fraction : float
+            Of the last step: 0 at its beginning, 1 at its end. In between the method's own polynomial is evaluated,
+            through the stages of `RadauIIA`, through the history of `BDF`. Exact inversions answer by another step.
+        """
+        if fraction != 1.0:
+            state = self.program.moved(state, fraction, self.step)
         values = self.program.values(state, np.asarray(reference_jet), self.parameters)
         return dict(zip((each.name for each in self.program.channels), map(float, values), strict=True))

@@ -54,7 +54,7 @@ class BackwardEuler:
         reference, (gamma,) = reference_symbols(dae, 1)
         rate = (dae.x - old[:size_x]) / h
         unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae, 2 if dae.index > 1 else 1)
-        ratio = ca.SX.sym("ratio")
+        ratio, fraction = ca.SX.sym("ratio"), ca.SX.sym("fraction")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
             unknowns=unknowns,
@@ -77,5 +77,7 @@ class BackwardEuler:
             step=h,
             ratio=ratio,
             rescaled=ca.vertcat(old, old - ratio * (old - older)),
+            fraction=fraction,
+            between=ca.vertcat(old - (1 - fraction) * (old - older), older),
             labels=labels(dae),
         )

@@ -73,6 +73,9 @@ class Discretisation:
         Symbol of the step size h.
     ratio, rescaled : casadi.SX
         Symbol of a new step size divided by the old one, and the state made ready for it.
+    fraction, between : casadi.SX
+        Symbol of a fraction of the last step, and the state with its own instant moved there: dense output. An
+        expression of state, fraction and step.
     labels : tuple of str
         What each row of the equations is called in messages.
     """
@@ -89,6 +92,8 @@ class Discretisation:
     step: ca.SX
     ratio: ca.SX
     rescaled: ca.SX
+    fraction: ca.SX
+    between: ca.SX
     labels: tuple[str, ...]
 
 
@@ -194,6 +199,8 @@ def instantaneous(dae: Dae) -> Discretisation:
         step=h,
         ratio=ca.SX.sym("ratio"),
         rescaled=old,
+        fraction=ca.SX.sym("fraction"),
+        between=old,
         labels=labels(dae),
     )
 

@@ -74,7 +74,7 @@ class BDF:
         size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
         # One column more than the formula needs serves to extrapolate the first guess with order k.
         history = ca.SX.sym("past", size, k + 1)
-        h, ratio = ca.SX.sym("h"), ca.SX.sym("ratio")
+        h, ratio, fraction = ca.SX.sym("h"), ca.SX.sym("ratio"), ca.SX.sym("fraction")
         reference, (gamma,) = reference_symbols(dae, 1)
         past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
         rate = (alpha[0] * dae.x + past) / h
@@ -102,22 +102,25 @@ class BDF:
             step=h,
             ratio=ratio,
             rescaled=ca.vec(ca.mtimes(history, _resampling(k + 1, ratio))),
+            fraction=fraction,
+            between=ca.vertcat(ca.mtimes(history, _weights(k + 1, fraction - 1)), ca.vec(history[:, 1:])),
             labels=labels(dae),
         )
 
 
 def _resampling(points: int, ratio: ca.SX) -> ca.SX:
     """Return R with history @ R = history at 0, -ratio, -2 ratio, ..., by the polynomial through all points."""
-    R = ca.SX(points, points)
-    for j in range(points):
-        at_point = -j * ratio
-        for i in range(points):
-            weight = ca.SX(1)
-            for m in range(points):
-                if m != i:
-                    weight *= (at_point + m) / (m - i)
-            R[i, j] = weight
-    return R
+    return ca.horzcat(*[_weights(points, -j * ratio) for j in range(points)])
+
+
+def _weights(points: int, at_point: ca.SX) -> ca.SX:
+    """Return w with history @ w = the polynomial through the history at 0, -1, -2, ..., evaluated at a point."""
+    weights = ca.SX.ones(points)
+    for i in range(points):
+        for m in range(points):
+            if m != i:
+                weights[i] *= (at_point + m) / (m - i)
+    return weights
 
 
 def extrapolation(points: int) -> tuple[int, ...]:

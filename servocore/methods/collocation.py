@@ -79,6 +79,15 @@ def lagrange(nodes: Array, points: Array) -> Array:
     return _solve(at_nodes.T, at_points.T).T
 
 
+def _symbolic_lagrange(nodes: Array, at_point: ca.SX) -> ca.SX:
+    """Return w with values @ w = the polynomial through values at the nodes, evaluated at a point."""
+    weights = ca.SX.ones(len(nodes))
+    for i, own in enumerate(nodes):
+        for other in np.delete(nodes, i):
+            weights[i] *= (at_point - other) / (own - other)
+    return weights
+
+
 def _solve(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
@@ -157,7 +166,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
     h, start, state = ca.SX.sym("h"), start_symbols(dae), ca.vertcat(old, ca.vec(past))
     reference, at_nodes = reference_symbols(dae, s)
-    W = np.linalg.inv(method.A)
+    W, fraction = np.linalg.inv(method.A), ca.SX.sym("fraction")
     residual = []
     for i, gamma in enumerate(at_nodes):
         rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
@@ -192,5 +201,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         step=h,
         ratio=ca.SX.sym("ratio"),
         rescaled=state,
+        fraction=fraction,
+        between=ca.vertcat(ca.mtimes(past, _symbolic_lagrange(method.c, fraction)), ca.vec(past)),
         labels=labels(dae) * s,
     )

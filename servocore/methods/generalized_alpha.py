@@ -86,7 +86,8 @@ class GeneralizedAlpha:
             unknown_scale=ca.vertcat(unknown_scale, ca.repmat(accelerations, 2 * n, 1)),
             residual_scale=ca.vertcat(ca.repmat(accelerations, 3 * n, 1), residual_scale[rows]),
         )
-        start = start_symbols(dae)
+        start, fraction = start_symbols(dae), ca.SX.sym("fraction")
+        back = (1 - fraction) * h
         x_first, rate_first = start.values[: 2 * n, 0], start.rates[places_v]
         return Discretisation(
             equations=equations,
@@ -103,6 +104,8 @@ class GeneralizedAlpha:
             step=h,
             ratio=ca.SX.sym("ratio"),
             rescaled=old,
+            fraction=fraction,
+            between=ca.vertcat(q0 - back * v0 + back**2 / 2 * a0, v0 - back * a0, old[2 * n :]),
             labels=(
                 *(
                     f"{kind} of {dae.unknowns[k].name}"

@@ -44,7 +44,7 @@ class Trapezoidal:
         H = (at(dae, dae.H, old_x, old_z, gamma0) + at(dae, dae.H, dae.x, dae.z, gamma1)) / 2
         f = (at(dae, dae.f, old_x, old_z, gamma0) + at(dae, dae.f, dae.x, dae.z, gamma1)) / 2
         unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
-        ratio = ca.SX.sym("ratio")
+        ratio, fraction = ca.SX.sym("ratio"), ca.SX.sym("fraction")
         unknown_scale, residual_scale = scales(dae, h)
         equations = SquareSystem(
             unknowns=unknowns,
@@ -67,5 +67,7 @@ class Trapezoidal:
             step=h,
             ratio=ratio,
             rescaled=ca.vertcat(old, old - ratio * (old - older)),
+            fraction=fraction,
+            between=ca.vertcat(old - (1 - fraction) * (old - older), older),
             labels=labels(dae),
         )

@@ -1,0 +1,60 @@
+"""Between the instants of a run the method's own polynomial answers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import servocore as sc
+
+CRANE = sc.scenes.rotary_crane().with_reference(
+    sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0, profile=sc.DEGREE13)
+)
+
+
+def midpoint_error(method, steps, name):
+    """Largest error in the middle of all steps of the default crane, relative to the peak."""
+    stepper = sc.Stepper(CRANE, sc.Projected(), method, step=20.0 / steps)
+    reference = CRANE.reference
+    state, _ = stepper.start(reference.jet(stepper.step * np.array(stepper.start_instants), stepper.start_order))
+    found, times = [], []
+    for k in range(steps):
+        start = k * stepper.step
+        jets = reference.jet(start + stepper.step * np.array(stepper.nodes), stepper.start_order)
+        state, report = stepper.advance(state, jets)
+        assert report.converged
+        times.append(start + stepper.step / 2)
+        found.append(stepper.values(state, reference.jet(times[-1], stepper.start_order), fraction=0.5)[name])
+    exact = CRANE.exact(np.array(times))[name]
+    return np.abs(np.array(found) - exact).max() / np.abs(exact).max()
+
+
+# A polynomial through s stages has order s; between two instants backward Euler's line has order two in positions,
+# which are exact at the instants themselves, and that of its inputs elsewhere.
+@pytest.mark.parametrize(
+    ("method", "name", "order"),
+    [
+        (sc.BackwardEuler(), "s", 2),
+        (sc.BackwardEuler(), "M_b", 1),
+        (sc.BDF(3), "s", 4),
+        (sc.BDF(3), "M_b", 3),
+        (sc.RadauIIA(3), "s", 3),
+        (sc.RadauIIA(3), "M_b", 2),
+        (sc.GeneralizedAlpha(0.5), "l", 2),
+        (sc.Trapezoidal(), "s", 2),
+    ],
+    ids=lambda each: getattr(each, "name", each),
+)
+def test_dense_output_has_the_order_of_its_polynomial(method, name, order):
+    coarse, fine = midpoint_error(method, 200, name), midpoint_error(method, 400, name)
+    assert np.log2(coarse / fine) > order - 0.25
+
+
+@pytest.mark.parametrize("method", [sc.BackwardEuler(), sc.BDF(2), sc.RadauIIA(2), sc.GeneralizedAlpha()])
+def test_at_the_end_of_the_step_dense_output_is_the_state_itself(method):
+    stepper = sc.Stepper(CRANE, sc.Projected(), method, step=0.1)
+    jets = CRANE.reference.jet(5.0 + 0.1 * np.array(stepper.start_instants), stepper.start_order)
+    state, _ = stepper.start(jets)
+    state, _ = stepper.advance(state, CRANE.reference.jet(5.0 + 0.1 * np.array(stepper.nodes), stepper.start_order))
+    moved = stepper.program.moved(state, 1.0, 0.1)
+    np.testing.assert_allclose(moved, state, rtol=1e-13, atol=1e-12)
