@@ -45,7 +45,7 @@ Progress = Callable[[str], None]
 """Called with what is being done."""
 
 _HERE = Path(__file__).parent
-_OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_motion", "slave_paths", "slave_quick")
+_OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_guard", "slave_motion", "slave_paths", "slave_quick")
 _SERVOCORE_SOURCES = ("calls", "errors", "program")
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _CHECK_SECONDS = 300.0

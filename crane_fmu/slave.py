@@ -9,22 +9,22 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numpy as np
 from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
-from pythonfmu.fmi2slave import Fmi2Slave
 from pythonfmu.variables import Real, String
 
 from crane_fmu.interface import DIMENSION, Interface, Variable
 from crane_fmu.slave_checks import internal_steps, require_finite, require_legal, require_step
+from crane_fmu.slave_guard import GuardedSlave, guarded, nothing
 from crane_fmu.slave_motion import Snapshot, advance, begin, told
 from crane_fmu.slave_paths import ROWS, Array, LoadPath, hermite, taylor
 from crane_fmu.slave_quick import quick_step
-from servocore import InvalidSetting, Program, ServocoreError
+from servocore import InvalidSetting, Program
 
 INTERFACE_FILE = "interface.json"
 _STATE_FORMAT = "rotary crane state 1"
@@ -33,37 +33,10 @@ _BUNDLE = Path(__file__).parents[1].name
 _INPUTS = ROWS * DIMENSION
 _INPUT_REFERENCES = list(range(_INPUTS))
 
-Callback = TypeVar("Callback", bound=Callable[..., Any])
-
 
 def program_file(model: str, formulation: str) -> str:
     """Name of the file with the compiled functions."""
     return f"{model}-{formulation}.json"
-
-
-def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
-    """Make a callback log whatever is raised in it and return `fallback` of its arguments instead."""
-
-    def decorate(method: Callback) -> Callback:
-        @wraps(method)
-        def call(self: CraneSlave, *args: Any, **kwargs: Any) -> Any:
-            try:
-                return method(self, *args, **kwargs)
-            except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
-                self.report_error(method.__name__, error)
-                return fallback(*args, **kwargs)
-
-        return cast("Callback", call)
-
-    return decorate
-
-
-def _nothing(*_: Any) -> None:
-    return None
-
-
-def _not_numbers(vrs: list[int]) -> list[float]:
-    return [math.nan] * len(vrs)
 
 
 def _programs() -> Callable[[Path, str, str], Program]:
@@ -82,7 +55,7 @@ def _programs() -> Callable[[Path, str, str], Program]:
 _load_program = _programs()
 
 
-class CraneSlave(Fmi2Slave):  # type: ignore[misc]
+class CraneSlave(GuardedSlave):
     """Inputs of the rotary crane for a path of its load."""
 
     author = None
@@ -112,44 +85,37 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         for each in variables:
             self.register_variable(_registered(each), nested=False)
 
-    # --- errors -------------------------------------------------------------------------------------------------
-
-    def report_error(self, callback: str, error: BaseException) -> None:
-        """Log an exception; one of servocore's is a sentence for the user, any other is a defect."""
-        expected = isinstance(error, ServocoreError)
-        sentence = str(error) if expected else f"internal error in {callback}: {type(error).__name__}: {error}"
-        self.log(sentence, Fmi2Status.discard if expected else Fmi2Status.error)
-
-    def log(
-        self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: None = None
-    ) -> None:
-        """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
-        super().log(msg.replace("%", "%%"), status, category, debug)
-
     # --- phases -------------------------------------------------------------------------------------------------
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def setup_experiment(self, start_time: float, *_: float | None) -> None:
         """Take the start time; stop time and tolerance are of no use here."""
+        self._require_phase("setupExperiment", _INSTANTIATED)
         self._start_time = float(start_time)
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def enter_initialization_mode(self) -> None:
         """From now on outputs are computed when they are read."""
+        self._require_phase("enterInitializationMode", _INSTANTIATED)
         self._phase = _INITIALISING
         self._stale = True
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def exit_initialization_mode(self) -> None:
         """Compute the outputs at the start time; a failure is told again by every step."""
+        self._require_phase("exitInitializationMode", _INITIALISING)
         self._phase = _STEPPING
         if self._stale:
             self._initialise()
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def terminate(self) -> None:
         """Refuse further steps."""
         self._phase = _TERMINATED
+
+    def _require_phase(self, call: str, phase: str) -> None:
+        if self._phase != phase:
+            raise InvalidSetting(f"{call} is ignored: the FMU is {self._phase}, not {phase}")
 
     def _initialise(self) -> None:
         self._stale = False
@@ -241,7 +207,7 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
 
     # --- setters and getters --------------------------------------------------------------------------------------
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         """Take inputs and parameters; what they are worth is judged when they are used."""
         reals = self._reals
@@ -250,13 +216,13 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
             reals[:_INPUTS] = values
             return
         for vr, value in zip(vrs, values, strict=True):
-            if vr < _INPUTS:
+            if 0 <= vr < _INPUTS:
                 reals[vr] = value
             elif self._settable(vr, text=False):
                 reals[vr] = value
                 self._parameters = None
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def set_string(self, vrs: list[int], values: list[str]) -> None:
         """Take settings."""
         for vr, value in zip(vrs, values, strict=True):
@@ -265,6 +231,8 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
         self._stale = True
 
     def _settable(self, vr: int, *, text: bool) -> bool:
+        if not self._known(vr):
+            return False
         variable = self._interface.variables[vr]
         late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
         if late or variable.causality == "output" or variable.is_text != text:
@@ -273,18 +241,30 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
             return False
         return True
 
-    @guarded(_not_numbers)
+    def _known(self, vr: int) -> bool:
+        """Return whether a value reference is in the table; the host's unsigned numbers may arrive negative."""
+        known = 0 <= vr < len(self._reals)
+        if not known:
+            self.log(f"there is no variable with the value reference {vr % 2**32}; it is ignored", Fmi2Status.warning)
+        return known
+
+    @guarded(lambda vrs: [math.nan] * len(vrs))
     def get_real(self, vrs: list[int]) -> list[float]:
         """Return values; during initialisation the outputs follow the inputs set so far."""
-        if self._phase == _INITIALISING and self._stale and vrs and max(vrs) >= _INPUTS:
-            self._initialise()
+        if self._phase == _INITIALISING and self._stale:
+            try:
+                self._initialise()
+            except BaseException as error:  # the outputs are not numbers then; the inputs still are
+                self.report_error("get_real", error)
         reals = self._reals
-        return [reals[vr] for vr in vrs]
+        if vrs and min(vrs) >= 0 and max(vrs) < len(reals):
+            return [reals[vr] for vr in vrs]
+        return [reals[vr] if self._known(vr) else math.nan for vr in vrs]
 
     @guarded(lambda vrs: [""] * len(vrs))
     def get_string(self, vrs: list[int]) -> list[str]:
         """Return settings."""
-        return [self._texts[vr] for vr in vrs]
+        return [self._texts[vr] if self._known(vr) else "" for vr in vrs]
 
     # --- state ----------------------------------------------------------------------------------------------------
 
@@ -303,21 +283,28 @@ class CraneSlave(Fmi2Slave):  # type: ignore[misc]
             "snapshot": None if snapshot is None else snapshot.to_plain(),
         }
 
-    @guarded(_nothing)
+    @guarded(nothing)
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
             raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
         snapshot = None if state["snapshot"] is None else Snapshot.from_plain(state["snapshot"])
         reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
+        if (len(reals), len(texts)) != (len(self._reals), len(self._texts)):
+            raise InvalidSetting("the state to restore is damaged; nothing was changed")
         phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
         start_time = float(state["start_time"])
         before = self._texts
         self._texts = texts
         try:
-            self._program = None if snapshot is None else self._require_program()
+            program = None if snapshot is None else self._require_program()
+            if snapshot is not None and program is not None and not snapshot.fits(program):
+                raise InvalidSetting("the state to restore is damaged; nothing was changed")
         except BaseException:
             self._texts = before
+            if self._program is not None:
+                self._require_program()
             raise
+        self._program = program
         self._reals, self._snapshot, self._parameters = reals, snapshot, None
         self._phase, self._stale, self._failure, self._start_time = phase, stale, failure, start_time
 
@@ -347,6 +334,6 @@ def _registered(variable: Variable) -> Any:
         variability=Fmi2Variability[variable.variability],
         initial=Fmi2Initial.calculated if variable.causality == "output" else None,
         description=variable.description,
-        getter=_nothing,
-        setter=_nothing,
+        getter=nothing,
+        setter=nothing,
     )

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from crane_fmu.interface import DIMENSION
 from crane_fmu.slave_paths import ROWS, Array, taylor
 from servocore import InconsistentStart, IntegrationFailed, Program
 
@@ -52,6 +53,11 @@ class Snapshot:
     state: Array
     jet: Array
     values: Array
+
+    def fits(self, program: Program) -> bool:
+        """Return whether the sizes are those of a program."""
+        sizes = self.state.size, self.jet.shape, self.values.size
+        return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
 
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers and lists."""

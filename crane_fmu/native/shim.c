@@ -284,7 +284,6 @@ FORWARD(GetString, (fmi2Component c, References vr, size_t n, fmi2String values[
 FORWARD(SetReal, (fmi2Component c, References vr, size_t n, const fmi2Real values[]), (c, vr, n, values))
 FORWARD(SetInteger, (fmi2Component c, References vr, size_t n, const fmi2Integer values[]), (c, vr, n, values))
 FORWARD(SetBoolean, (fmi2Component c, References vr, size_t n, const fmi2Boolean values[]), (c, vr, n, values))
-FORWARD(SetString, (fmi2Component c, References vr, size_t n, const fmi2String values[]), (c, vr, n, values))
 FORWARD(GetDirectionalDerivative, (fmi2Component c, References unknown, size_t m, References known, size_t n,
                                    const fmi2Real dknown[], fmi2Real dunknown[]),
         (c, unknown, m, known, n, dknown, dunknown))
@@ -299,6 +298,28 @@ FORWARD(GetRealStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Real *va
 FORWARD(GetIntegerStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value), (c, kind, value))
 FORWARD(GetBooleanStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value), (c, kind, value))
 FORWARD(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *value), (c, kind, value))
+
+/* Python makes a text of valid UTF-8 only. */
+static int is_utf8(const char *text) {
+    const unsigned char *t = (const unsigned char *)text;
+    while (*t) {
+        const int more = *t < 0x80 ? 0 : *t >= 0xC2 && *t < 0xE0 ? 1 : *t >= 0xE0 && *t < 0xF0 ? 2 : 3;
+        const unsigned char low = *t == 0xE0 ? 0xA0 : *t == 0xF0 ? 0x90 : 0x80; /* of the second byte */
+        const unsigned char high = *t == 0xED ? 0x9F : *t == 0xF4 ? 0x8F : 0xBF;
+        if (*t >= 0x80 && (*t < 0xC2 || *t > 0xF4 || t[1] < low || t[1] > high)) return 0;
+        for (int k = 2; k <= more; k++)
+            if ((t[k] & 0xC0) != 0x80) return 0;
+        t += more + 1;
+    }
+    return 1;
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String values[]) {
+    if (!c || !real.SetString) return fmi2Error;
+    for (size_t k = 0; k < n; k++)
+        if (!values || !values[k] || !is_utf8(values[k])) return fmi2Error;
+    return real.SetString(c, vr, n, values);
+}
 
 /* PythonFMU takes every state for a living one: a null pointer would end the host. */
 

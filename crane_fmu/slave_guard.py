@@ -1,0 +1,78 @@
+"""What every slave needs so that nothing it is asked can end its host: guarded callbacks, sentences, refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, TypeVar, cast
+
+from pythonfmu.enums import Fmi2Status
+from pythonfmu.fmi2slave import Fmi2Slave
+
+from servocore import ServocoreError
+
+Callback = TypeVar("Callback", bound=Callable[..., Any])
+
+
+def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
+    """Make a callback log whatever is raised in it and return `fallback` of its arguments instead."""
+
+    def decorate(method: Callback) -> Callback:
+        @wraps(method)
+        def call(self: GuardedSlave, *args: Any, **kwargs: Any) -> Any:
+            try:
+                return method(self, *args, **kwargs)
+            except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
+                self.report_error(method.__name__, error)
+                return fallback(*args, **kwargs)
+
+        return cast("Callback", call)
+
+    return decorate
+
+
+def nothing(*_: Any) -> None:
+    """Return None, whatever the arguments."""
+
+
+class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
+    """A slave whose variables are Reals and Strings, and which tells the host what went wrong."""
+
+    def report_error(self, callback: str, error: BaseException) -> None:
+        """Log an exception; one of servocore's is a sentence for the user, any other is a defect."""
+        expected = isinstance(error, ServocoreError)
+        sentence = str(error) if expected else f"internal error in {callback}: {type(error).__name__}: {error}"
+        self.log(sentence, Fmi2Status.discard if expected else Fmi2Status.error)
+
+    def log(
+        self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: None = None
+    ) -> None:
+        """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
+        super().log(msg.replace("%", "%%"), status, category, debug)
+
+    # The table has no integers and no booleans; PythonFMU's own methods raise, which would end the host.
+
+    @guarded(nothing)
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Refuse to set."""
+        self._refuse(vrs, values)
+
+    @guarded(nothing)
+    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
+        """Refuse to set."""
+        self._refuse(vrs, values)
+
+    @guarded(lambda vrs: [0] * len(vrs))
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Refuse, with zeros."""
+        return self._refuse(vrs)
+
+    @guarded(lambda vrs: [False] * len(vrs))
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """Refuse, with False."""
+        return [bool(each) for each in self._refuse(vrs)]
+
+    def _refuse(self, vrs: list[int], _: object = None) -> list[int]:
+        if vrs:
+            self.log("the FMU has no Integer and no Boolean variables; the call is ignored", Fmi2Status.warning)
+        return [0] * len(vrs)
