@@ -10,9 +10,12 @@ import pytest
 import scipy.integrate
 from problems import (
     FORMULATIONS,
+    METHODS,
     WRITTEN,
     actuated_chain,
     as_scene,
+    car_chain,
+    car_chain_exact,
     changed,
     driven_pendulum,
     mass_on_car,
@@ -194,6 +197,43 @@ def mass_on_car_exactly(path, t):
     s, s_dot = found.y
     s_2 = np.array([acceleration(*each) for each in zip(t, s, s_dot, strict=True)])
     return s, 2.0 * (path.jet(t, 2)[:, 2, 0] - cos * s_2) + cos * s_2
+
+
+MOVING = polynomial_path([[0.3], [0.8], [-0.5], [0.4], [0.2], [-0.1], [0.05]], 2.0)
+"""Moves, accelerates and jerks at its start and end: nothing is at rest that could hide a wrong history."""
+
+DAMPED = [pytest.param(each, id=each.method.name) for each in METHODS if each.damped and each.steps]
+
+
+def order_on_a_moving_path(by, formulation, system, exact, name):
+    """Return the observed order of one input; of generalized-alpha after its first phase, which has order one.
+
+    Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149, explain that phase.
+    """
+    errors = []
+    for steps in (50, 100) if by.first_order_equations else (160, 320):
+        found = sc.solve(as_scene(system, MOVING), formulation, by.method, step=2.0 / steps)
+        error = np.abs(found[name] - exact(found.t))
+        errors.append(error[0 if by.first_order_equations else steps // 2 :].max())
+    return np.log2(errors[0] / errors[1])
+
+
+@pytest.mark.parametrize("by", DAMPED)
+def test_a_start_in_motion_costs_no_order_where_the_history_follows_from_the_path(by):
+    """Two cars: index 3 after projection, all values before the start from the exact inversion there."""
+    order = order_on_a_moving_path(
+        by, sc.Projected(), car_chain(), lambda t: car_chain_exact(MOVING.jet(t, 4))["F"].value, "F"
+    )
+    assert order == pytest.approx(by.by_index[2], abs=0.15)
+
+
+@pytest.mark.parametrize("by", DAMPED)
+def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwards(by):
+    """The mass on a car: index 1 when reduced, values before the start by its internal dynamics."""
+    order = order_on_a_moving_path(
+        by, sc.Reduced(), mass_on_car(np.pi / 4, 2.0), lambda t: mass_on_car_exactly(MOVING, t)[1], "u"
+    )
+    assert order == pytest.approx(by.by_index[0], abs=0.15)
 
 
 @pytest.mark.parametrize("formulation", [each.formulation for each in FORMULATIONS], ids=lambda f: f.name)
