@@ -47,6 +47,10 @@ class Start:
     rates: ca.SX
 
 
+UNNEEDED = ca.SX()
+"""Default of what a `Discretisation` can do without."""
+
+
 @dataclass(frozen=True, eq=False)
 class Discretisation:
     """One time step of a method on a `Dae`: a square system, and how the state of the step moves on.
@@ -71,13 +75,14 @@ class Discretisation:
         Symbols of the reference at the nodes, shape (m, orders * len nodes), node after node.
     step : casadi.SX
         Symbol of the step size h.
-    ratio, rescaled : casadi.SX
-        Symbol of a new step size divided by the old one, and the state made ready for it.
-    fraction, between : casadi.SX
-        Symbol of a fraction of the last step, and the state with its own instant moved there: dense output. An
-        expression of state, fraction and step.
     labels : tuple of str
         What each row of the equations is called in messages.
+    ratio, rescaled : casadi.SX, optional
+        Symbol of a new step size divided by the old one, and the state made ready for it; the
+        state as it is when not given.
+    fraction, between : casadi.SX, optional
+        Symbol of a fraction of the last step, and the state with its own instant moved there: dense output. An
+        expression of state, fraction and step; the end of the step when not given.
     """
 
     equations: SquareSystem
@@ -90,11 +95,18 @@ class Discretisation:
     nodes: tuple[float, ...]
     reference: ca.SX
     step: ca.SX
-    ratio: ca.SX
-    rescaled: ca.SX
-    fraction: ca.SX
-    between: ca.SX
     labels: tuple[str, ...]
+    ratio: ca.SX = UNNEEDED
+    rescaled: ca.SX = UNNEEDED
+    fraction: ca.SX = UNNEEDED
+    between: ca.SX = UNNEEDED
+
+    def __post_init__(self) -> None:
+        defaults = {"ratio": ca.SX.sym("ratio"), "fraction": ca.SX.sym("fraction")}
+        defaults |= {"rescaled": self.state, "between": self.state}
+        for attribute, default in defaults.items():
+            if getattr(self, attribute) is UNNEEDED:
+                object.__setattr__(self, attribute, default)
 
 
 class Method(Protocol):
@@ -197,10 +209,6 @@ def instantaneous(dae: Dae) -> Discretisation:
         nodes=(1.0,),
         reference=reference,
         step=h,
-        ratio=ca.SX.sym("ratio"),
-        rescaled=old,
-        fraction=ca.SX.sym("fraction"),
-        between=old,
         labels=labels(dae),
     )
 

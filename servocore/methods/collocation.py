@@ -199,8 +199,6 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         nodes=tuple(float(c) for c in method.c),
         reference=reference,
         step=h,
-        ratio=ca.SX.sym("ratio"),
-        rescaled=state,
         fraction=fraction,
         between=ca.vertcat(ca.mtimes(past, _symbolic_lagrange(method.c, fraction)), ca.vec(past)),
         labels=labels(dae) * s,

@@ -102,8 +102,6 @@ class GeneralizedAlpha:
             nodes=(1.0,),
             reference=reference,
             step=h,
-            ratio=ca.SX.sym("ratio"),
-            rescaled=old,
             fraction=fraction,
             between=ca.vertcat(q0 - back * v0 + back**2 / 2 * a0, v0 - back * a0, old[2 * n :]),
             labels=(
