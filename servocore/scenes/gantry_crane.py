@@ -24,7 +24,8 @@ import numpy as np
 
 from servocore import jets
 from servocore.references import rest_to_rest
-from servocore.scene import Limit, Scene
+from servocore.scene import Scene
+from servocore.scenes import hanging_load
 from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
@@ -84,13 +85,8 @@ def points() -> MechanicalSystem:
         gamma=gamma,
         guess=ca.vertcat(gamma[:2, 0], -gamma[2, 0], gamma[:, 0]),
         home=(1.0, 1.0, -4.0),
-        observables={TENSION: 2 * lam * rope_length, SWING: swing_angle(rope)},
+        observables={TENSION: 2 * lam * rope_length, SWING: hanging_load.swing_angle(rope)},
     )
-
-
-def swing_angle(rope: ca.SX) -> ca.SX:
-    """Angle of a rope vector from the vertical that points down."""
-    return ca.atan2(ca.norm_2(rope[:2]), -rope[2])
 
 
 @cache
@@ -105,7 +101,7 @@ def generalized() -> MechanicalSystem:
     s_x, s_y, rope_length, along, across = ca.vertsplit(coordinates.q)
     direction = ca.vertcat(ca.sin(along) * ca.cos(across), ca.sin(across), -ca.cos(along) * ca.cos(across))
     rope = rope_length * direction
-    start, p = base.gamma, base.parameters
+    start = base.gamma
     return generalise(
         base,
         coordinates,
@@ -113,8 +109,8 @@ def generalized() -> MechanicalSystem:
         guess=ca.vertcat(start[:2, 0], -start[2, 0], 0, 0),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={
-            TENSION: p["load_mass"] * ca.norm_2(start[:, 2] + ca.vertcat(0, 0, p["gravity"])),
-            SWING: swing_angle(rope),
+            TENSION: hanging_load.tension(start, base.parameters),
+            SWING: hanging_load.swing_angle(rope),
         },
         name="gantry crane, generalized",
     )
@@ -158,11 +154,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     }
 
 
-LIMITS = (
-    Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[2, 2]),
-    Limit("the load's depth below the trolley", "m", 0.0, "the load is not below the trolley",
-          lambda gamma, _: -gamma[2, 0]),
-)  # fmt: skip
+LIMITS = hanging_load.limits("trolley")
 
 
 def gantry_crane() -> Scene:

@@ -21,7 +21,8 @@ import numpy as np
 
 from servocore import jets
 from servocore.references import rest_to_rest
-from servocore.scene import Limit, Scene
+from servocore.scene import Scene
+from servocore.scenes import hanging_load
 from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
@@ -78,14 +79,14 @@ def generalized() -> MechanicalSystem:
     base = points()
     coordinates = Coordinates(TROLLEY, ROPE, SWING)
     s, rope, swing = ca.vertsplit(coordinates.q)
-    start, p = base.gamma, base.parameters
+    start = base.gamma
     load = ca.vertcat(s + rope * ca.sin(swing), -rope * ca.cos(swing))
     return generalise(
         base,
         coordinates,
         ca.vertcat(s, rope, load),
         guess=ca.vertcat(start[0, 0], -start[1, 0], 0),
-        observables={TENSION: p["load_mass"] * ca.norm_2(start[:, 2] + ca.vertcat(0, p["gravity"]))},
+        observables={TENSION: hanging_load.tension(start, base.parameters)},
         name="overhead crane, generalized",
     )
 
@@ -111,11 +112,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     }
 
 
-LIMITS = (
-    Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[1, 2]),
-    Limit("the load's depth below the girder", "m", 0.0, "the load is not below the girder",
-          lambda gamma, _: -gamma[1, 0]),
-)  # fmt: skip
+LIMITS = hanging_load.limits("girder")
 
 
 def overhead_crane() -> Scene:

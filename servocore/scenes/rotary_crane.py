@@ -27,6 +27,7 @@ import numpy as np
 from servocore import jets
 from servocore.references import rest_to_rest
 from servocore.scene import Limit, Scene
+from servocore.scenes import hanging_load
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
 from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
@@ -110,14 +111,9 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
             ROPE: rope_length,
             # The force on the load is -lam d|rope|^2/dr = -2 lam rope, towards the trolley when lam > 0.
             TENSION: 2 * lam[3] * rope_length,
-            SWING: swing_angle(rope),
+            SWING: hanging_load.swing_angle(rope),
         },
     )
-
-
-def swing_angle(rope: ca.SX) -> ca.SX:
-    """Angle of a rope vector from the vertical that points down."""
-    return ca.atan2(ca.norm_2(rope[:2]), -rope[2])
 
 
 @cache
@@ -144,15 +140,14 @@ def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     horizontal = ca.sin(alpha) * ca.cos(beta) * along + ca.sin(beta) * across
     rope = rope_length * ca.vertcat(horizontal, -ca.cos(alpha) * ca.cos(beta))
     load = rope + ca.vertcat(s * along, 0)
-    start, p = base.gamma, base.parameters
-    tension = p["load_mass"] * ca.norm_2(start[:, 2] + ca.vertcat(0, 0, p["gravity"]))
+    start = base.gamma
     return generalise(
         base,
         coordinates,
         ca.vertcat(along, s * along, s, rope_length, load),
         guess=ca.vertcat(ca.atan2(start[1, 0], start[0, 0]), ca.norm_2(start[:2, 0]), -start[2, 0], 0, 0),
         # Without multipliers the tension follows from the load's prescribed acceleration.
-        observables={TENSION: tension, SWING: swing_angle(rope)},
+        observables={TENSION: hanging_load.tension(start, base.parameters), SWING: hanging_load.swing_angle(rope)},
         name="rotary crane, generalized",
     )
 
@@ -206,12 +201,15 @@ def _trolley_radius(gamma: ca.SX, p: Parameters) -> ca.SX:
 
 
 LIMITS = (
-    Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[2, 2]),
-    Limit("the load's depth below the girder", "m", 0.0, "the load is not below the girder",
-          lambda gamma, _: -gamma[2, 0]),
-    Limit("the trolley's distance from the slewing axis", "m", SMALLEST_RADIUS,
-          "the trolley reaches the slewing axis", _trolley_radius),
-)  # fmt: skip
+    *hanging_load.limits("girder"),
+    Limit(
+        "the trolley's distance from the slewing axis",
+        "m",
+        SMALLEST_RADIUS,
+        "the trolley reaches the slewing axis",
+        _trolley_radius,
+    ),
+)
 
 
 def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:

@@ -1,0 +1,34 @@
+"""What all cranes share: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servocore.scene import Limit
+from servocore.symbols import Parameters
+
+
+def swing_angle(rope: ca.SX) -> ca.SX:
+    """Angle of a rope vector in space, from trolley to load, from the vertical that points down."""
+    return ca.atan2(ca.norm_2(rope[:2]), -rope[2])
+
+
+def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Rope tension that gives the load its prescribed acceleration: m |gamma'' + g e_z|, without multipliers."""
+    up = ca.SX.zeros(gamma.size1())
+    up[-1] = p["gravity"]
+    return p["load_mass"] * ca.norm_2(gamma[:, 2] + up)
+
+
+def limits(above: str) -> tuple[Limit, Limit]:
+    """Return the limits of a taut rope and of a load below what it hangs from, called `above`."""
+    return (
+        Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2]),
+        Limit(
+            f"the load's depth below the {above}",
+            "m",
+            0.0,
+            f"the load is not below the {above}",
+            lambda gamma, _: -gamma[-1, 0],
+        ),
+    )
