@@ -102,8 +102,8 @@ def _bounded(found: Findings, key: str, scene: sc.Scene, name: str) -> None:
     solution = quietly(scene)
     exact = scene.exact(solution.t)
     error = max(float(np.abs(solution[u] - exact[u]).max() / np.abs(exact[u]).max()) for u in exact)
-    found.add(name, "solve as it comes: reduced, boundary-value", "largest error / peak against exact", "all quantities",
-              at_most(1e-9), error, SURVIVES)  # fmt: skip
+    found.add(name, "solve as it comes: reduced, boundary-value", "largest error / peak against exact",
+              "all quantities", at_most(1e-9), error, SURVIVES)  # fmt: skip
     found.facts.update({f"{key}_error": error, f"{key}_pre": scene.reference.start_time - solution.t[0],
                     f"{key}_post": solution.t[-1] - scene.reference.end_time})  # fmt: skip
     found.curves[key, "input"] = (solution.t, solution[scene.model().inputs[0].name])
@@ -158,6 +158,7 @@ def draw(found: Findings) -> Figure:
     shown = (t > -0.6) & (t < 2.6)
     axes[2].plot(t[shown], torque[shown], color="#0b3c68")
     axes[2].axvspan(0.0, 2.0, color="0.9", zorder=0, label="the tip moves")
+    axes[2].set_ylim(bottom=-38)
     label(axes[2], "time [s]", "torque [N m]", "arm, tip, 90°: bounded input", "lower left")
     return figure
 
@@ -173,12 +174,12 @@ ROW = Row(
     survivor="`BoundaryValue`, which `solve` takes by itself, agrees with the independent solution to {arm_error:.0e}"
     " (arm) and {car_error:.0e} (mass on car). Under its torque the tip keeps its path to {tip:.0e} of the"
     " path's length. Its input begins {arm_pre:.2f} s before the motion and ends {arm_post:.2f} s after it.",
-    limit="Forward, the arm's joint angle grows at {arm_rate:.2f}/s (eigenvalue {arm_eigenvalue:.2f}/s), that of the mass"
-    " on the car at {car_rate:.3f}/s ({car_eigenvalue:.3f}/s). A plant that is unstable itself, as the mass on the car"
-    " with a negative spring, needs feedback besides: open loop it leaves the exact path at {plant_rate:.2f}/s (its own"
-    " eigenvalue {plant:.2f}/s).",
-    caption="Left and middle: error of the internal coordinate, integrated forward from rest. Right: the bounded torque,"
-    " which begins before the motion.",
+    limit="Forward, the arm's joint angle grows at {arm_rate:.2f}/s (eigenvalue {arm_eigenvalue:.2f}/s), that of the"
+    " mass on the car at {car_rate:.3f}/s ({car_eigenvalue:.3f}/s). A plant that is unstable itself, as the mass on the"
+    " car with a negative spring, needs feedback besides: open loop it leaves the exact path at {plant_rate:.2f}/s (its"
+    " own eigenvalue {plant:.2f}/s).",
+    caption="Left and middle: error of the internal coordinate, integrated forward from rest. Right: the bounded"
+    " torque, which begins before the motion.",
     measure=measure,
     draw=draw,
 )

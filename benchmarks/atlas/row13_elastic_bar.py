@@ -1,0 +1,146 @@
+"""Row 13: an elastic bar as a chain stepped in time, and marched in space."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+import servocore as sc
+from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
+from benchmarks.atlas.runs import Array, error_at, slope
+from benchmarks.atlas.style import label, looks, panels
+from servocore.references.profiles import polynomial
+from servocore.scenes.elastic_bar import dalembert, wave_time
+from servocore.space_marching import march_bar
+
+NAME = "elastic-bar"
+DURATION = 0.6
+"""Of the fast path in s: six times what a wave needs from end to end."""
+COUNTS = (2, 3, 4, 6, 8, 10, 12)
+STEPPED = {2: (20_000, 40_000, 80_000), 3: (3200, 4000, 4800, 6400), 4: (1300, 1600, 2000, 2400)}
+"""Numbers of masses stepped on the original form, with steps in the range of amplified round-off."""
+
+
+def measure(quick: bool) -> Findings:
+    """Compare chains of masses and the march in space with d'Alembert's solution."""
+    found = Findings(NAME)
+    path = sc.rest_to_rest((0.0,), (1.0,), DURATION, sc.DEGREE9)
+    values = sc.scenes.elastic_bar().parameter_values()
+    delay = wave_time(values)
+    t = np.linspace(-2.0 * delay, DURATION + 2.0 * delay, 1601)
+    exact = dalembert(t, path, values)["u"]
+    found.curves["exact"] = (t, exact)
+    found.facts.update(delay=delay)
+    _chains(found, t, exact, delay, quick)
+    _marched(found, path, values)
+    _stepped(found, quick)
+    return found
+
+
+def _chains(found: Findings, t: Array, exact: Array, delay: float, quick: bool) -> None:
+    """Give each chain its own exact inversion: what is wrong then is the chain, not the method."""
+    path = sc.rest_to_rest((0.0,), (1.0,), DURATION, sc.DEGREE9)
+    peak = float(np.abs(exact).max())
+    before = (t < 0.0) & (t > -delay)
+    inside = (t > 1.2 * delay) & (t < DURATION - 1.2 * delay)
+    needed = float(np.abs(exact[before]).max()) / peak
+    errors = []
+    counts = COUNTS[:4] if quick else COUNTS
+    for count in counts:
+        scene = sc.scenes.elastic_bar(count).with_reference(path)
+        u = scene.exact(t)["u"]
+        errors.append(float(np.abs(u - exact)[inside].max()) / peak)
+        found.curves["chain", count] = (t, u)
+        if count in (2, 3, 6):
+            given = float(np.abs(u[before]).max()) / peak
+            found.add("elastic_bar", f"chain of {count} masses, exact inversion", "force before the path / peak",
+                      f"bar needs {needed:.2g}", at_most(0.0), given, FAILS)  # fmt: skip
+            late = float(np.abs(u - exact)[before | ((t > DURATION) & (t < DURATION + delay))].max()) / peak
+            found.add("elastic_bar", f"chain of {count} masses, exact inversion", "error outside the path / peak",
+                      "within L/c of it", at_least(0.1), late, FAILS)  # fmt: skip
+            found.facts["outside"] = late
+    found.curves["inside"] = (np.array(counts), np.array(errors))
+    few = np.array(counts[:4])
+    rate = slope(few - 1.0, np.array(errors[:4]))
+    found.add("elastic_bar", "chain, exact inversion", "exponent of the error in 1/(N - 1), inside", "N = 2 ... 6",
+              about(-2.0, 0.5), rate, SURVIVES)  # fmt: skip
+    found.facts.update(needed=needed, inside=errors[-1], inside_count=counts[-1])
+
+
+def _marched(found: Findings, path: sc.Reference, values: dict[str, float]) -> None:
+    for pieces in (1, 10, 1000):
+        bar = march_bar(path, **values, pieces=pieces)
+        exact = dalembert(bar.t, path, values)["u"]
+        error = float(np.abs(bar.input - exact).max() / np.abs(exact).max())
+        found.add("elastic_bar", "marched in space", "largest input error / peak", f"{pieces} pieces", at_most(1e-12),
+                  error, SURVIVES)  # fmt: skip
+        found.facts["marched"] = max(found.facts.get("marched", 0.0), error)
+    found.curves["marched"] = (bar.t, bar.input)
+    acting = bar.t[np.abs(bar.input) > 1e-9 * np.abs(bar.input).max()]
+    found.add("elastic_bar", "marched in space", "force begins before the path [s]", "1000 pieces",
+              about(found.facts["delay"], 0.005), path.start_time - acting[0], SURVIVES)  # fmt: skip
+
+
+def _stepped(found: Findings, quick: bool) -> None:
+    """Step chains in time on their original form, of index 2 N + 1."""
+    for count, steps in STEPPED.items():
+        if quick and count == 2:
+            continue
+        scene = sc.scenes.elastic_bar(count)
+        smooth = scene.with_reference(sc.rest_to_rest((0.0,), (1.0,), 2.0, polynomial(4 * count + 1)))
+        h = 2.0 / np.array(steps)
+        errors = np.array([error_at(smooth, sc.Original(), sc.BackwardEuler(), each) for each in steps])
+        found.curves["stepped", count] = (h, errors)
+        rate = slope(h, errors)
+        found.add("elastic_bar", f"original, backward-euler, {count} masses",
+                  "exponent of the input error in h, small h",
+                  f"index {2 * count + 1}", about(-2.0 * count, 1.2), rate, FAILS)  # fmt: skip
+
+
+def draw(found: Findings) -> Figure:
+    """Show forces over time, errors of chains, and errors of stepping."""
+    figure, (left, middle, right) = panels(3, height=2.6, width=7.4)
+    t, exact = found.curves["exact"]
+    delay = found.facts["delay"]
+    left.axvspan(0.0, DURATION, color="0.93", zorder=0)
+    left.plot(t, exact, color="black", lw=2.6, alpha=0.35, label="d'Alembert")
+    left.plot(*found.curves["marched"], color="#0b3c68", lw=1, label="marched in space")
+    for count, look in ((2, ":"), (3, "--")):
+        left.plot(*found.curves["chain", count], color="#b3260a", ls=look, lw=1, label=f"chain of {count}")
+    left.set(xlim=(-1.5 * delay, DURATION + 1.5 * delay), ylim=(1.9 * exact.min(), 1.5 * exact.max()))
+    label(left, "time [s], path in grey", "force on the driven end [N]", "pre- and post-actuation", "lower left")
+    counts, errors = found.curves["inside"]
+    middle.loglog(counts - 1, errors, color="#b3260a", marker="o", label="chain, inside")
+    middle.axhline(found.facts["outside"], color="#b3260a", ls=":", label="chain, within L/c of the ends")
+    middle.axhline(max(found.facts["marched"], 1e-17), color="#0b3c68", ls="--", label="marched in space")
+    middle.set_ylim(1e-16, 1e5)
+    middle.set_xticks(counts - 1, [f"{k - 1:d}" for k in counts])
+    middle.xaxis.set_minor_formatter(NullFormatter())
+    label(middle, "pieces $N - 1$", "force error / peak", "against d'Alembert", "upper right")
+    steps = [(k[1], v) for k, v in found.curves.items() if k[0] == "stepped"]
+    for (count, (h, values)), look in zip(steps, looks(), strict=False):
+        right.loglog(h, values, label=f"{count} masses, index {2 * count + 1}", **look)
+    label(right, "step $h$ [s]", "input error / peak", "original form, backward Euler", "upper right")
+    return figure
+
+
+ROW = Row(
+    name=NAME,
+    title="Elastic bodies: the index grows with the mesh",
+    avoid="chains of masses (or finite elements) stepped in time, for paths that are fast compared with a wave",
+    do="`servocore.space_marching.march_bar`: solve in space over the whole horizon",
+    theory="A chain of N masses tracked at its free end has index 2 N + 1: stepping in time divides round-off by h²ᴺ."
+    " Worse, its input holds derivatives of the path at one instant, so it cannot begin before the path does, while the"
+    " bar needs its force L/c earlier: the time of a wave.",
+    survivor="Marching in space from the tracked end, where displacement and force are known for all times, is exact"
+    " on characteristics: {marched:.0e} of the peak against d'Alembert with 1, 10 and 1000 pieces alike, with the"
+    " pre-actuation of L/c = {delay:.2g} s.",
+    limit="Before the path begins the bar needs up to {needed:.0%} of the peak force, a chain gives none: an error of"
+    " {outside:.0%} near the ends, whatever N. Inside, farther than L/c from both ends, a chain of {inside_count:d}"
+    " is good to {inside:.1e}. `march_bar` is for uniform bars between paths at rest.",
+    caption="Left: force on the driven end. Middle: error of chains inverted exactly. Right: round-off in chains"
+    " stepped in time.",
+    measure=measure,
+    draw=draw,
+)
