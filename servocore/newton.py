@@ -125,7 +125,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
     assembly = _Assembly(system, system.givens, givens, explicit=constants)
     for rows, columns in _blocks(system):
         _solve_block(assembly, rows, columns)
-    worst = ca.norm_inf(full.residual / full.residual_scale) if full.unknowns.numel() else ca.SX(0)
+    worst = largest(full.residual / full.residual_scale)
     finish = ca.Function(
         "sc_finish",
         [assembly.symbols],
@@ -139,6 +139,13 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
     for count in assembly.iterations:
         most, total = ca.fmax(most, count), total + count
     return ca.Function(name, [givens], [*found, ca.vertcat(most, total), residual])
+
+
+def largest(values: ca.SX) -> ca.SX:
+    """Return the maximum norm, and NaN if any entry is: CasADi's own passes over NaN."""
+    if not values.numel():
+        return ca.SX(0)
+    return ca.if_else(ca.norm_1(values) < np.inf, ca.norm_inf(values), np.nan)
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:

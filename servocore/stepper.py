@@ -16,7 +16,7 @@ from servocore.feasibility import compile_margins, limit_texts, limits_order
 from servocore.formulations import Formulation, Reduced
 from servocore.methods import Discretisation, Method
 from servocore.methods.base import instantaneous
-from servocore.newton import compile_solver
+from servocore.newton import compile_solver, largest
 from servocore.program import Channel, Program, StepReport
 from servocore.redundancy import prepared
 from servocore.scene import Limit, Scene
@@ -156,7 +156,7 @@ def _violations(system: MechanicalSystem) -> ca.SX:
         system.constraints,
         ca.mtimes(system.G, system.v),
     )
-    return ca.vertcat(*[ca.norm_inf(group) if group.numel() else ca.SX(0) for group in groups])
+    return ca.vertcat(*[largest(group) for group in groups])
 
 
 @dataclass(frozen=True, eq=False)

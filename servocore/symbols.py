@@ -75,8 +75,11 @@ class Parameter:
 
     def check(self, value: float) -> float:
         """Return `value` as a float, or raise `InvalidModel` if it is not a number within the bounds."""
-        number = float(value)
-        if not self.lower <= number <= self.upper:  # false for NaN as well
+        try:
+            number = float(value)
+        except (TypeError, ValueError):
+            raise InvalidModel(f"parameter {self.name} must be a number, not {value!r}") from None
+        if not (math.isfinite(number) and self.lower <= number <= self.upper):
             raise InvalidModel(
                 f"parameter {self.name} = {number:g} {self.unit} is outside its range"
                 f" [{self.lower:g}, {self.upper:g}] {self.unit}"
