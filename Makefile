@@ -8,7 +8,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: help demo test check format fmu bench pictures clean
+.PHONY: help demo test hostile load check format fmu bench pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -19,6 +19,12 @@ demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tabl
 
 test: $(INSTALLED)  ## run the whole test suite
 	$(RUN) pytest -n $(TEST_PROCESSES)
+
+hostile: $(INSTALLED)  ## ask the FMU ten thousand random sequences of calls: minutes
+	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest tests/test_hostile.py
+
+load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
+	SERVOCORE_LOAD=full $(RUN) pytest tests/test_load.py
 
 check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \

@@ -111,6 +111,7 @@ class CraneSlave(GuardedSlave):
     @guarded(nothing)
     def terminate(self) -> None:
         """Refuse further steps."""
+        self._require_phase("terminate", _STEPPING)
         self._phase = _TERMINATED
 
     def _require_phase(self, call: str, phase: str) -> None:

@@ -120,13 +120,15 @@ def follow(host: Host, reference: sc.Reference, times, *, at: str = "start") -> 
     return dict(zip(OUTPUTS, np.array(rows).T, strict=True))
 
 
-def in_a_process(code: str, *arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+def in_a_process(
+    code: str, *arguments: str | Path, seconds: float = 120.0, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run code that may crash; it finds this module on its path."""
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=seconds,
         check=False,
         cwd=scratch(),
         env={
