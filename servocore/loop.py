@@ -143,10 +143,12 @@ def failure(
     """Return the error that says where a step failed and why that may be."""
     nodes = np.array([time + c * step for c in program.nodes])
     worst = program.worst_equation(state, reference.jet(nodes, program.order), step, p)
+    causes = "a step too large for the path, or a configuration close to a singular one"
+    if program.index > 3:
+        causes = f"errors that this form of index {program.index} amplifies from step to step, {causes}"
     return IntegrationFailed(
         f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
-        f" the worst equation is the {worst}. Likely causes: a step too large for the path, or a configuration"
-        f" close to a singular one"
+        f" the worst equation is the {worst}. Likely causes: {causes}"
     )
 
 
