@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
+from threading import RLock
 from typing import Any, TypeVar, cast
 
 from pythonfmu.enums import Fmi2Status
@@ -11,17 +12,21 @@ from pythonfmu.fmi2slave import Fmi2Slave
 
 from servocore import ServocoreError
 
+# Instances share compiled functions and their memory; a host may run each instance in a thread of its own.
+_ONE_AT_A_TIME = RLock()
+
 Callback = TypeVar("Callback", bound=Callable[..., Any])
 
 
 def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
-    """Make a callback log whatever is raised in it and return `fallback` of its arguments instead."""
+    """Let a callback log whatever is raised in it and return `fallback` of its arguments; no two run at a time."""
 
     def decorate(method: Callback) -> Callback:
         @wraps(method)
         def call(self: GuardedSlave, *args: Any, **kwargs: Any) -> Any:
             try:
-                return method(self, *args, **kwargs)
+                with _ONE_AT_A_TIME:
+                    return method(self, *args, **kwargs)
             except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
                 self.report_error(method.__name__, error)
                 return fallback(*args, **kwargs)

@@ -11,6 +11,7 @@ import math
 import sys
 from collections.abc import Sequence
 from functools import cache
+from struct import Struct
 
 import casadi as ca
 import numpy as np
@@ -37,8 +38,10 @@ class QuickStep:
         self._buffer.set_arg(0, self._arguments.data)
         self._buffer.set_res(0, self._results.data)
         n, told = program.state_size, ROWS * DIMENSION
-        self._state, self._told = self._arguments[:n], self._arguments[n : n + told]
-        self._tau, self._parameters = n + told, self._arguments[n + told + 2 :]
+        self._state, self._parameters = self._arguments[:n], self._arguments[n + told + 2 :]
+        self._told = Struct(f"{told + 2}d")  # jet, tau, h: packed in a third of the time that NumPy takes
+        self._place, self._memory = n * self._arguments.itemsize, self._arguments.data.cast("B")
+        self._known: Array | None = None  # the parameters that are in place
         self._ends = n, n + told, n + told + len(program.channels)
         self._turning = [k for k, channel in enumerate(program.channels) if channel.wraps]
 
@@ -56,7 +59,7 @@ class QuickStep:
         h : float
             The step in s.
         p : ndarray
-            The program's parameters.
+            The program's parameters; an array is never changed in place.
 
         Returns
         -------
@@ -66,18 +69,20 @@ class QuickStep:
         if h < SHORTEST_STEP or not abs(h - before.step) <= JITTER * h:
             return None
         self._state[:] = before.state
-        self._told[:] = jet
-        self._arguments[self._tau] = tau
-        self._arguments[self._tau + 1] = h
-        self._parameters[:] = p
+        self._told.pack_into(self._memory, self._place, *jet, tau, h)
+        if p is not self._known:
+            self._parameters[:] = p
+            self._known = p
         self._evaluate()
-        if self._results[-1] != 1.0:
+        if self._results.item(-1) != 1.0:
             return None
         found = self._results.copy()
         state, reached, observed = self._ends
         values = found[reached:observed]
         for k in self._turning:
-            values[k] += 2.0 * math.pi * round((before.values[k] - values[k]) / (2.0 * math.pi))
+            turns = round((before.values.item(k) - values.item(k)) / (2.0 * math.pi))
+            if turns:
+                values[k] += 2.0 * math.pi * turns
         jets = found[state:reached].reshape(ROWS, DIMENSION)
         return Snapshot(before.time + h, h, found[:state], jets, values)
 
