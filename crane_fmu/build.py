@@ -1,4 +1,4 @@
-"""Build ``RotaryCrane.fmu``: compile the models, bundle what the slave needs, pack, check, put in place.
+"""Build an FMU: compile the models, bundle what the slave needs, pack, check, put in place.
 
 PythonFMU packs; what it leaves open is settled here. All FMUs of one Python process share its modules, so the
 bundled sources become one package whose name holds a hash of all its content: builds never meet each other, nor an
@@ -10,17 +10,16 @@ from __future__ import annotations
 import argparse
 import hashlib
 import io
+import json
 import re
 import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
 from importlib import metadata
-from itertools import product
 from pathlib import Path
 
 from pythonfmu.builder import FmuBuilder
@@ -28,50 +27,29 @@ from pythonfmu.builder import FmuBuilder
 import servocore as sc
 from crane_fmu.description import complete
 from crane_fmu.description_page import documentation_page, user_page
-from crane_fmu.interface import Interface, crane_interface
+from crane_fmu.interface import Interface
+from crane_fmu.kinds import FORMULATIONS, KINDS, ROTARY_CRANE, Kind, Progress
 from crane_fmu.shim import add_shim
-from crane_fmu.slave import INTERFACE_FILE, program_file
+from crane_fmu.slave_base import INTERFACE_FILE
+from crane_fmu.slave_trajectory import PATH_FILE
 from crane_fmu.writing import write_together
 
-FILE_NAME = "RotaryCrane.fmu"
-FORMULATIONS: Mapping[str, sc.Formulation] = {
-    "reduced": sc.Reduced(),
-    "projected": sc.Projected(),
-    "original": sc.Original(),
-}
-"""Formulations that the FMU offers; the first is the default."""
-
-Progress = Callable[[str], None]
-"""Called with what is being done."""
+__all__ = ["FORMULATIONS", "build_fmu", "collect", "interface", "main", "packed"]
 
 _HERE = Path(__file__).parent
-_OWN_SOURCES = ("interface", "slave", "slave_checks", "slave_guard", "slave_motion", "slave_paths", "slave_quick")
-_SERVOCORE_SOURCES = ("calls", "errors", "program")
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _CHECK_SECONDS = 300.0
 _PREFIX = "rotary_crane_"
-
-_SERVOCORE_FACE = '''"""The part of servocore that an FMU needs."""
-
-from servocore.errors import (
-    InconsistentStart,
-    IntegrationFailed,
-    InvalidReference,
-    InvalidSetting,
-    ServocoreError,
-)
-from servocore.program import Program
-'''
 
 _ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
 
 import ctypes as _ctypes
 
 try:
-    import {bundle}.crane_fmu.slave as _slave
+    import {bundle}.crane_fmu.{module} as _slave
 except ImportError as error:
     raise ImportError(
-        f"RotaryCrane.fmu needs NumPy and CasADi in the Python that runs it, but: {{error}};"
+        f"{name}.fmu needs NumPy and CasADi in the Python that runs it, but: {{error}};"
         " install what resources/requirements.txt in the FMU lists"
     ) from error
 
@@ -80,23 +58,36 @@ except ImportError as error:
 _ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 
-class RotaryCrane(_slave.CraneSlave):
-    """Inputs of the rotary crane for a path of its load."""
+class {name}(_slave.{slave}):
+    """What the host sees; everything else is in the bundle."""
 '''
 
 
 @dataclass(frozen=True)
 class Content:
-    """What goes into the bundle: text by path inside it, the table of variables and a hash of it all."""
+    """What goes into an FMU.
+
+    Attributes
+    ----------
+    files : mapping of str to str
+        Texts of the bundle by their path inside it.
+    interface : Interface
+        The table of variables.
+    kind : Kind
+        Which FMU it is.
+    path : bytes, optional
+        A table for a trajectory, which is no part of the bundle: users may replace it.
+    """
 
     files: Mapping[str, str]
     interface: Interface
-    routes: tuple[tuple[str, str], ...]
+    kind: Kind = ROTARY_CRANE
+    path: bytes | None = None
 
     @property
     def name(self) -> str:
         """Name of the entry module, unique to the content."""
-        digest = hashlib.sha256(f"{_ENTRY}{metadata.version('pythonfmu')}".encode())
+        digest = hashlib.sha256(f"{self.kind.name}{_ENTRY}{metadata.version('pythonfmu')}".encode())
         for path, text in sorted(self.files.items()):
             digest.update(f"{path}\0{text}\0".encode())
         return f"{_PREFIX}{digest.hexdigest()[:16]}"
@@ -107,15 +98,21 @@ class Content:
         return f"{self.name}_bundle"
 
 
-def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
-    """Build the FMU, check it in a process of its own and only then rename it into place.
+def build_fmu(
+    directory: Path, progress: Progress | None = None, kind: Kind = ROTARY_CRANE, path: bytes | None = None
+) -> Path:
+    """Build an FMU, check it in a process of its own and only then rename it into place.
 
     Parameters
     ----------
     directory : Path
-        Where `RotaryCrane.fmu` goes; made if it does not exist.
+        Where it goes; made if it does not exist.
     progress : callable, optional
         Called with a phrase for every stage.
+    kind : Kind
+        Which FMU.
+    path : bytes, optional
+        A table that a trajectory carries, as CSV.
 
     Returns
     -------
@@ -135,48 +132,40 @@ def build_fmu(directory: Path, progress: Progress | None = None) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
-    content = collect(tell)
-    tell("packing")
+    content = replace(collect(tell) if kind is ROTARY_CRANE else collect(tell, kind), path=path)
+    tell(f"packing {kind.file_name}")
     archive = packed(content, tell)
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
-        candidate = Path(folder) / FILE_NAME
+        candidate = Path(folder) / kind.file_name
         candidate.write_bytes(archive)
-        tell("checking in a process of its own")
-        _check(candidate, content.routes)
-    target = directory / FILE_NAME
+        tell(f"checking {kind.file_name} in a process of its own")
+        _check(candidate, kind)
+    target = directory / kind.file_name
     write_together({target: archive})
     return target
 
 
-def collect(tell: Progress = lambda _: None) -> Content:
-    """Compile every model with every formulation and gather the sources that the slave needs."""
-    routes = tuple(product(sc.scenes.rotary_crane().models, FORMULATIONS))
+def collect(tell: Progress = lambda _: None, kind: Kind = ROTARY_CRANE) -> Content:
+    """Compile what an FMU runs on and gather the sources that its slave needs."""
     files = {
-        "__init__.py": '"""What RotaryCrane.fmu runs on."""\n',
+        "__init__.py": f'"""What {kind.file_name} runs on."""\n',
         "crane_fmu/__init__.py": "",
-        "servocore/__init__.py": _SERVOCORE_FACE,
+        "servocore/__init__.py": kind.face,
     }
-    files |= {f"crane_fmu/{name}.py": _text(_HERE / f"{name}.py") for name in _OWN_SOURCES}
+    files |= {f"crane_fmu/{name}.py": _text(_HERE / f"{name}.py") for name in kind.own_sources}
     servocore = Path(sc.__file__).parent
-    files |= {f"servocore/{name}.py": _text(servocore / f"{name}.py") for name in _SERVOCORE_SOURCES}
-    for model, formulation in routes:
-        tell(f"compiling {model}, {formulation}")
-        files[program_file(model, formulation)] = _program(model, formulation)
-    table = interface()
+    for name in kind.servocore_sources:
+        for file in sorted((servocore / name).glob("*.py")) or [servocore / f"{name}.py"]:
+            files[f"servocore/{file.relative_to(servocore).as_posix()}"] = _text(file)
+    files |= kind.compiled(tell)
+    table = kind.interface()
     files[INTERFACE_FILE] = table.to_json()
-    return Content(files, table, routes)
-
-
-@cache
-def _program(model: str, formulation: str) -> str:
-    crane = sc.scenes.rotary_crane()
-    return sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model).program.to_json()
+    return Content(files, table, kind)
 
 
 def interface() -> Interface:
-    """Return the table of the FMU's variables."""
-    crane = sc.scenes.rotary_crane()
-    return crane_interface(crane.model().parameters.declared, tuple(crane.models), tuple(FORMULATIONS))
+    """Return the table of the inverse model's variables."""
+    return ROTARY_CRANE.interface()
 
 
 def _text(path: Path) -> str:
@@ -191,10 +180,14 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     members = _rearranged(raw, content.bundle)
     members["modelDescription.xml"] = complete(members["modelDescription.xml"], content.interface, notes)
     members["resources/requirements.txt"] = "\n".join([*requirements(), ""]).encode()
-    members["documentation/index.html"] = documentation_page(user_page(content.interface)).encode()
+    members["documentation/index.html"] = documentation_page(
+        user_page(content.interface, content.kind.template), content.kind.file_name
+    ).encode()
     members["documentation/licenses/pythonfmu.txt"] = _licence("pythonfmu")
+    if content.path is not None:
+        members[f"resources/{PATH_FILE}"] = content.path
     members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()
-    return _zipped(_for_native_hosts(members, tell))
+    return zipped(_for_native_hosts(members, tell))
 
 
 def _for_native_hosts(members: dict[str, bytes], tell: Progress) -> dict[str, bytes]:
@@ -233,10 +226,15 @@ def _packed_by_pythonfmu(content: Content, folder: Path) -> dict[str, bytes]:
         target.parent.mkdir(parents=True, exist_ok=True)
         target.write_text(_privately(text, content.bundle) if path.endswith(".py") else text, encoding="utf-8")
     entry = folder / f"{content.name}.py"
-    entry.write_text(_ENTRY.format(bundle=content.bundle), encoding="utf-8")
+    entry.write_text(
+        _ENTRY.format(
+            bundle=content.bundle, name=content.kind.name, module=content.kind.module, slave=content.kind.slave
+        ),
+        encoding="utf-8",
+    )
     options = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
     with _no_traces():
-        archive = FmuBuilder.build_FMU(entry, folder / FILE_NAME, project_files=[bundle], **options)
+        archive = FmuBuilder.build_FMU(entry, folder / content.kind.file_name, project_files=[bundle], **options)
     with zipfile.ZipFile(archive) as packed_members:
         return {name: packed_members.read(name) for name in packed_members.namelist()}
 
@@ -283,10 +281,9 @@ def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:
     return result
 
 
-def _zipped(members: Mapping[str, bytes]) -> bytes:
+def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
     """Pack with fixed order, dates and rights."""
     stream = io.BytesIO()
-    first = "modelDescription.xml"
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
         for name in sorted(members, key=lambda each: (each != first, each)):
             entry = zipfile.ZipInfo(name, (1980, 1, 1, 0, 0, 0))
@@ -297,9 +294,9 @@ def _zipped(members: Mapping[str, bytes]) -> bytes:
     return stream.getvalue()
 
 
-def _check(file: Path, routes: tuple[tuple[str, str], ...]) -> None:
+def _check(file: Path, kind: Kind) -> None:
     script = _HERE / "resources" / "check_fmu.py"
-    command = [sys.executable, "-I", str(script), str(file), *(":".join(route) for route in routes)]
+    command = [sys.executable, "-I", str(script), str(file), json.dumps(kind.runs), json.dumps(kind.rest)]
     try:
         done = subprocess.run(
             command, cwd=file.parent, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
@@ -313,17 +310,19 @@ def _check(file: Path, routes: tuple[tuple[str, str], ...]) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command ``python build_fmu.py``; returns its exit code."""
-    parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {FILE_NAME} and check it.")
+    parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"
     )
+    parser.add_argument("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
     parser.add_argument("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
     chosen = parser.parse_args(arguments)
+    kind = KINDS[chosen.fmu]
     try:
         if chosen.page:
-            write_together({chosen.page: user_page(interface()).encode()})
+            write_together({chosen.page: user_page(kind.interface(), kind.template).encode()})
             return 0
-        file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr))
+        file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind)
     except sc.ServocoreError as error:
         print(f"build_fmu.py: {error}", file=sys.stderr)
         return 2

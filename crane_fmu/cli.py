@@ -284,6 +284,26 @@ def build(output: OutputFolder = Path()) -> None:
     print(file)
 
 
+PathToCarry = Annotated[
+    Path | None,
+    typer.Option("--reference", metavar="FILE.csv", help="A path that LoadTrajectory.fmu carries (profile = file)."),
+]
+
+
+@app.command("ssp", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
+def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) -> None:
+    """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
+
+    The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
+    Crane.ssp. Run it with a communication step of 0.01 s.
+    """
+    from crane_fmu.ssp import build_ssp  # noqa: PLC0415
+
+    with PatientProgress("building the system") as progress:
+        files = build_ssp(output, progress.describe, reference)
+    print(*files, sep="\n")
+
+
 @app.command("demo", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu demo -o out[/cyan]")
 def run_demo(output: OutputFolder = Path("out")) -> None:
     """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.

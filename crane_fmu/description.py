@@ -24,6 +24,7 @@ class Unit:
 
 
 UNITS: Mapping[str, Unit] = {
+    "1": Unit(),
     "s": Unit(s=1, display=(("ms", 1e3),)),
     "m": Unit(m=1, display=(("mm", 1e3),)),
     "m/s": Unit(m=1, s=-1),
@@ -34,7 +35,9 @@ UNITS: Mapping[str, Unit] = {
     "kg.m2": Unit(kg=1, m=2),
     "N": Unit(kg=1, m=1, s=-2, display=(("kN", 1e-3),)),
     "N.m": Unit(kg=1, m=2, s=-2, display=(("kN.m", 1e-3),)),
+    "J": Unit(kg=1, m=2, s=-2, display=(("kJ", 1e-3),)),
     "rad": Unit(rad=1, display=(("deg", 57.295779513082323),)),
+    "rad/s": Unit(rad=1, s=-1, display=(("deg/s", 57.295779513082323),)),
 }
 """All units that variables may have, spelled as FMI spells them."""
 
@@ -116,7 +119,7 @@ def _complete_structure(structure: ET.Element, interface: Interface) -> None:
     sources = [
         indices[each.name]
         for each in interface.variables
-        if each.causality == "input" or each.reads.startswith("parameter ")
+        if each.causality == "input" or (each.causality == "parameter" and not each.is_text)
     ]
     for unknown in structure.iter("Unknown"):
         unknown.set("dependencies", "")

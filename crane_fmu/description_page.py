@@ -1,4 +1,4 @@
-"""The user page of the FMU: one text, written as ``docs/fmu.md`` and as the page behind a tool's Help button."""
+"""The user page of an FMU: one text, written as ``docs/fmu*.md`` and as the page behind a tool's Help button."""
 
 from __future__ import annotations
 
@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
+from crane_fmu.interface import ORDERS
+from crane_fmu.slave_estimate import amplification
+
 if TYPE_CHECKING:
     from crane_fmu.interface import Causality, Interface, Variable
 
-_TEMPLATE = Path(__file__).parent / "resources" / "fmu.md.j2"
+_TEMPLATES = Path(__file__).parent / "resources"
 
 REFUSALS: tuple[tuple[str, str], ...] = (
     ("an input is NaN or infinite", "at t = 0 s the input load.jerk[2] is nan, not a finite number"),
@@ -58,24 +61,33 @@ REFUSALS: tuple[tuple[str, str], ...] = (
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
     "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
-    "code{background:#f4f4f4;padding:0 .2em}"
+    "code{background:#f4f4f4;padding:0 .2em}pre{background:#f4f4f4;padding:.6em;line-height:1.2}"
 )
 
 
-def user_page(interface: Interface) -> str:
-    """Return the page as Markdown."""
+def user_page(interface: Interface, template_file: str = "fmu.md.j2") -> str:
+    """Return the page as Markdown.
+
+    Parameters
+    ----------
+    interface : Interface
+        The FMU's variables.
+    template_file : str
+        Name of the page's template in `resources`.
+    """
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
-    template = environment.from_string(_TEMPLATE.read_text(encoding="utf-8"))
+    template = environment.from_string((_TEMPLATES / template_file).read_text(encoding="utf-8"))
     return template.render(
         table=lambda causality: _table(interface.of(causality)),
         refusals=REFUSALS,
+        amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 
 
-def documentation_page(page: str) -> str:
+def documentation_page(page: str, title: str = "RotaryCrane.fmu") -> str:
     """Return the Markdown page as a complete HTML document."""
     body = MarkdownIt("commonmark").enable("table").render(page)
-    head = f'<meta charset="utf-8"><title>RotaryCrane.fmu</title><style>{_STYLE}</style>'
+    head = f'<meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
 
 

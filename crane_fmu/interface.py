@@ -1,6 +1,7 @@
-"""The one table of the FMU's variables; slave, model description, user page and tests are generated from it.
+"""A table of variables describes an FMU; slave, model description, user page and tests are generated from it.
 
-The module travels into the FMU and needs the standard library only. Value references are positions in the table.
+The module travels into the FMUs and needs the standard library only. Value references are positions in the table;
+`crane_fmu.tables` writes the tables.
 """
 
 from __future__ import annotations
@@ -8,9 +9,8 @@ from __future__ import annotations
 import json
 import math
 import uuid
-from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
 Variability = Literal["continuous", "tunable", "fixed"]
@@ -28,10 +28,22 @@ REST = (5.0, 0.0, -5.0)
 INPUT_TIMES = ("start", "end")
 """The instant of a communication step that its inputs may belong to; the first is the default."""
 
+CRANE_PARAMETERS = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia", "winch_radius", "gravity")
+"""Parameters of the crane in the order in which a plant takes them."""
+
+FEEDBACK_INPUTS = (
+    *(f"measured.{name}" for name in ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")),
+    *(f"measured.{name}[{k}]" for name in ("position", "velocity") for k in (1, 2, 3)),
+)
+"""What the feedback has to be told of the crane."""
+
+THREE_PHASE, FROM_FILE = "three-phase", "file"
+"""Time laws of a trajectory that have parameters of their own."""
+
 
 @dataclass(frozen=True)
 class Variable:
-    """One variable of the FMU.
+    """One variable of an FMU.
 
     Attributes
     ----------
@@ -85,37 +97,9 @@ class Variable:
         return f"{self.name} = {number:g} {self.unit} is outside its range {bounds} {self.unit}"
 
 
-class ParameterLike(Protocol):
-    """What the table needs to know of a model's parameter; `servocore.Parameter` is one."""
-
-    @property
-    def name(self) -> str:
-        """Identifier."""
-
-    @property
-    def default(self) -> float:
-        """Value unless set."""
-
-    @property
-    def unit(self) -> str:
-        """SI unit."""
-
-    @property
-    def lower(self) -> float:
-        """Smallest legal value."""
-
-    @property
-    def upper(self) -> float:
-        """Largest legal value."""
-
-    @property
-    def description(self) -> str:
-        """One line."""
-
-
 @dataclass(frozen=True)
 class Interface:
-    """All variables of the FMU in the order of their value references: inputs, outputs, parameters."""
+    """All variables of an FMU in the order of their value references."""
 
     variables: tuple[Variable, ...]
 
@@ -147,91 +131,3 @@ class Interface:
         """Undo `to_json`."""
         rows = [{**row, "choices": tuple(row["choices"])} for row in json.loads(text)]
         return cls(tuple(Variable(**row) for row in rows))
-
-
-_INPUT_UNITS = ("m", "m/s", "m/s2", "m/s3", "m/s4")
-
-# Exact only while they are constant: a change of these moves the trolley or the rope at once.
-_FIXED_PARAMETERS = frozenset({"gravity", "winch_radius"})
-
-
-def crane_interface(
-    parameters: Iterable[ParameterLike], models: Sequence[str], formulations: Sequence[str]
-) -> Interface:
-    """Return the table for the crane's parameters and the models and formulations that an FMU carries."""
-    return Interface((*_inputs(), *_outputs(), *_parameters(parameters), *_settings(models, formulations)))
-
-
-def _inputs() -> Iterable[Variable]:
-    for order, (quantity, unit) in enumerate(zip(ORDERS, _INPUT_UNITS, strict=True)):
-        for k in range(DIMENSION):
-            yield Variable(
-                name=f"load.{quantity}[{k + 1}]",
-                causality="input",
-                variability="continuous",
-                description=f"{quantity} wanted of the load, component {'xyz'[k]}",
-                reads=f"path derivative {order}, component {k + 1}",
-                unit=unit,
-                start=REST[k] if order == 0 else 0.0,
-            )
-
-
-def _outputs() -> Iterable[Variable]:
-    rows: tuple[tuple[str, str, str, float | None, float, str], ...] = (
-        ("M_b", "N.m", "", None, 1000.0, "slewing torque on the bridge, positive as phi"),
-        ("F", "N", "", None, 1000.0, "force on the trolley along the bridge, positive as s"),
-        ("M_w", "N.m", "", None, 100.0, "winch torque, positive where it pays out rope"),
-        ("phi", "rad", "deg", None, 1.0, "bridge angle, continuous across full turns"),
-        ("s", "m", "", 0.0, 1.0, "distance of the trolley from the slewing axis"),
-        ("l", "m", "", 0.0, 1.0, "rope length"),
-        ("tension", "N", "kN", 0.0, 1000.0, "rope tension"),
-        ("swing", "rad", "deg", 0.0, 0.1, "angle of the rope from the vertical"),
-    )
-    for name, unit, display, minimum, nominal, text in rows:
-        yield Variable(
-            name, "output", "continuous", text, f"channel {name}", unit, display, None, minimum, None, nominal
-        )
-
-
-def _parameters(parameters: Iterable[ParameterLike]) -> Iterable[Variable]:
-    for each in parameters:
-        yield Variable(
-            name=each.name,
-            causality="parameter",
-            variability="fixed" if each.name in _FIXED_PARAMETERS else "tunable",
-            description=each.description,
-            reads=f"parameter {each.name}",
-            unit=each.unit,
-            start=each.default,
-            minimum=each.lower,
-            maximum=each.upper,
-            nominal=each.default,
-        )
-
-
-def _settings(models: Sequence[str], formulations: Sequence[str]) -> Iterable[Variable]:
-    yield Variable(
-        name="internal_step",
-        causality="parameter",
-        variability="tunable",
-        description="step of the method; a communication step takes the nearest whole number of them; 0: one",
-        reads="setting internal_step",
-        unit="s",
-        start=0.0,
-        minimum=0.0,
-    )
-    texts = (
-        ("model", models, "model of the crane that is solved"),
-        ("formulation", formulations, "how the servo constraints enter the equations"),
-        ("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
-    )
-    for name, choices, description in texts:
-        yield Variable(
-            name=name,
-            causality="parameter",
-            variability="fixed",
-            description=f"{description}: {', '.join(choices)}",
-            reads=f"setting {name}",
-            start=choices[0],
-            choices=tuple(choices),
-        )

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 import servocore as sc
-from crane_fmu.interface import DIMENSION, ORDERS
+from crane_fmu.interface import DIMENSION, FEEDBACK_INPUTS, ORDERS
 
 Array = npt.NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
             messages.append(message.decode() if isinstance(message, bytes) else message)
 
     try:
-        with _modules_of_the_fmu_forgotten():
+        with forgotten_modules():
             rows = fmpy.simulate_fmu(
                 str(fmu),
                 start_time=reference.start_time,
@@ -66,7 +66,7 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
 
 
 @contextmanager
-def _modules_of_the_fmu_forgotten() -> Iterator[None]:
+def forgotten_modules() -> Iterator[None]:
     """Leave no modules behind that came out of the FMU: in a Python process it imports from its unpacked folder.
 
     FMPy deletes that folder after a run. A module that stays would be taken for that of the next FMU of the same
@@ -84,12 +84,15 @@ def _modules_of_the_fmu_forgotten() -> Iterator[None]:
 
 
 def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
-    """Return the path and its derivatives on a grid as FMPy reads inputs: one column a variable."""
+    """Return the path and its derivatives on a grid as FMPy reads inputs: one column a variable.
+
+    Measured values are zero, which means that there is no feedback.
+    """
     count = round(reference.duration / step)
     t = np.linspace(reference.start_time, reference.end_time, count + 1)
     jets = reference.jet(t, len(ORDERS) - 1)
     names = [f"load.{order}[{k + 1}]" for order in ORDERS for k in range(DIMENSION)]
-    rows = np.zeros(len(t), dtype=[("time", np.float64), *((name, np.float64) for name in names)])
+    rows = np.zeros(len(t), dtype=[(name, np.float64) for name in ("time", *names, *FEEDBACK_INPUTS)])
     rows["time"] = t
     for name, column in zip(names, jets.reshape(len(t), -1).T, strict=True):
         rows[name] = column

@@ -20,6 +20,7 @@ from servocore.errors import (
 )
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
+from servocore.plant import Plant, compile_plant
 from servocore.program import Program, StepReport
 from servocore.references import (
     DEGREE3,
@@ -73,6 +74,7 @@ __all__ = [
     "Original",
     "Parameter",
     "Parameters",
+    "Plant",
     "Profile",
     "Program",
     "Projected",
@@ -90,6 +92,7 @@ __all__ = [
     "StructureReport",
     "Trapezoidal",
     "analyse",
+    "compile_plant",
     "from_csv",
     "generalise",
     "rest_to_rest",

@@ -54,7 +54,8 @@ class Plant:
     held_observe : casadi.Function
         (state, d, p) -> the same with the inputs held.
     linearise : casadi.Function
-        (state, u, p) -> (A, B) of the rate of the state.
+        (state, u, p) -> Jacobians of the rate of the state by state, inputs and disturbance, at d = 0, and of the
+        servo output by state.
     channels : tuple of Channel
         Outputs with first (``_dot``) and second (``_ddot``) derivative, coordinates with first derivative,
         observables, inputs, ``energy``.
@@ -88,10 +89,11 @@ class Plant:
         found = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
         return dict(zip((each.name for each in self.channels), map(float, found[0]), strict=True))
 
-    def linearised(self, state: Array, u: Array, p: Array) -> tuple[Array, Array]:
-        """Return the Jacobians of the rate of the state by state and inputs."""
-        a, b = self._calls["linearise"](state, u, p)
-        return a, b.reshape(len(state), -1)
+    def linearised(self, state: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
+        """Return the Jacobians of the rate by state, inputs and disturbance, and of the servo output by state."""
+        n = len(state)
+        by_state, by_input, by_disturbance, output = self._calls["linearise"](state, u, p)
+        return by_state.reshape(n, n), by_input.reshape(n, -1), by_disturbance.reshape(n, -1), output.reshape(-1, n)
 
     def to_json(self) -> str:
         """Serialise, with the functions in CasADi's own format."""
@@ -138,7 +140,10 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)
     held_dot, held_lam, held_u = held_rate(state, d, p)
-    linear = rate(state, u, ca.DM.zeros(m), p)[0]
+    output = ca.Function("sc_plant_output", [ca.vertcat(system.q, system.v), system.p], [system.output])
+    jacobians = [ca.densify(ca.jacobian(x_dot, each)) for each in (state, u, d)]
+    by_state = ca.densify(ca.jacobian(output(state, p), state))
+    linear = ca.Function("sc_plant_jacobians", [state, u, d, p], [*jacobians, by_state])
     return Plant(
         name=system.name,
         step=ca.Function("sc_plant_step", [state, u, slope, d, p, h], [free]),
@@ -147,11 +152,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         held_observe=ca.Function(
             "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, p)]
         ),
-        linearise=ca.Function(
-            "sc_plant_linearise",
-            [state, u, p],
-            [ca.densify(ca.jacobian(linear, state)), ca.densify(ca.jacobian(linear, u))],
-        ),
+        linearise=ca.Function("sc_plant_linearise", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
         channels=channels,
         parameters=system.parameters.names,
     )

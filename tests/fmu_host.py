@@ -19,7 +19,8 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2Ca
 import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.interface import ORDERS, Interface
-from crane_fmu.slave import INTERFACE_FILE
+from crane_fmu.kinds import KINDS
+from crane_fmu.slave_base import INTERFACE_FILE
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
@@ -34,8 +35,8 @@ def scratch() -> Path:
 
 
 @cache
-def fmu_file() -> Path:
-    return build_fmu(scratch() / "built")
+def fmu_file(name: str = "RotaryCrane") -> Path:
+    return build_fmu(scratch() / "built", kind=KINDS[name])
 
 
 @cache
@@ -139,7 +140,7 @@ def in_a_process(
     )
 
 
-def interface() -> Interface:
-    """Table of variables as the built FMU carries it."""
-    (found,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{INTERFACE_FILE}")
+def interface(name: str = "RotaryCrane") -> Interface:
+    """Table of variables as a built FMU carries it."""
+    (found,) = Path(extracted(fmu_file(name))).glob(f"resources/*_bundle/{INTERFACE_FILE}")
     return Interface.from_json(found.read_text())

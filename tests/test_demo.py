@@ -154,7 +154,8 @@ class TestRunFmu:
         reference = sc.scenes.rotary_crane().reference
         rows = input_rows(reference, 0.5)
         assert rows["time"][-1] == 20.0
-        assert len(rows.dtype.names) == 16
+        assert len(rows.dtype.names) == 16 + 12
+        assert not rows["measured.l"].any()
         np.testing.assert_array_equal(rows["load.position[1]"], reference.jet(rows["time"], 0)[:, 0, 0])
         np.testing.assert_array_equal(rows["load.snap[3]"], reference.jet(rows["time"], 4)[:, 4, 2])
 

@@ -118,7 +118,7 @@ def test_fmpy_stops_short_at_a_refused_step_and_says_why():
         timeout=2.0,
     )
     assert result["time"][-1] < 0.9
-    assert "the load is not below the girder" in messages[0]
+    assert "the load is not below the girder" in messages[-1]
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ def test_a_serialised_state_goes_on_in_another_process_bit_by_bit(tmp_path):
         state = host.fmu.serializeFMUstate(host.fmu.getFMUState())
         wanted = drive(host, t[15:], jets[15:])[-1]
     document = json.loads(bytes(state))
-    assert document["texts"][-3] == "bodies"
+    assert "bodies" in document["texts"]
     files = []
     for name, content in (("state", list(bytes(state))), ("t", t[15:].tolist()), ("jets", jets[15:].tolist())):
         files.append(tmp_path / name)

@@ -1,0 +1,67 @@
+"""Cross-check files beside an FMU, as the FMI project keeps them: ``_in.csv``, ``_ref.csv`` and ``_ref.opt``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import numpy as np
+import numpy.typing as npt
+
+import servocore as sc
+from crane_fmu.run import forgotten_modules, input_rows
+
+STEP = 0.01
+STOP = {"RotaryCrane": 20.0, "LoadTrajectory": 20.0, "CranePlant": 2.0}
+
+
+def cross_check(fmu: Path) -> tuple[Path, ...]:
+    """Run an FMU and write its inputs, its results and the options of the run beside it.
+
+    Parameters
+    ----------
+    fmu : Path
+        One of the FMUs.
+
+    Returns
+    -------
+    tuple of Path
+        The files.
+    """
+    stop, given = STOP[fmu.stem], _inputs(fmu.stem)
+    with forgotten_modules():
+        found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
+    files = {"_ref.csv": _csv(found), "_ref.opt": _options(stop)}
+    if given is not None:
+        files["_in.csv"] = _csv(given)
+    places = []
+    for ending, text in files.items():
+        places.append(fmu.with_name(fmu.stem + ending))
+        places[-1].write_text(text, encoding="utf-8")
+    return tuple(places)
+
+
+def _inputs(name: str) -> npt.NDArray[Any] | None:
+    """Return inputs as FMPy reads them: the default manoeuvre, or a push from rest."""
+    if name == "RotaryCrane":
+        return input_rows(sc.scenes.rotary_crane().reference, STEP)
+    if name != "CranePlant":
+        return None
+    t = np.linspace(0.0, STOP[name], round(STOP[name] / STEP) + 1)
+    rows = np.zeros(len(t), dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
+    rows["time"] = t
+    rows["M_b"], rows["F"], rows["M_w"] = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, -98.1
+    return rows
+
+
+def _csv(rows: npt.NDArray[Any]) -> str:
+    names = rows.dtype.names or ()
+    lines = [",".join(f'"{name}"' for name in names)]
+    lines += [",".join(repr(float(each)) for each in row) for row in rows]
+    return "\n".join([*lines, ""])
+
+
+def _options(stop: float) -> str:
+    settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
+    return "".join(f"{name},{value}\n" for name, value in settings.items())

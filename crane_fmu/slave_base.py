@@ -1,0 +1,319 @@
+"""An FMI 2.0 co-simulation slave made of a table of variables: phases, values, states; what it computes is left open.
+
+What a host can do wrong is answered by one logged sentence and `fmi2Discard`; the slave is then as before and stays
+usable. An exception that leaves a callback would be fatal to the host, memory included: every callback is guarded.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from abc import abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+from pythonfmu.default_experiment import DefaultExperiment
+from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
+from pythonfmu.variables import Real, String
+
+from crane_fmu.interface import Interface, Variable
+from crane_fmu.slave_checks import require_legal, require_step
+from crane_fmu.slave_guard import GuardedSlave, guarded, nothing
+from servocore import InvalidSetting
+
+INTERFACE_FILE = "interface.json"
+_STATE_FORMAT = "servocore fmu state 1"
+_INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
+_DAMAGED = "the state to restore is damaged; nothing was changed"
+_BUNDLE = Path(__file__).parents[1].name
+
+
+class State(Protocol):
+    """All that a slave knows at an instant; never changed in place."""
+
+    @property
+    def time(self) -> float:
+        """In s."""
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return plain numbers, texts and lists."""
+
+
+class TableSlave(GuardedSlave):
+    """Phases, variables, refusals and states of an FMU; subclasses say what a start and a step are."""
+
+    author = None
+    license = "MIT"
+    stop_time = 20.0
+    step_size = 0.1
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._resources = Path(kwargs["resources"])
+        self._folder = self._resources / _BUNDLE
+        self._interface = Interface.from_json((self._folder / INTERFACE_FILE).read_text(encoding="utf-8"))
+        self.guid = self._interface.guid
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=self.stop_time, step_size=self.step_size)
+        variables = self._interface.variables
+        self._outputs = [k for k, each in enumerate(variables) if each.causality == "output"]
+        self._inputs = frozenset(k for k, each in enumerate(variables) if each.causality == "input")
+        self._leading = next(k for k, each in enumerate(variables) if each.causality != "input")  # inputs come first
+        self._leading_references = list(range(self._leading))
+        self._reals = [math.nan if each.is_text or each.start is None else float(each.start) for each in variables]
+        self._texts = [str(each.start) if each.is_text else "" for each in variables]
+        self._phase = _INSTANTIATED
+        self._stale = True  # outputs do not belong to the inputs: computed when leaving or reading
+        self._failure = ""
+        self._start_time = 0.0
+        self._snapshot: State | None = None
+        self._parameters: Any = None  # what a subclass made of parameters; None when one has changed
+        for each in variables:
+            self.register_variable(_registered(each), nested=False)
+
+    # --- what a subclass computes ----------------------------------------------------------------------------------
+
+    @abstractmethod
+    def _prepare(self) -> None:
+        """Make ready for the settings, which are fixed once the initialisation is over."""
+
+    @abstractmethod
+    def _begin(self, time: float) -> State:
+        """Return the state at the start."""
+
+    @abstractmethod
+    def _advance(self, now: Any, h: float) -> State:
+        """Return the state h seconds later."""
+
+    @abstractmethod
+    def _output_values(self, state: Any) -> Sequence[float]:
+        """Return the outputs of a state in the order of the table."""
+
+    @abstractmethod
+    def _restored(self, plain: dict[str, Any]) -> State:
+        """Undo `State.to_plain`."""
+
+    def remark(self, sentence: str) -> None:
+        """Log something that is no reason to refuse a step."""
+        self.log(sentence, Fmi2Status.warning)
+
+    def _fits(self, state: Any) -> bool:  # noqa: ARG002
+        """Return whether a restored state belongs to the settings restored with it."""
+        return True
+
+    # --- phases -------------------------------------------------------------------------------------------------
+
+    @guarded(nothing)
+    def setup_experiment(self, start_time: float, *_: float | None) -> None:
+        """Take the start time; stop time and tolerance are of no use here."""
+        self._require_phase("setupExperiment", _INSTANTIATED)
+        self._start_time = float(start_time)
+
+    @guarded(nothing)
+    def enter_initialization_mode(self) -> None:
+        """From now on outputs are computed when they are read."""
+        self._require_phase("enterInitializationMode", _INSTANTIATED)
+        self._phase = _INITIALISING
+        self._stale = True
+
+    @guarded(nothing)
+    def exit_initialization_mode(self) -> None:
+        """Compute the outputs at the start time; a failure is told again by every step."""
+        self._require_phase("exitInitializationMode", _INITIALISING)
+        self._phase = _STEPPING
+        if self._stale:
+            self._initialise()
+
+    @guarded(nothing)
+    def terminate(self) -> None:
+        """Refuse further steps."""
+        self._require_phase("terminate", _STEPPING)
+        self._phase = _TERMINATED
+
+    def _require_phase(self, call: str, phase: str) -> None:
+        if self._phase != phase:
+            raise InvalidSetting(f"{call} is ignored: the FMU is {self._phase}, not {phase}")
+
+    def _initialise(self) -> None:
+        self._stale = False
+        self._snapshot = None
+        try:
+            if not math.isfinite(self._start_time):
+                raise InvalidSetting(f"the start time must be a finite number, not {self._start_time} s")
+            self._parameters = None
+            self._prepare()
+            self._adopt(self._begin(self._start_time))
+            self._failure = ""
+        except BaseException as error:
+            self._failure = f"the initialisation failed: {error}"
+            for k in self._outputs:
+                self._reals[k] = math.nan
+            raise InvalidSetting(self._failure) from error
+
+    @guarded(lambda *_: False)
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Compute the outputs at `current_time` + `step_size`; False leaves everything as it was."""
+        now = self._ready()
+        require_step(now.time, current_time, step_size)
+        self._adopt(self._advance(now, step_size))
+        return True
+
+    def _ready(self) -> State:
+        if self._phase != _STEPPING:
+            raise InvalidSetting(f"doStep needs a finished initialisation, but the FMU is {self._phase}")
+        if self._snapshot is None:
+            raise InvalidSetting(self._failure or "the FMU has no state to step from")
+        return self._snapshot
+
+    def _adopt(self, snapshot: State) -> None:
+        """Make a snapshot the present; the only place where outputs change."""
+        values = self._output_values(snapshot)
+        self._snapshot = snapshot
+        for k, value in zip(self._outputs, values, strict=True):
+            self._reals[k] = value
+
+    # --- what the variables say ----------------------------------------------------------------------------------
+
+    def _setting(self, name: str) -> str:
+        k = self._interface.index(name)
+        require_legal(self._interface.variables[k], self._texts[k])
+        return self._texts[k]
+
+    def _checked(self, references: Sequence[int]) -> list[float]:
+        """Return numbers after a look at their ranges."""
+        values = [self._reals[k] for k in references]
+        for k, value in zip(references, values, strict=True):
+            require_legal(self._interface.variables[k], value)
+        return values
+
+    def _references(self, *names: str) -> list[int]:
+        return [self._interface.index(name) for name in names]
+
+    # --- setters and getters --------------------------------------------------------------------------------------
+
+    @guarded(nothing)
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Take inputs and parameters; what they are worth is judged when they are used."""
+        reals = self._reals
+        self._stale = True
+        if vrs == self._leading_references:
+            reals[: self._leading] = values
+            return
+        for vr, value in zip(vrs, values, strict=True):
+            if vr in self._inputs:
+                reals[vr] = value
+            elif self._settable(vr, text=False):
+                reals[vr] = value
+                self._parameters = None
+
+    @guarded(nothing)
+    def set_string(self, vrs: list[int], values: list[str]) -> None:
+        """Take settings."""
+        for vr, value in zip(vrs, values, strict=True):
+            if self._settable(vr, text=True):
+                self._texts[vr] = str(value)
+        self._stale = True
+
+    def _settable(self, vr: int, *, text: bool) -> bool:
+        if not self._known(vr):
+            return False
+        variable = self._interface.variables[vr]
+        late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
+        if late or variable.causality == "output" or variable.is_text != text:
+            reason = "cannot change after the initialisation" if late else "cannot be set as such"
+            self.remark(f"{variable.name} {reason}; the new value is ignored")
+            return False
+        return True
+
+    def _known(self, vr: int) -> bool:
+        """Return whether a value reference is in the table; the host's unsigned numbers may arrive negative."""
+        known = 0 <= vr < len(self._reals)
+        if not known:
+            self.remark(f"there is no variable with the value reference {vr % 2**32}; it is ignored")
+        return known
+
+    @guarded(lambda vrs: [math.nan] * len(vrs))
+    def get_real(self, vrs: list[int]) -> list[float]:
+        """Return values; during initialisation the outputs follow the inputs set so far."""
+        if self._phase == _INITIALISING and self._stale:
+            try:
+                self._initialise()
+            except BaseException as error:  # the outputs are not numbers then; the inputs still are
+                self.report_error("get_real", error)
+        reals = self._reals
+        if vrs and min(vrs) >= 0 and max(vrs) < len(reals):
+            return [reals[vr] for vr in vrs]
+        return [reals[vr] if self._known(vr) else math.nan for vr in vrs]
+
+    @guarded(lambda vrs: [""] * len(vrs))
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Return settings."""
+        return [self._texts[vr] if self._known(vr) else "" for vr in vrs]
+
+    # --- state ----------------------------------------------------------------------------------------------------
+
+    @guarded(lambda: {})
+    def _get_fmu_state(self) -> dict[str, Any]:
+        snapshot = self._snapshot
+        return {
+            "format": _STATE_FORMAT,
+            "guid": self.guid,
+            "phase": self._phase,
+            "stale": self._stale,
+            "failure": self._failure,
+            "start_time": self._start_time,
+            "reals": list(self._reals),
+            "texts": list(self._texts),
+            "snapshot": None if snapshot is None else snapshot.to_plain(),
+        }
+
+    @guarded(nothing)
+    def _set_fmu_state(self, state: dict[str, Any]) -> None:
+        if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
+            raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
+        snapshot = None if state["snapshot"] is None else self._restored(state["snapshot"])
+        reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
+        phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
+        start_time = float(state["start_time"])
+        if (len(reals), len(texts)) != (len(self._reals), len(self._texts)):
+            raise InvalidSetting(_DAMAGED)
+        before = self._texts, self._reals
+        self._texts, self._reals, self._parameters = texts, reals, None
+        try:
+            if snapshot is not None:
+                self._prepare()
+                if not self._fits(snapshot):
+                    raise InvalidSetting(_DAMAGED)
+        except BaseException:
+            self._texts, self._reals, self._parameters = *before, None
+            if self._snapshot is not None:
+                self._prepare()
+            raise
+        self._snapshot = snapshot
+        self._phase, self._stale, self._failure, self._start_time = phase, stale, failure, start_time
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
+        return json.dumps(state).encode()
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
+        try:
+            found = json.loads(state.decode())
+        except ValueError:
+            return {}
+        return found if isinstance(found, dict) else {}
+
+
+def _registered(variable: Variable) -> Any:
+    """Return PythonFMU's object for a row of the table."""
+    kind = String if variable.is_text else Real
+    return kind(
+        variable.name,
+        causality=Fmi2Causality[variable.causality],
+        variability=Fmi2Variability[variable.variability],
+        initial=Fmi2Initial.calculated if variable.causality == "output" else None,
+        description=variable.description,
+        getter=nothing,
+        setter=nothing,
+    )

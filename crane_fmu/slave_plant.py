@@ -1,0 +1,242 @@
+"""The slave of CranePlant.fmu: where the crane goes under its inputs, by Runge-Kutta steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION
+from crane_fmu.slave_base import TableSlave
+from crane_fmu.slave_checks import internal_steps, require_finite
+from crane_fmu.slave_paths import Array
+from servocore import IntegrationFailed, InvalidReference, InvalidSetting, Plant
+
+PLANT_FILE = "plant.json"
+SMALLEST_RADIUS = 1e-3
+_COORDINATES = ("phi", "s", "l", "swing_in", "swing_out")
+_INPUTS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class PlantState:
+    """The crane at an instant.
+
+    Attributes
+    ----------
+    time : float
+        In s.
+    state : ndarray, shape (10,)
+        phi, s, l, two swing angles, and their rates.
+    released : bool
+        False while the brakes hold.
+    inputs : ndarray, shape (3,)
+        Of the last step.
+    last_step : float
+        Its length in s; 0 if there is none to continue the inputs from.
+    acting : ndarray, shape (3,)
+        Inputs at `time`, continued.
+    """
+
+    time: float
+    state: Array
+    released: bool
+    inputs: Array
+    last_step: float
+    acting: Array
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return plain numbers and lists."""
+        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in plain.items()}
+
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> PlantState:
+        """Undo `to_plain`."""
+        arrays = {name: np.array(plain[name], dtype=float) for name in ("state", "inputs", "acting")}
+        return cls(
+            time=float(plain["time"]), released=bool(plain["released"]), last_step=float(plain["last_step"]), **arrays
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Parameters that may change between steps: the crane's own, wind, gust, and the longest step of the solver."""
+
+    p: Array
+    wind: Array
+    gust: Array
+    gust_start: float
+    gust_end: float
+    longest: float
+
+    def force(self, time: float) -> Array:
+        """Return the force on the load just after `time`."""
+        return self.wind + self.gust if self.gust_start <= time < self.gust_end else self.wind
+
+
+class PlantSlave(TableSlave):
+    """Forward dynamics of the crane."""
+
+    description = "Forward dynamics of a rotary crane: where bridge, trolley, winch and load go under their inputs"
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._plant: Plant | None = None
+        self._at_end = self._held = self._brakes = False
+        three = range(1, DIMENSION + 1)
+        self._own = self._references(*CRANE_PARAMETERS, "mass_error")
+        self._weather = self._references(
+            *(f"{name}[{k}]" for name in ("wind", "gust") for k in three),
+            "gust_start",
+            "gust_duration",
+            "internal_step",
+        )
+        self._initial = self._references(
+            *(f"start.{name}[{k}]" for name in ("position", "velocity") for k in three),
+            "start.swing[1]", "start.swing[2]",
+        )  # fmt: skip
+
+    # --- start ----------------------------------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        self._at_end = self._setting("input_time") == "end"
+        self._held = self._setting("hold") == "zero_order"
+        self._brakes = self._setting("brakes") == "until_inputs"
+        if self._plant is None:
+            self._plant = Plant.from_json((self._folder / PLANT_FILE).read_text(encoding="utf-8"))
+
+    def _begin(self, time: float) -> PlantState:
+        start = self._checked(self._initial)
+        state = _hanging(np.array(start[:3]), np.array(start[3:6]), start[6:])
+        u, around = self._required_inputs(time), self._surroundings()
+        moving = bool(state[5:].any() or around.force(time).any() or state[3:5].any())
+        released = bool(u.any()) or moving or not self._brakes
+        found = PlantState(time, state, released, u, 0.0, u)
+        self._require_well(found)
+        return found
+
+    def _restored(self, plain: dict[str, Any]) -> PlantState:
+        return PlantState.from_plain(plain)
+
+    def _fits(self, state: PlantState) -> bool:
+        return (state.state.shape, state.inputs.shape, state.acting.shape) == ((10,), (3,), (3,))
+
+    # --- steps ----------------------------------------------------------------------------------------------------
+
+    def _advance(self, now: PlantState, h: float) -> PlantState:
+        u = self._required_inputs(now.time + h if self._at_end else now.time)
+        around, end = self._surroundings(), now.time + h
+        first = not now.released
+        if first and not u.any():
+            state = self._integrated(now.state, now.time, h, None, u, around)
+            after = PlantState(end, state, False, u, 0.0, u)
+        else:
+            begin, slope, known = self._reconstructed(now, u, h, first=first)
+            state = self._integrated(now.state, now.time, h, begin, slope, around)
+            after = PlantState(end, state, True, u, known, begin + slope * h)
+        if not np.isfinite(after.state).all():
+            raise IntegrationFailed(
+                f"the step from t = {now.time:.6g} s to {end:.6g} s has no finite result: the inputs are too large, or"
+                f" internal_step is"
+            )
+        self._require_well(after)
+        return after
+
+    def _reconstructed(self, now: PlantState, u: Array, h: float, *, first: bool) -> tuple[Array, Array, float]:
+        """Return inputs at the start of the step, their rate of change, and the step that later ones continue from."""
+        if self._held or first:
+            return u, np.zeros(_INPUTS), 0.0 if self._held else h
+        if self._at_end:
+            return now.inputs, (u - now.inputs) / h, h
+        if now.last_step == 0.0:
+            return u, np.zeros(_INPUTS), h
+        return u, (u - now.inputs) / now.last_step, h
+
+    def _integrated(
+        self, state: Array, time: float, h: float, u: Array | None, slope: Array, around: Surroundings
+    ) -> Array:
+        """Integrate over a step, divided where the gust begins and ends; u is None while the brakes hold."""
+        plant, end = self._present_plant(), time + h
+        edges = [each for each in (around.gust_start, around.gust_end) if time < each < end]
+        for begin, finish in zip([time, *edges], [*edges, end], strict=True):
+            count = internal_steps(around.longest, finish - begin) if finish - begin > around.longest else 1
+            step, force = (finish - begin) / count, around.force(begin)
+            for k in range(count):
+                if u is None:
+                    state = plant.advance_held(state, force, around.p, step)
+                else:
+                    elapsed = begin - time + k * step
+                    state = plant.advance(state, u + slope * elapsed, slope, force, around.p, step)
+        return state
+
+    # --- outputs ---------------------------------------------------------------------------------------------------
+
+    def _values(self, now: PlantState) -> dict[str, float]:
+        around = self._surroundings()
+        force = around.force(now.time)
+        values = self._present_plant().values(now.state, now.acting if now.released else None, force, around.p)
+        load = np.array([values[axis] for axis in "xyz"])
+        pull = np.array([values[f"{axis}_ddot"] for axis in "xyz"]) * around.p[2] - force
+        pull[2] += around.p[2] * around.p[5]
+        trolley = values["s"] * np.array([math.cos(values["phi"]), math.sin(values["phi"]), 0.0])
+        values["tension"] = float(pull @ (trolley - load)) / values["l"]
+        for k, axis in enumerate("xyz", start=1):
+            values[f"load.position[{k}]"], values[f"load.velocity[{k}]"] = values[axis], values[f"{axis}_dot"]
+        return values
+
+    def _require_well(self, now: PlantState) -> None:
+        values = self._values(now)
+        when = f"at t = {now.time:.6g} s"
+        if not values["s"] > SMALLEST_RADIUS:
+            raise InvalidReference(f"{when} the trolley reaches the slewing axis: s is {values['s']:.4g} m")
+        if not (values["z"] < 0.0 and values["l"] > 0.0):
+            raise InvalidReference(f"{when} the load is not below the girder: z is {values['z']:.4g} m")
+        if not values["tension"] > 0.0:
+            raise InvalidReference(
+                f"{when} the rope goes slack: its tension is {values['tension']:.4g} N, it must stay above 0 N"
+            )
+
+    def _output_values(self, state: PlantState) -> Sequence[float]:
+        values = self._values(state)
+        return [values[self._interface.variables[k].name] for k in self._outputs]
+
+    # --- what the variables say ----------------------------------------------------------------------------------
+
+    def _present_plant(self) -> Plant:
+        if self._plant is None:
+            raise InvalidSetting("the FMU is not initialised")
+        return self._plant
+
+    def _required_inputs(self, time: float) -> Array:
+        inputs = self._reals[:_INPUTS]
+        require_finite(inputs, self._interface.variables, time)
+        return np.array(inputs)
+
+    def _surroundings(self) -> Surroundings:
+        """Return what parameters say, checked when they have changed."""
+        if self._parameters is None:
+            *crane, error = self._checked(self._own)
+            *forces, gust_start, duration, longest = self._checked(self._weather)
+            crane[2] *= 1.0 + error
+            wind, gust = np.array(forces[:3]), np.array(forces[3:])
+            self._parameters = Surroundings(np.array(crane), wind, gust, gust_start, gust_start + duration, longest)
+        found: Surroundings = self._parameters
+        return found
+
+
+def _hanging(position: Array, velocity: Array, swing: Sequence[float]) -> Array:
+    """Return the state of a crane whose rope would hang vertically over a load, turned by the swing angles."""
+    x, y = position[:2]
+    s = math.hypot(x, y)
+    if s <= SMALLEST_RADIUS:
+        raise InvalidReference(
+            f"the load starts {s:g} m from the slewing axis, it must be more than {SMALLEST_RADIUS:g} m"
+        )
+    if not position[2] < 0.0:
+        raise InvalidReference(f"the load starts at z = {position[2]:g} m, it must be below the girder")
+    along, turning = (x * velocity[0] + y * velocity[1]) / s, (x * velocity[1] - y * velocity[0]) / s**2
+    return np.array([math.atan2(y, x), s, -position[2], *swing, turning, along, -velocity[2], 0.0, 0.0])

@@ -1,0 +1,161 @@
+"""``Crane.ssp``: trajectory, inverse model and plant connected, in the form of SSP 1.0 that all masters read.
+
+A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; no connectors of the system, no parameters inline.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+import servocore as sc
+from crane_fmu.build import build_fmu, zipped
+from crane_fmu.crosscheck import cross_check
+from crane_fmu.interface import FEEDBACK_INPUTS, Interface
+from crane_fmu.kinds import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE, Progress
+from crane_fmu.writing import filled_folder
+
+FILE_NAME = "Crane.ssp"
+COMPONENTS: Mapping[str, str] = {
+    LOAD_TRAJECTORY.name: "trajectory",
+    ROTARY_CRANE.name: "crane",
+    CRANE_PLANT.name: "plant",
+}
+"""Names of the components by those of their FMUs."""
+
+STEP = 0.01
+"""Communication step in s that suits the system."""
+
+_ROWS = 200  # at least, in a table made of a path
+
+_SSD, _SSC = (f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common"))
+
+
+def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path | None = None) -> tuple[Path, ...]:
+    """Build the three FMUs with their cross-check files and pack them.
+
+    Parameters
+    ----------
+    directory : Path
+        Where they go; made if it does not exist.
+    progress : callable
+        Called with a phrase for every stage.
+    path : Path, optional
+        A table of a load path that the trajectory shall carry.
+
+    Returns
+    -------
+    tuple of Path
+        The FMUs, then the system.
+
+    Raises
+    ------
+    ServocoreError
+        If a file cannot be read or written, or an FMU fails its check.
+    """
+    table = None if path is None else table_of(sc.from_csv(path)).encode()
+    with filled_folder(directory) as draft:
+        fmus = [build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None) for kind in KINDS.values()]
+        progress("writing the cross-check files")
+        for fmu in fmus:
+            cross_check(fmu)
+        (draft / FILE_NAME).write_bytes(packed_system(fmus))
+        names = [*(each.name for each in fmus), FILE_NAME]
+    return tuple(directory / name for name in names)
+
+
+def packed_system(fmus: list[Path]) -> bytes:
+    """Return the archive."""
+    members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
+    return zipped({"SystemStructure.ssd": description(), **members}, "SystemStructure.ssd")
+
+
+def description() -> bytes:
+    """Return the system's description."""
+    ET.register_namespace("ssd", _SSD)
+    ET.register_namespace("ssc", _SSC)
+    root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
+    system = ET.SubElement(root, f"{{{_SSD}}}System", name="Crane")
+    elements = ET.SubElement(system, f"{{{_SSD}}}Elements")
+    wires = connections()
+    for name, component in COMPONENTS.items():
+        element = ET.SubElement(
+            elements,
+            f"{{{_SSD}}}Component",
+            name=component,
+            type="application/x-fmu-sharedlibrary",
+            source=f"resources/{name}.fmu",
+        )
+        connectors = ET.SubElement(element, f"{{{_SSD}}}Connectors")
+        for connector, kind, unit in _connectors(component, KINDS[name].interface(), wires):
+            place = ET.SubElement(connectors, f"{{{_SSD}}}Connector", name=connector, kind=kind)
+            ET.SubElement(place, f"{{{_SSC}}}Real", unit=unit)
+    joints = ET.SubElement(system, f"{{{_SSD}}}Connections")
+    for (source, output), (sink, given) in wires:
+        ET.SubElement(
+            joints,
+            f"{{{_SSD}}}Connection",
+            startElement=source,
+            startConnector=output,
+            endElement=sink,
+            endConnector=given,
+        )
+    ET.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0", stopTime="20")
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
+
+
+Wire = tuple[tuple[str, str], tuple[str, str]]
+
+
+def connections() -> list[Wire]:
+    """Return the connections as ((element, output), (element, input))."""
+    trajectory, crane, plant = COMPONENTS.values()
+    path = [each.name for each in LOAD_TRAJECTORY.interface().of("output")]
+    forces = [each.name for each in CRANE_PLANT.interface().of("input")]
+    wires = [((trajectory, name), (crane, name)) for name in path]
+    wires += [((crane, name), (plant, name)) for name in forces]
+    for name in FEEDBACK_INPUTS:
+        output = name.removeprefix("measured.")
+        wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
+    return wires
+
+
+def _connectors(component: str, table: Interface, wires: list[Wire]) -> list[tuple[str, str, str]]:
+    """Return name, kind and unit of what is connected, and of what is worth watching: all outputs."""
+    used = {name for _, (element, name) in wires if element == component}
+    return [
+        (each.name, each.causality, each.unit)
+        for each in table.variables
+        if each.causality == "output" or (each.causality == "input" and each.name in used)
+    ]
+
+
+def table_of(path: sc.Reference) -> str:
+    """Return a path as a table with all five groups of columns: it is read without fitting anything.
+
+    Between rows the path is a polynomial of degree nine, as it was between its knots.
+    """
+    knots = getattr(path, "knots", None)
+    if knots is None:
+        raise sc.InvalidReference("only a path made of polynomials can become a table")
+    parts = -(-_ROWS // (len(knots) - 1))  # rows between knots let a reader see that the columns fit together
+    t = np.interp(np.arange((len(knots) - 1) * parts + 1) / parts, np.arange(len(knots)), knots)
+    rows = path.jet(t, 4).reshape(len(t), -1)
+    names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s") for axis in "xyz")]
+    text = io.StringIO()
+    text.write(",".join(names) + "\n")
+    for time, row in zip(t, rows, strict=True):
+        text.write(",".join(repr(float(each)) for each in (time, *row)) + "\n")
+    return text.getvalue()
+
+
+def contents(file: Path) -> dict[str, bytes]:
+    """Return the members of a system's archive."""
+    with zipfile.ZipFile(file) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}

@@ -1,0 +1,148 @@
+"""Trajectory, inverse model and plant together: where the load goes, and how far it is from where it should be."""
+
+from __future__ import annotations
+
+import warnings
+import zipfile
+from functools import cache
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from fmpy import read_csv
+from fmpy.ssp.simulation import simulate_ssp
+from fmpy.ssp.ssd import read_ssd
+from fmu_host import Host, fmu_file, scratch
+from typer.testing import CliRunner
+
+import servocore as sc
+from crane_fmu.cli import app
+from crane_fmu.kinds import KINDS
+from crane_fmu.run import forgotten_modules
+from crane_fmu.ssp import COMPONENTS, build_ssp, connections, table_of
+
+STEP = 0.01
+GUSTS = [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0), (-14.14, -14.14, 0.0)]
+
+
+@cache
+def system():
+    build_ssp(scratch() / "system")
+    return scratch() / "system" / "Crane.ssp"
+
+
+def deviation(stop=20.0, **parameters):
+    """Largest distance in mm of the load from where it should be, in a run of fmpy's own master."""
+    values = [SimpleNamespace(name=name.replace("__", "."), value=value) for name, value in parameters.items()]
+    with forgotten_modules(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        rows = simulate_ssp(
+            str(system()), stop_time=stop, step_size=STEP, parameter_set=SimpleNamespace(parameters=values)
+        )
+    assert len(rows) >= round(stop / STEP)
+    wanted, found = (
+        np.array([rows[f"{name}.load.position[{k}]"] for k in (1, 2, 3)]) for name in ("trajectory", "plant")
+    )
+    path = sc.scenes.rotary_crane().reference
+    np.testing.assert_allclose(wanted.T, path.jet(rows["time"] + STEP, 0)[:, 0], atol=1e-9)  # rows show ends of steps
+    return 1e3 * float(np.linalg.norm(wanted - found, axis=0).max())
+
+
+def gust(force, start=8.0):
+    return {f"plant__gust[{k + 1}]": force[k] for k in range(3)} | {
+        "plant__gust_start": start,
+        "plant__gust_duration": 2.0,
+    }
+
+
+def test_feedforward_alone_keeps_the_load_within_5_mm():
+    assert deviation(crane__feedback=0.0) < 1.3
+
+
+def test_feedback_keeps_the_load_within_1_mm():
+    assert deviation() < 0.01
+
+
+@pytest.mark.parametrize("force", GUSTS)
+def test_feedback_rejects_a_mass_error_and_a_gust(force):
+    assert deviation(11.0, plant__mass_error=0.05, **gust(force)) < 10.0
+
+
+def test_without_feedback_the_same_gust_is_not_forgiven():
+    """The bound above is no matter of course: a pendulum of four metres gives way by 80 mm."""
+    assert deviation(11.0, crane__feedback=0.0, **gust(GUSTS[0])) > 50.0
+
+
+def test_a_steady_wind_leaves_no_lasting_error():
+    parameters = {"plant__wind[1]": 10.0, "plant__wind[2]": -10.0, "plant__mass_error": -0.05}
+    assert deviation(6.0, **parameters) < 10.0
+
+
+def test_every_connection_joins_an_output_with_an_input_of_the_same_unit():
+    tables = {COMPONENTS[name]: kind.interface() for name, kind in KINDS.items()}
+    for (source, output), (sink, given) in connections():
+        assert tables[source][output].causality == "output"
+        assert tables[sink][given].causality == "input"
+        assert tables[source][output].unit == tables[sink][given].unit
+    fed = {end for _, end in connections()}
+    assert {(name, each.name) for name, table in tables.items() for each in table.of("input")} == fed
+
+
+def test_the_system_has_the_form_that_all_masters_read():
+    read = read_ssd(str(system())).system
+    assert [each.name for each in read.elements] == list(COMPONENTS.values())
+    assert not read.connectors
+    assert len(read.connections) == len(connections())
+    with zipfile.ZipFile(system()) as archive:
+        assert set(archive.namelist()) == {"SystemStructure.ssd", *(f"resources/{name}.fmu" for name in KINDS)}
+        root = ET.fromstring(archive.read("SystemStructure.ssd"))
+    assert root.get("version") == "1.0"
+    assert not [each for each in root.iter() if "ParameterBinding" in each.tag]
+
+
+def test_two_builds_are_equal_byte_by_byte(tmp_path):
+    build_ssp(tmp_path)
+    assert (tmp_path / "Crane.ssp").read_bytes() == system().read_bytes()
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name):
+    folder = system().parent
+    found = read_csv(str(folder / f"{name}_ref.csv"))
+    options = dict(line.split(",") for line in (folder / f"{name}_ref.opt").read_text().splitlines())
+    assert found["time"][-1] == pytest.approx(float(options["StopTime"]))
+    assert set(found.dtype.names) - {"time"} == {each.name for each in KINDS[name].interface().of("output")}
+    has_inputs = bool(KINDS[name].interface().of("input"))
+    assert (folder / f"{name}_in.csv").is_file() == has_inputs
+
+
+def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = sc.through([[5.0, 0.0, -5.0], [4.0, 1.0, -4.0], [4.0, 2.0, -5.0]], duration=20.0)
+    (tmp_path / "path.csv").write_text(table_of(path))
+    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "path.csv"])
+    assert result.exit_code == 0, result.output
+    assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == [
+        *(f"{name}.fmu" for name in KINDS), "Crane.ssp",
+    ]  # fmt: skip
+    with Host(tmp_path / "out" / "LoadTrajectory.fmu") as host:
+        host.set(profile="file").start(time=7.0)
+        assert host.step(7.0, 0.5), host.messages
+        found = [host[f"load.{quantity}[{k}]"] for quantity in ("position", "snap") for k in (1, 2, 3)]
+    np.testing.assert_allclose(found, path.jet(7.5, 4)[[0, 4]].ravel(), atol=1e-9)
+
+
+def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "nowhere.csv"])
+    assert result.exit_code == 2
+    assert result.stderr.startswith("crane-fmu: ")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_trajectory_without_a_table_says_where_one_belongs():
+    with Host(fmu_file("LoadTrajectory")) as host:
+        host.set(profile="file").start()
+        assert not host.step(0.0, 0.1)
+        assert "needs a table resources/path.csv" in host.messages[0]
