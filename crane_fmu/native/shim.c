@@ -167,6 +167,12 @@ static int import_packages(char *why) {
 
 /* --- PythonFMU's binary ------------------------------------------------------------------------------------------- */
 
+/* PythonFMU 0.7 gives its hold on Python back twice when the process ends, the second time from freed memory: now and
+   then the process was killed at its very end. Asked to give it back before, it finds nothing to do later. */
+static void (*give_back_python)(void);
+
+static void at_the_end(void) { give_back_python(); }
+
 static int open_real(char *why) {
     Dl_info self;
     char path[LONGEST];
@@ -188,6 +194,8 @@ static int open_real(char *why) {
         sentence(why, "%s is no FMI 2.0 binary", path);
         return 0;
     }
+    give_back_python = (void (*)(void))dlsym(library, "finalizePythonInterpreter");
+    if (give_back_python) atexit(at_the_end); /* runs before what the library has registered while it was opened */
     return 1;
 }
 
