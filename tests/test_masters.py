@@ -11,7 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -21,11 +21,12 @@ from fmpy import read_model_description
 from fmu_host import JET, OUTPUTS, fmu_file, in_a_process, scratch
 
 import servocore as sc
+from crane_fmu.kinds import KINDS
 
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60
 TOLERANCE = 1e-9  # of each output's peak
-FILES = {"RotaryCrane": fmu_file}
+FILES = {name: partial(fmu_file, name) for name in KINDS}
 
 # Each script gets a task (file, step, jets at the ends of all steps, settings, names) and prints rows of outputs.
 HEAD = """
