@@ -8,7 +8,7 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 
-.PHONY: help demo test hostile load check format fmu bench pictures clean
+.PHONY: help demo test hostile load check format fmu bench atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -40,6 +40,9 @@ fmu: $(INSTALLED)  ## build the rotary crane's FMU
 
 bench: $(INSTALLED)  ## measure what a step costs on this machine
 	$(BIN)/python benchmarks/step_cost.py
+
+atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)
+	$(RUN) benchmarks.atlas
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py

@@ -11,9 +11,11 @@ HEAD = """# Failure atlas
 How the integration of servo constraints fails, why, and what does not fail. Every row predicts its failure from theory,
 measures it, and measures beside it a route of this library that survives; where that route ends is said as a number.
 `make atlas` writes this page, its figures and [results.csv](results.csv); the numbers below are those of the last run:
-{survives} observations of routes that survive, {fails} of failures, {refused} of refusals, {surprises} other than predicted.
+{survives} observations of routes that survive, {fails} of failures, {refused} of refusals. {gaps}
 
 *survives*: right within the bound. *fails*: wrong, or given up, as predicted. *refused*: an error in advance.
+In the column *expected*, ± stands for what theory predicts; ≤ and ≥ are bounds that a result must keep, some of
+them set after a first run had been seen; where there is neither it says *no prediction*.
 """
 COLUMNS = ("scene", "route", "parameter", "value", "expected", "observed", "verdict")
 
@@ -22,8 +24,10 @@ def page(rows: Sequence[Row], findings: Sequence[Findings]) -> str:
     """Return the page as Markdown."""
     records = [record for found in findings for record in found.records]
     counts = {verdict: sum(each.verdict == verdict for each in records) for verdict in (SURVIVES, FAILS, REFUSED)}
-    surprises = sum(not each.agrees for each in records)
-    parts = [HEAD.format(**counts, surprises=surprises if surprises else "none"), _advice(rows)]
+    missed = sum(not each.agrees for each in records)
+    reasons = "; ".join(reason for found in findings for reason in found.gaps.values())
+    gaps = f"{missed} not as expected{': ' + reasons if reasons else ''}." if missed else "All are as expected."
+    parts = [HEAD.format(**counts, gaps=gaps), _advice(rows)]
     parts += [_section(k, row, found) for k, (row, found) in enumerate(zip(rows, findings, strict=True), 1)]
     return "\n".join(parts)
 

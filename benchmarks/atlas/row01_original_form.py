@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
-from benchmarks.atlas.runs import Array, error_at, slope
+from benchmarks.atlas.runs import Array, amplified, error_at, slope
 from benchmarks.atlas.style import label, looks, panels
 from servocore.references.profiles import polynomial
 
@@ -58,7 +58,7 @@ def _judge(found: Findings, name: str, h: Array, errors: dict[str, Array]) -> No
     original, projected, reduced = (errors[form.name] for form in FORMS)
     best = int(original.argmin())
     # Amplified round-off: from where it has risen well above the least error on, as long as steps are solved at all.
-    grown = np.flatnonzero((np.arange(len(h)) > best) & (original > 2.5 * original[best]) & np.isfinite(original))
+    grown = amplified(original)
     rate = slope(h[grown], original[grown])
     route = "original, backward-euler"
     found.add(name, route, "exponent of the input error in h, small h", f"h <= {h[grown[0]]:.2g} s",

@@ -44,6 +44,13 @@ def error_at(
     return relative_error(scene, solution, skip, model)
 
 
+def amplified(errors: Array) -> Array:
+    """Return where errors, in the order of falling steps, have risen well above their least: amplified round-off."""
+    best = int(errors.argmin())
+    found: Array = np.flatnonzero((np.arange(len(errors)) > best) & (errors > 2.5 * errors[best]) & np.isfinite(errors))
+    return found
+
+
 def slope(x: Array, y: Array) -> float:
     """Exponent of the power law that fits y(x) best in logarithms."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
