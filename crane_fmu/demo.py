@@ -9,15 +9,32 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build import build_fmu
 from crane_fmu.feedforward import csv_text
+from crane_fmu.kinds import ROTARY_CRANE
 from crane_fmu.report import contents
+from crane_fmu.report.closed_loop import LoopRun
+from crane_fmu.report.closed_loop import table as loop_table
 from crane_fmu.report.page import Section, Table, page
 from crane_fmu.report.study import STEPS, Announce, Cycle, fmu_run, study, working_cycle
-from crane_fmu.run import run_fmu
+from crane_fmu.run import run_fmu, run_ssp
+from crane_fmu.ssp import FILE_NAME, STEP, build_ssp
 from crane_fmu.writing import filled_folder
 
-REPORT, INPUTS_FILE, FIGURES = "report.html", "inputs.csv", "figures"
+REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
+
+DISTURBED = {
+    "plant.mass_error": 0.05,
+    "plant.gust[2]": 20.0,
+    "plant.gust_start": 8.0,
+    "plant.gust_duration": 2.0,
+}
+"""A load that is heavier than the inverse model thinks, and a gust of wind half-way."""
+LOOPS: dict[str, dict[str, float]] = {
+    "feedforward alone": {"crane.feedback": 0.0},
+    "with feedback": {},
+    "with feedback, 5 % more mass, gust of 20 N": DISTURBED,
+}
+"""Runs of the connected FMUs: what they are called and the parameters in which they differ."""
 
 
 @dataclass(frozen=True)
@@ -66,26 +83,50 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
     """
     with filled_folder(target) as draft:
         scene = sc.scenes.rotary_crane()
-        fmu = build_fmu(draft, lambda stage: announce(f"building the FMU: {stage}"))
+        system = build_system(draft, announce)
+        fmu = draft / ROTARY_CRANE.file_name
         found = study(scene, announce, steps)
         announce("running the FMU")
         outputs = run_fmu(fmu, scene.reference, steps[0], model=found.models[0], formulation="projected")
         run = fmu_run(scene, outputs, found.base)
+        loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
         (draft / INPUTS_FILE).write_text(csv_text(found.base), encoding="utf-8")
         announce("drawing figures")
-        write_report(draft, contents.sections(found, run, cycle))
+        write_report(draft, contents.sections(found, run, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
     tables = (
         contents.error_table(found, factors=False),
         contents.difference_table(found),
         contents.fmu_table(run),
         contents.tracking_table(found),
+        loop_table(loop),
         *([] if cycle is None else [contents.cycle_table(cycle)]),
     )
     missing = "the working cycle is left out: its example files are not installed"
     return Demo(target, files, tables, () if cycle is not None else (missing,))
+
+
+def build_system(folder: Path, announce: Announce) -> Path:
+    """Build the FMUs and the system; the inverse model lies beside the report too."""
+    files = build_ssp(folder / SYSTEM, lambda stage: announce(f"building the FMUs: {stage}"))
+    (folder / ROTARY_CRANE.file_name).write_bytes((folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes())
+    return next(each for each in files if each.name == FILE_NAME)
+
+
+def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[LoopRun]:
+    """Run the connected FMUs along the default manoeuvre, undisturbed and disturbed."""
+    runs = []
+    for label, parameters in LOOPS.items():
+        announce(f"running the connected FMUs, {label}")
+        found = run_ssp(system, scene.reference.duration, STEP, parameters)
+        places = [
+            np.column_stack([found[f"{component}.load.position[{k}]"] for k in (1, 2, 3)])
+            for component in ("trajectory", "plant")
+        ]
+        runs.append(LoopRun(label, found["time"], *places))
+    return runs
 
 
 def write_report(folder: Path, sections: Sequence[Section]) -> None:

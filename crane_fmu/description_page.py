@@ -58,6 +58,49 @@ REFUSALS: tuple[tuple[str, str], ...] = (
 )
 """What the FMU refuses, with the sentence for one example; the tests provoke them all."""
 
+PLANT_REFUSALS: tuple[tuple[str, str], ...] = (
+    ("an input is NaN or infinite", "at t = 0 s the input F is nan, not a finite number"),
+    (
+        "the rope would have to push",
+        "at t = 0.1 s the rope goes slack: its tension is -819.9 N, it must stay above 0 N",
+    ),
+    (
+        "inputs beyond reason",
+        "the step from t = 0 s to 0.1 s has no finite result: the inputs are too large, or internal_step is",
+    ),
+    ("a start that no crane can take", "the load starts at z = 1 m, it must be below the girder"),
+    (
+        "a step that is not positive, NaN, or longer than an hour",
+        "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
+    ),
+    ("a parameter outside its range", "mass_error = -2 is outside its range [-0.9, 10]"),
+)
+TRAJECTORY_REFUSALS: tuple[tuple[str, str], ...] = (
+    ("a `ramp` for another profile", "a ramp belongs to the profile three-phase, not to degree9"),
+    (
+        "a `ramp` longer than half of the duration",
+        "a three-phase path with these settings takes at least 22.0 s, but its duration is 20.0 s",
+    ),
+    ("`file` without a table", "the profile file needs a table resources/path.csv in the FMU"),
+    ("a parameter outside its range", "duration = nan s is outside its range [0.001, 1e+09] s"),
+    (
+        "time goes back",
+        "the communication point t = 0 s lies behind the FMU's time 0.1 s;"
+        " to repeat a step restore the FMU's state first",
+    ),
+)
+_REFUSALS = {
+    "fmu.md.j2": REFUSALS,
+    "crane_plant.md.j2": PLANT_REFUSALS,
+    "load_trajectory.md.j2": TRAJECTORY_REFUSALS,
+}
+
+
+def refusals(template_file: str) -> tuple[tuple[str, str], ...]:
+    """Return what an FMU refuses: situation and sentence."""
+    return _REFUSALS[template_file]
+
+
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
     "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
@@ -79,7 +122,7 @@ def user_page(interface: Interface, template_file: str = "fmu.md.j2") -> str:
     template = environment.from_string((_TEMPLATES / template_file).read_text(encoding="utf-8"))
     return template.render(
         table=lambda causality: _table(interface.of(causality)),
-        refusals=REFUSALS,
+        refusals=refusals(template_file),
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 

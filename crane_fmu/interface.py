@@ -94,7 +94,8 @@ class Variable:
         if math.isfinite(number) and (low is None or number >= low) and (high is None or number <= high):
             return None
         bounds = f"[{'-inf' if low is None else f'{low:g}'}, {'inf' if high is None else f'{high:g}'}]"
-        return f"{self.name} = {number:g} {self.unit} is outside its range {bounds} {self.unit}"
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        return f"{self.name} = {number:g}{unit} is outside its range {bounds}{unit}"
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ class Kind:
         Makes the table of variables.
     compiled : callable
         Makes the texts of compiled functions by file name.
-    template : str
-        Template of the user page.
+    template, page : str
+        Template of the user page, and the page in the documentation.
     runs : tuple of dict
         Start values for the runs of the check.
     rest : dict
@@ -62,6 +62,7 @@ class Kind:
     interface: Callable[[], Interface]
     compiled: Callable[[Progress], dict[str, str]]
     template: str
+    page: str
     runs: tuple[dict[str, float | str], ...]
     rest: dict[str, float]
 
@@ -121,6 +122,7 @@ ROTARY_CRANE = Kind(
     interface=lambda: tables.crane_interface(_models(), tuple(FORMULATIONS)),
     compiled=_programs,
     template="fmu.md.j2",
+    page="fmu.md",
     runs=tuple({"model": model, "formulation": name} for model, name in product(_models(), FORMULATIONS)),
     rest={**_AT_REST, "M_b": 0.0, "F": 0.0, "M_w": -98.1, "swing": 0.0},
 )  # fmt: skip
@@ -138,6 +140,7 @@ LOAD_TRAJECTORY = Kind(
     interface=tables.trajectory_interface,
     compiled=lambda _: {},
     template="load_trajectory.md.j2",
+    page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in ("degree9", "degree13", "three-phase")),
     rest={f"load.position[{k + 1}]": REST[k] for k in range(3)},
 )
@@ -154,6 +157,7 @@ CRANE_PLANT = Kind(
     interface=tables.plant_interface,
     compiled=_plant,
     template="crane_plant.md.j2",
+    page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),
     rest={**_AT_REST, **{f"load.position[{k + 1}]": REST[k] for k in range(3)}},
 )

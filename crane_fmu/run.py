@@ -1,16 +1,18 @@
-"""Run the FMU in a simulation tool, FMPy, and make sure that it ran to the end."""
+"""Run FMUs in a simulation tool, FMPy, and make sure that they ran to the end."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import fmpy
 import numpy as np
 import numpy.typing as npt
+from fmpy.ssp.simulation import simulate_ssp
 
 import servocore as sc
 from crane_fmu.interface import DIMENSION, FEEDBACK_INPUTS, ORDERS
@@ -63,6 +65,43 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
     return _complete(fmu, rows, reference, step, messages)
+
+
+def run_ssp(
+    system: Path, duration: float, step: float, parameters: Mapping[str, float] | None = None
+) -> dict[str, Array]:
+    """Run connected FMUs with the master that comes with FMPy.
+
+    Parameters
+    ----------
+    system : Path
+        The file of the system.
+    duration, step : float
+        Time to simulate and communication step in s.
+    parameters : mapping of str to float, optional
+        Values by ``component.name``.
+
+    Returns
+    -------
+    dict of str to ndarray
+        Values of all connectors as ``component.name``, and ``time``, the end of each step.
+
+    Raises
+    ------
+    IntegrationFailed
+        If an FMU refuses a step; what it said is lost, for that master listens to no messages.
+    """
+    values = [SimpleNamespace(name=name, value=value) for name, value in (parameters or {}).items()]
+    try:
+        with forgotten_modules():
+            rows = simulate_ssp(
+                str(system), stop_time=duration, step_size=step, parameter_set=SimpleNamespace(parameters=values)
+            )
+    except fmpy.fmi1.FMICallException as error:
+        raise sc.IntegrationFailed(f"{system.name} stopped: {error}") from error
+    columns = {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
+    # The master writes the time at which a step begins beside the values at its end.
+    return {**columns, "time": columns["time"] + step}
 
 
 @contextmanager

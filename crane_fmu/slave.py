@@ -56,7 +56,7 @@ class CraneState:
     ----------
     motion : Snapshot
         The motion that belongs to the path.
-    heard : tuple of float
+    heard : sequence of float
         The path's inputs of the last step, empty before the first.
     samples : tuple of Sample
         For the estimation of derivatives.
@@ -69,7 +69,7 @@ class CraneState:
     """
 
     motion: Snapshot
-    heard: tuple[float, ...] = ()
+    heard: Sequence[float] = ()
     samples: tuple[Sample, ...] = ()
     control: Control | None = None
     gain: float = 0.0
@@ -96,7 +96,7 @@ class CraneState:
         """Undo `to_plain`."""
         return cls(
             Snapshot.from_plain(plain["motion"]),
-            tuple(float(each) for each in plain["heard"]),
+            [float(each) for each in plain["heard"]],
             tuple((float(time), tuple(float(each) for each in value)) for time, value in plain["samples"]),
             None if plain["control"] is None else Control.from_plain(plain["control"]),
             float(plain["gain"]),
@@ -116,7 +116,8 @@ class CraneSlave(TableSlave):
         self._order = ROWS - 1
         self._channels: list[int] = []
         self._numbers: list[int] = []
-        self._measured = self._references(*FEEDBACK_INPUTS)
+        first = self._interface.index(FEEDBACK_INPUTS[0])
+        self._measured = slice(first, first + len(FEEDBACK_INPUTS))
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -164,7 +165,7 @@ class CraneSlave(TableSlave):
         usual = quick(motion, jet, 0.0 if self._at_end else h, h, p) if quick else None
         after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, p)
         control = self._feedback(now, jet, p, h, after.time) if gain > 0.0 else None
-        return CraneState(after, tuple(heard), samples, control, gain, said)
+        return CraneState(after, heard, samples, control, gain, said)
 
     def _unusual_step(self, now: Snapshot, program: Program, jet: Array, h: float, count: int, p: Array) -> Snapshot:
         """Take a step that is the first, has another size, is divided, or is to be refused with a sentence."""
@@ -180,10 +181,10 @@ class CraneSlave(TableSlave):
 
     def _feedback(self, now: CraneState, jet: Sequence[float], p: Array, h: float, end: float) -> Control | None:
         """Return the feedback for the next step, or None while no motion is measured: a rope has a length."""
-        measured = [self._reals[k] for k in self._measured]
-        if measured == [0.0] * len(measured):
+        measured = self._reals[self._measured]
+        if not any(measured):
             return None
-        require_finite(measured, [self._interface.variables[k] for k in self._measured], end - h)
+        require_finite(measured, self._interface.variables[self._measured], end - h)
         if not (measured[2] > 0.0 and measured[8] < 0.0):
             raise InvalidSetting(
                 f"at t = {end - h:.6g} s the measured rope length is {measured[2]:g} m and the measured height of the"
@@ -200,7 +201,7 @@ class CraneSlave(TableSlave):
 
     def _remarked(self, before: Sequence[float], now: Sequence[float], time: float) -> bool:
         """Tell once if the path moves where the derivatives that should be connected say that it does not."""
-        if not before or before == tuple(now):
+        if not before or before == now:
             return False
         found = contradiction(before, now, self._order)
         if found:

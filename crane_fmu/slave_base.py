@@ -57,6 +57,7 @@ class TableSlave(GuardedSlave):
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=self.stop_time, step_size=self.step_size)
         variables = self._interface.variables
         self._outputs = [k for k, each in enumerate(variables) if each.causality == "output"]
+        self._output_place = slice(self._outputs[0], self._outputs[-1] + 1)  # outputs follow each other in the table
         self._inputs = frozenset(k for k, each in enumerate(variables) if each.causality == "input")
         self._leading = next(k for k, each in enumerate(variables) if each.causality != "input")  # inputs come first
         self._leading_references = list(range(self._leading))
@@ -168,9 +169,10 @@ class TableSlave(GuardedSlave):
     def _adopt(self, snapshot: State) -> None:
         """Make a snapshot the present; the only place where outputs change."""
         values = self._output_values(snapshot)
+        if len(values) != len(self._outputs):
+            raise ValueError(f"{len(values)} values for {len(self._outputs)} outputs")
         self._snapshot = snapshot
-        for k, value in zip(self._outputs, values, strict=True):
-            self._reals[k] = value
+        self._reals[self._output_place] = values
 
     # --- what the variables say ----------------------------------------------------------------------------------
 
@@ -196,8 +198,9 @@ class TableSlave(GuardedSlave):
         """Take inputs and parameters; what they are worth is judged when they are used."""
         reals = self._reals
         self._stale = True
-        if vrs == self._leading_references:
-            reals[: self._leading] = values
+        count = len(vrs)
+        if vrs == self._leading_references[:count] and len(values) == count:
+            reals[:count] = values
             return
         for vr, value in zip(vrs, values, strict=True):
             if vr in self._inputs:
@@ -241,6 +244,8 @@ class TableSlave(GuardedSlave):
             except BaseException as error:  # the outputs are not numbers then; the inputs still are
                 self.report_error("get_real", error)
         reals = self._reals
+        if vrs == self._outputs:
+            return reals[self._output_place]
         if vrs and min(vrs) >= 0 and max(vrs) < len(reals):
             return [reals[vr] for vr in vrs]
         return [reals[vr] if self._known(vr) else math.nan for vr in vrs]

@@ -15,13 +15,15 @@ import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.cli import app
 from crane_fmu.demo import demo, example_cycle, examples_folder
+from crane_fmu.kinds import KINDS
+from crane_fmu.report.closed_loop import LoopRun
 from crane_fmu.run import input_rows, run_fmu
 from crane_fmu.writing import filled_folder, write_together
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
 FIGURES = ("crane", "reference_function", "motion", "inputs", "initial_posture", "final_posture",
-           "error_against_step", "tracking", "cycle_path", "cycle_inputs")  # fmt: skip
+           "error_against_step", "tracking", "closed_loop", "cycle_path", "cycle_inputs")  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,9 @@ def done(tmp_path_factory):
 
 class TestDemo:
     def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done):
-        expected = {"RotaryCrane.fmu", "inputs.csv", "report.html"}
+        expected = {"RotaryCrane.fmu", "inputs.csv", "report.html", "system/Crane.ssp", "system/CranePlant_in.csv"}
+        expected |= {f"system/{name}{end}" for name in KINDS for end in (".fmu", "_ref.csv", "_ref.opt")}
+        expected |= {"system/RotaryCrane_in.csv"}
         expected |= {f"figures/{name}{suffix}" for name in FIGURES for suffix in (".png", ".svg")}
         present = {each.relative_to(done.folder).as_posix() for each in done.folder.rglob("*") if each.is_file()}
         assert present == expected == set(done.files)
@@ -67,7 +71,7 @@ class TestDemo:
         _make_light(monkeypatch, done)
         demo(done.folder, steps=STEPS)
         assert (done.folder / "notes.txt").read_text() == "mine"
-        assert (done.folder / "report.html").read_text() == "9 sections"
+        assert (done.folder / "report.html").read_text() == "10 sections"
         (done.folder / "notes.txt").unlink()
 
     def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(self, done, tmp_path, monkeypatch):
@@ -75,21 +79,23 @@ class TestDemo:
         monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
         result = demo(tmp_path / "out", steps=STEPS)
         assert "working cycle" in result.notes[0]
-        assert (result.folder / "report.html").read_text() == "8 sections"
+        assert (result.folder / "report.html").read_text() == "9 sections"
 
 
 def _make_light(monkeypatch, done):
     """Take the FMU of an earlier demo, and write how many sections the report would have."""
 
     def copied(folder, _):
-        target = folder / "RotaryCrane.fmu"
-        target.write_bytes((done.folder / "RotaryCrane.fmu").read_bytes())
-        return target
+        (folder / "RotaryCrane.fmu").write_bytes((done.folder / "RotaryCrane.fmu").read_bytes())
+        return done.folder / "system" / "Crane.ssp"
 
     def counted(folder, sections):
         (folder / "report.html").write_text(f"{len(sections)} sections")
 
-    monkeypatch.setattr(crane_fmu.demo, "build_fmu", copied)
+    monkeypatch.setattr(crane_fmu.demo, "build_system", copied)
+    monkeypatch.setattr(
+        crane_fmu.demo, "closed_loops", lambda *_: [LoopRun("none", np.arange(2.0), *np.ones((2, 2, 3)))]
+    )
     monkeypatch.setattr(crane_fmu.demo, "write_report", counted)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 import servocore as sc
 from crane_fmu.report import contents, convergence, postures, trajectories
+from crane_fmu.report.closed_loop import LoopRun
 from crane_fmu.report.page import formula, number, page, parameter_table
 from crane_fmu.report.study import INPUTS, ErrorRow, error_row, exact_inputs, fmu_run, study, working_cycle
 from crane_fmu.report.style import LABELS, picture
@@ -36,7 +37,13 @@ def cycle(crane):
 @pytest.fixture(scope="module")
 def written(crane, found, cycle):
     outputs = {"time": found.base.t, **{name: found.base[name] for name in found.base.names}}
-    return contents.sections(found, fmu_run(crane, outputs, found.base), cycle)
+    return contents.sections(found, fmu_run(crane, outputs, found.base), loop(crane), cycle)
+
+
+def loop(crane):
+    t = np.linspace(0.0, 20.0, 201)
+    wanted = crane.reference.jet(t, 0)[:, 0]
+    return [LoopRun(label, t, wanted, wanted + size * np.sin(t)[:, None]) for label, size in (("a", 1e-3), ("b", 1e-6))]
 
 
 @pytest.fixture(scope="module")
@@ -193,8 +200,8 @@ class TestPage:
         assert inside == [data for name, data in drawings.items() if name.endswith(".svg")]
 
     def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html):
-        assert re.findall(r"<b>Figure (\d+)\.</b>", html) == [str(k) for k in range(1, 11)]
-        assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 6)]
+        assert re.findall(r"<b>Figure (\d+)\.</b>", html) == [str(k) for k in range(1, 12)]
+        assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 7)]
         assert all(re.findall(r'alt="([^"]*)"', html))
 
     def test_it_declares_its_data_an_assumption_and_claims_no_printed_curve(self, html):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
-from crane_fmu.report import convergence, postures, trajectories
+from crane_fmu.report import closed_loop, convergence, postures, trajectories
 from crane_fmu.report.page import Illustration, Section, Table, number, parameter_table, percent
 from crane_fmu.report.study import INPUTS, MOTION, Cycle, ErrorRow, FmuRun, Study
 
@@ -12,7 +12,7 @@ _PERCENT = tuple(f"{name} (%)" for name in INPUTS)
 TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
 
 
-def sections(study: Study, fmu: FmuRun, cycle: Cycle | None) -> list[Section]:
+def sections(study: Study, fmu: FmuRun, loop: Sequence[closed_loop.LoopRun], cycle: Cycle | None) -> list[Section]:
     """Return the whole page.
 
     Parameters
@@ -21,11 +21,13 @@ def sections(study: Study, fmu: FmuRun, cycle: Cycle | None) -> list[Section]:
         The default manoeuvre.
     fmu : FmuRun
         The same by the FMU.
+    loop : sequence of LoopRun
+        The same by trajectory, inverse model and plant as connected FMUs.
     cycle : Cycle or None
         The working cycle; None if the examples are not at hand.
     """
     parts = (_introduction, _reference, _motion, _inputs, _postures, _errors)
-    written = [*(part(study) for part in parts), _fmu(fmu), _tracking(study)]
+    written = [*(part(study) for part in parts), _fmu(fmu), _tracking(study), closed_loop.section(loop)]
     return written if cycle is None else [*written, _cycle(cycle)]
 
 

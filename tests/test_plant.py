@@ -1,0 +1,126 @@
+"""The compiled plant moves as `simulate` says, holds with its brakes on, and is saved and linearised faithfully."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import servocore as sc
+
+CRANE = sc.scenes.rotary_crane()
+STILL = np.zeros(3)
+MODELS = ("points", "generalized")
+
+
+def at_rest(model):
+    system = CRANE.model(model)
+    plant = sc.compile_plant(system)
+    p = system.parameters.values()
+    state = {
+        "points": [1.0, 0.0, 5.0, 0.0, 5.0, 5.0, 5.0, 0.0, -5.0, *[0.0] * 9],
+        "generalized": [0.0, 5.0, 5.0, *[0.0] * 7],
+    }[model]
+    return plant, np.array(state), p
+
+
+def push(time):
+    return np.array([300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)])
+
+
+def run(plant, state, p, step, until=2.0):
+    for k in range(round(until / step)):
+        now, then = push(k * step), push((k + 1) * step)
+        state = plant.advance(state, now, (then - now) / step, STILL, p, step)
+    return state
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_it_goes_where_simulate_goes(model):
+    plant, state, p = at_rest(model)
+    found = plant.values(run(plant, state, p, 0.001), push(2.0), STILL, p)
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0 + 1e-9, 0.0, -5.0), 2.0)
+    wanted = sc.simulate(CRANE.with_reference(path), push, t=np.array([0.0, 2.0]), model=model)
+    for name in ("x", "y", "z", "phi", "s", "l"):
+        assert found[name] == pytest.approx(wanted[name][-1], abs=2e-7), name
+
+
+def test_all_models_go_the_same_way():
+    ends = [plant.values(run(plant, state, p, 0.002), push(2.0), STILL, p) for plant, state, p in map(at_rest, MODELS)]
+    for name in ("x", "y", "z", "s", "l", "x_dot", "z_dot", "x_ddot", "energy"):
+        assert ends[0][name] == pytest.approx(ends[1][name], abs=1e-6, rel=1e-7), name
+
+
+def test_its_steps_are_of_order_four_while_the_inputs_are_linear():
+    plant, state, p = at_rest("generalized")
+    slope = np.array([100.0, 5.0, 1.0])
+
+    def end(count):
+        now, h = state, 1.0 / count
+        for k in range(count):
+            now = plant.advance(now, np.array([0.0, 0.0, -98.1]) + slope * k * h, slope, STILL, p, h)
+        return now
+
+    exact = end(512)
+    errors = [np.abs(end(count) - exact).max() for count in (16, 32)]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_brakes_hold_the_crane_while_the_load_swings(model):
+    plant, state, p = at_rest(model)
+    wind = np.array([0.0, 50.0, 0.0])
+    for _ in range(200):
+        state = plant.advance_held(state, wind, p, 0.005)
+    found = plant.values(state, None, wind, p)
+    assert (found["s"], found["l"]) == pytest.approx((5.0, 5.0), abs=1e-6)
+    assert found["phi"] == pytest.approx(0.0, abs=1e-9)
+    assert found["y"] > 0.1
+
+
+def test_what_brakes_bear_at_rest_is_the_weight():
+    plant, state, p = at_rest("generalized")
+    found = plant.values(state, None, STILL, p)
+    assert (found["M_b"], found["F"], found["M_w"]) == pytest.approx((0.0, 0.0, -98.1), abs=1e-9)
+
+
+def test_energy_is_kept_without_inputs_that_work():
+    """Brakes do no work; a swinging load keeps its energy."""
+    plant, state, p = at_rest("generalized")
+    state[3:5] = 0.3, -0.2
+    before = plant.values(state, None, STILL, p)["energy"]
+    for _ in range(2000):
+        state = plant.advance_held(state, STILL, p, 0.005)
+    assert plant.values(state, None, STILL, p)["energy"] == pytest.approx(before, abs=1e-6)
+
+
+def test_its_linearisation_is_the_difference_of_neighbouring_steps():
+    plant, state, p = at_rest("generalized")
+    state[3:] = 0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.02
+    u, h = np.array([10.0, 5.0, -90.0]), 1e-5
+    A, B, E, C = plant.linearised(state, u, p)
+
+    def rate(x, force=u, d=STILL):
+        return (plant.advance(x, force, STILL, d, p, h) - plant.advance(x, force, STILL, d, p, -h)) / (2 * h)
+
+    for k in range(10):
+        bump = 1e-5 * np.eye(10)[k]
+        np.testing.assert_allclose((rate(state + bump) - rate(state - bump)) / 2e-5, A[:, k], atol=1e-4)
+    for k in range(3):
+        bump = np.eye(3)[k]
+        np.testing.assert_allclose((rate(state, u + bump) - rate(state, u - bump)) / 2, B[:, k], atol=1e-7)
+        np.testing.assert_allclose((rate(state, u, bump) - rate(state, u, -bump)) / 2, E[:, k], atol=1e-7)
+    assert C.shape == (3, 10)
+
+
+def test_a_saved_plant_is_the_same_plant():
+    plant, state, p = at_rest("generalized")
+    again = sc.Plant.from_json(plant.to_json())
+    assert again.parameters == plant.parameters
+    assert again.channels == plant.channels
+    np.testing.assert_array_equal(run(again, state, p, 0.1), run(plant, state, p, 0.1))
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"format": "another"}', '{"format": "servocore plant 1"}'])
+def test_another_text_is_no_plant(text):
+    with pytest.raises(sc.ServocoreError, match="saved plant"):
+        sc.Plant.from_json(text)
