@@ -43,7 +43,7 @@ def test_the_page_that_is_committed_shows_the_table_that_is_committed():
         assert (PAGE / f"{row.name}.svg").exists()
 
 
-@pytest.mark.parametrize(("number", "row"), enumerate(ROWS, 1), ids=[row.name for row in ROWS])
+@pytest.mark.parametrize(("number", "row"), list(enumerate(ROWS, 1)), ids=[row.name for row in ROWS])
 def test_the_page_has_the_fixed_sections_of_a_row(number, row):
     text = (PAGE / "index.md").read_text(encoding="utf-8")
     start = text.index(f"## {number}. {row.title}\n")
