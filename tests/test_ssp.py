@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 import zipfile
 from functools import cache
+from importlib.util import find_spec
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
@@ -13,7 +14,7 @@ import pytest
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import Host, fmu_file, scratch
+from fmu_host import Host, fmu_file, in_a_process, scratch
 from typer.testing import CliRunner
 
 import servocore as sc
@@ -77,6 +78,42 @@ def test_without_feedback_the_same_gust_is_not_forgiven():
 def test_a_steady_wind_leaves_no_lasting_error():
     parameters = {"plant__wind[1]": 10.0, "plant__wind[2]": -10.0, "plant__mass_error": -0.05}
     assert deviation(6.0, **parameters) < 10.0
+
+
+ECOS = """
+import sys
+from ecospy import EcosSimulation
+with EcosSimulation(ssp_path=sys.argv[1], step_size=0.01) as simulation:
+    simulation.init()
+    simulation.step(1000)
+    for name in ("trajectory", "plant"):
+        print("place", *(simulation.get_real(f"{name}::load.position[{k}]") for k in (1, 2, 3)), flush=True)
+"""
+LIBCOSIM = """
+import sys
+from libcosimpy.CosimExecution import CosimExecution
+from libcosimpy.CosimObserver import CosimObserver
+execution = CosimExecution.from_ssp_file(sys.argv[1], 10_000_000)
+observer = CosimObserver.create_last_value()
+execution.add_observer(observer)
+assert all(execution.step() for _ in range(1000))
+for name in ("trajectory", "plant"):
+    number = execution.slave_index_from_instance_name(name)
+    known = {each.name.decode(): each.reference for each in execution.slave_variables(number)}
+    places = observer.last_real_values(number, [known[f"load.position[{k}]"] for k in (1, 2, 3)])
+    print("place", *places, flush=True)
+"""
+
+
+@pytest.mark.parametrize(("package", "script"), [("ecospy", ECOS), ("libcosimpy", LIBCOSIM)])
+def test_other_masters_run_it_as_well(package, script):
+    if find_spec(package) is None or in_a_process(f"import {package}").returncode:
+        pytest.skip(f"{package} is not installed or does not load")
+    done = in_a_process(script, system())
+    places = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("place")]
+    wanted, found = np.array(places, dtype=float)
+    np.testing.assert_allclose(wanted, sc.scenes.rotary_crane().reference.jet(10.0, 0)[0], atol=1e-9)
+    assert 1e3 * np.linalg.norm(wanted - found) < 0.01
 
 
 def test_every_connection_joins_an_output_with_an_input_of_the_same_unit():
