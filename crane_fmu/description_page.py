@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from crane_fmu.slave_estimate import amplification
 if TYPE_CHECKING:
     from crane_fmu.interface import Causality, Interface, Variable
 
+_LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
 _TEMPLATES = Path(__file__).parent / "resources"
 
 REFUSALS: tuple[tuple[str, str], ...] = (
@@ -129,7 +131,8 @@ def user_page(interface: Interface, template_file: str = "fmu.md.j2") -> str:
 
 def documentation_page(page: str, title: str = "RotaryCrane.fmu") -> str:
     """Return the Markdown page as a complete HTML document."""
-    body = MarkdownIt("commonmark").enable("table").render(page)
+    alone = _LOCAL_LINK.sub(r"\1", page)  # inside the FMU there are no other pages
+    body = MarkdownIt("commonmark").enable("table").render(alone)
     head = f'<meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
 

@@ -255,3 +255,4 @@ def test_the_page_in_the_documentation_is_the_one_in_the_fmu(name):
     for heading in ("purpose", "Steps", "refuse", "Licence"):
         assert heading.lower() in html.lower(), heading
     assert "<pre>" in html  # the sketch
+    assert 'href="' not in html  # inside the FMU there are no other pages
