@@ -40,6 +40,7 @@ fmu: $(INSTALLED)  ## build the rotary crane's FMU
 
 bench: $(INSTALLED)  ## measure what a step costs on this machine
 	$(BIN)/python benchmarks/step_cost.py
+	$(BIN)/python benchmarks/fmu_cost.py
 
 atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)
 	$(RUN) benchmarks.atlas

@@ -73,10 +73,11 @@ class Driven:
         for name, text in (texts or {}).items():
             references, values = (c_uint * 1)(by_name[name].valueReference), (ctypes.c_char_p * 1)(text.encode())
             self._dll.fmi2SetString(self._component, references, c_size_t(1), values)
-        self._inputs = [each.valueReference for each in description.modelVariables if each.causality == "input"]
+        connected = [each.valueReference for each in description.modelVariables if each.causality == "input"]
+        connected = connected[: inputs.shape[1]]  # the path; what can be measured is not
         outputs = [each.valueReference for each in description.modelVariables if each.causality == "output"]
-        self._u, self._y = (c_uint * len(self._inputs))(*self._inputs), (c_uint * len(outputs))(*outputs)
-        self._values = [(c_double * len(self._inputs))(*row) for row in inputs]
+        self._u, self._y = (c_uint * len(connected))(*connected), (c_uint * len(outputs))(*outputs)
+        self._values = [(c_double * len(connected))(*row) for row in inputs]
         self.results = (c_double * len(outputs))()
         self.steps = 0
         self._dll.fmi2SetupExperiment(self._component, 0, c_double(0), c_double(0), 0, c_double(0))

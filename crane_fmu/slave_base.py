@@ -19,7 +19,7 @@ from pythonfmu.variables import Real, String
 
 from crane_fmu.interface import Interface, Variable
 from crane_fmu.slave_checks import require_legal, require_step
-from crane_fmu.slave_guard import GuardedSlave, guarded, nothing
+from crane_fmu.slave_guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
 from servocore import InvalidSetting
 
 INTERFACE_FILE = "interface.json"
@@ -142,8 +142,9 @@ class TableSlave(GuardedSlave):
             if not math.isfinite(self._start_time):
                 raise InvalidSetting(f"the start time must be a finite number, not {self._start_time} s")
             self._parameters = None
-            self._prepare()
-            self._adopt(self._begin(self._start_time))
+            with ONE_AT_A_TIME:
+                self._prepare()
+                self._adopt(self._begin(self._start_time))
             self._failure = ""
         except BaseException as error:
             self._failure = f"the initialisation failed: {error}"
@@ -156,7 +157,8 @@ class TableSlave(GuardedSlave):
         """Compute the outputs at `current_time` + `step_size`; False leaves everything as it was."""
         now = self._ready()
         require_step(now.time, current_time, step_size)
-        self._adopt(self._advance(now, step_size))
+        with ONE_AT_A_TIME:
+            self._adopt(self._advance(now, step_size))
         return True
 
     def _ready(self) -> State:
@@ -286,7 +288,8 @@ class TableSlave(GuardedSlave):
         self._texts, self._reals, self._parameters = texts, reals, None
         try:
             if snapshot is not None:
-                self._prepare()
+                with ONE_AT_A_TIME:
+                    self._prepare()
                 if not self._fits(snapshot):
                     raise InvalidSetting(_DAMAGED)
         except BaseException:

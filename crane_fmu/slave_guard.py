@@ -12,21 +12,20 @@ from pythonfmu.fmi2slave import Fmi2Slave
 
 from servocore import ServocoreError
 
-# Instances share compiled functions and their memory; a host may run each instance in a thread of its own.
-_ONE_AT_A_TIME = RLock()
+ONE_AT_A_TIME = RLock()
+"""Hold it to compute: instances share compiled functions and their memory, and a host may run each in a thread."""
 
 Callback = TypeVar("Callback", bound=Callable[..., Any])
 
 
 def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
-    """Let a callback log whatever is raised in it and return `fallback` of its arguments; no two run at a time."""
+    """Let a callback log whatever is raised in it and return `fallback` of its arguments instead."""
 
     def decorate(method: Callback) -> Callback:
         @wraps(method)
         def call(self: GuardedSlave, *args: Any, **kwargs: Any) -> Any:
             try:
-                with _ONE_AT_A_TIME:
-                    return method(self, *args, **kwargs)
+                return method(self, *args, **kwargs)
             except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
                 self.report_error(method.__name__, error)
                 return fallback(*args, **kwargs)

@@ -66,7 +66,7 @@ class QuickStep:
         Snapshot or None
             None when the step is not a usual one.
         """
-        if h < SHORTEST_STEP or not abs(h - before.step) <= JITTER * h:
+        if h < SHORTEST_STEP or (h != before.step and not abs(h - before.step) <= JITTER * h):
             return None
         self._state[:] = before.state
         self._told.pack_into(self._memory, self._place, *jet, tau, h)
@@ -80,11 +80,13 @@ class QuickStep:
         state, reached, observed = self._ends
         values = found[reached:observed]
         for k in self._turning:
-            turns = round((before.values.item(k) - values.item(k)) / (2.0 * math.pi))
-            if turns:
-                values[k] += 2.0 * math.pi * turns
+            change = before.values.item(k) - values.item(k)
+            if not -math.pi <= change <= math.pi:
+                values[k] += 2.0 * math.pi * round(change / (2.0 * math.pi))
         jets = found[state:reached].reshape(ROWS, DIMENSION)
-        return Snapshot(before.time + h, h, found[:state], jets, values)
+        after = object.__new__(Snapshot)  # its own way sets every field by a call and takes three times as long
+        after.__dict__.update(time=before.time + h, step=h, state=found[:state], jet=jets, values=values)
+        return after
 
 
 @cache
@@ -94,40 +96,50 @@ def quick_step(program: Program) -> QuickStep | None:
 
 
 def _compiled(program: Program) -> ca.Function:
-    """Return (state, jet, tau, h, parameters) -> (state, jet, values, 1 if all is well) of flat vectors."""
+    """Return (state, jet, tau, h, parameters) -> (state, jet, values, 1 if all is well) of flat vectors.
+
+    What comes before and after the step is one function each: calls among compiled functions cost time as well.
+    """
     sizes = (program.state_size, ROWS * DIMENSION, 1, 1, len(program.parameters))
     given = ca.MX.sym("given", sum(sizes))
     state, told, tau, h, p = ca.vertsplit(given, np.cumsum([0, *sizes]).tolist())
+    then, gamma, margins = _before(program)(told, tau, p)
+    after, _, residual = program.step(state, gamma, h, p)
+    values, well = _after(program)(after, then, p, residual, margins)
+    return ca.Function("quick", [given], [ca.densify(ca.vertcat(after, then, values, well))])
+
+
+def _before(program: Program) -> ca.Function:
+    """Return (jet, tau, parameters) -> (jet tau later, what the step reads of it, all margins)."""
+    told, tau, p = ca.SX.sym("told", ROWS * DIMENSION), ca.SX.sym("tau"), ca.SX.sym("p", len(program.parameters))
     now = ca.reshape(told, DIMENSION, ROWS)
-    then = _continuation()(now, tau)
-    after, _, residual = program.step(state, _columns(then, program.order + 1), h, p)
-    values, _ = program.observe(after, _columns(then, program.start_order + 1), p)
+    then = _continued(now, tau)
     margins = [program.margins(_columns(each, program.start_order + 1), p) for each in (now, then)]
-    well = _judgement(program.state_size + 1, 2 * len(program.limits))(
-        ca.vertcat(after, residual), ca.vertcat(*margins)
-    )
-    return ca.Function("quick", [given], [ca.densify(ca.vertcat(after, ca.vec(then), values, well))])
+    gamma = _columns(then, program.order + 1)
+    return ca.Function("before", [told, tau, p], [ca.vec(then), ca.densify(gamma), ca.densify(ca.vertcat(*margins))])
 
 
-def _continuation() -> ca.Function:
-    """Return Taylor's polynomial: (jet, tau) -> jet; one column a derivative."""
-    jet, tau = ca.SX.sym("jet", DIMENSION, ROWS), ca.SX.sym("tau")
+def _after(program: Program) -> ca.Function:
+    """Return (state, jet, parameters, residual, margins) -> (values, 1 if all is well)."""
+    state, jet = ca.SX.sym("state", program.state_size), ca.SX.sym("jet", ROWS * DIMENSION)
+    p, residual = ca.SX.sym("p", len(program.parameters)), ca.SX.sym("residual")
+    margins = ca.SX.sym("margins", 2 * len(program.limits))
+    values, _ = program.observe(state, _columns(ca.reshape(jet, DIMENSION, ROWS), program.start_order + 1), p)
+    good = ca.vertcat(ca.fabs(ca.vertcat(state, residual)) <= sys.float_info.max, margins > 0.0)  # NaN is neither
+    return ca.Function("after", [state, jet, p, residual, margins], [values, ca.sum1(good) == good.numel()])
+
+
+def _continued(jet: ca.SX, tau: ca.SX) -> ca.SX:
+    """Continue a jet by Taylor's polynomial; one column a derivative."""
     columns = []
     for k in range(ROWS):
         column = jet[:, ROWS - 1]
         for j in reversed(range(k, ROWS - 1)):  # Horner: column becomes jet_j + tau / (j - k + 1) column
             column = jet[:, j] + tau / (j - k + 1) * column
         columns.append(column)
-    return ca.Function("continuation", [jet, tau], [ca.horzcat(*columns)])
+    return ca.horzcat(*columns)
 
 
-def _columns(jet: ca.MX, count: int) -> ca.MX:
+def _columns(jet: ca.SX, count: int) -> ca.SX:
     """Return the first derivatives of a jet; those beyond what is told are zero, no result depends on them."""
-    return jet[:, :count] if count <= ROWS else ca.horzcat(jet, ca.MX.zeros(DIMENSION, count - ROWS))
-
-
-def _judgement(numbers: int, margins: int) -> ca.Function:
-    """Return (numbers, margins) -> 1 if the former are finite and the latter positive, else 0; NaN is neither."""
-    x, m = ca.SX.sym("x", numbers), ca.SX.sym("m", margins)
-    good = ca.vertcat(ca.fabs(x) <= sys.float_info.max, m > 0.0)
-    return ca.Function("judgement", [x, m], [ca.sum1(good) == numbers + margins])
+    return jet[:, :count] if count <= ROWS else ca.horzcat(jet, ca.SX.zeros(DIMENSION, count - ROWS))

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable, Sequence
 from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 from fmpy import read_model_description
@@ -63,11 +64,14 @@ class Fmu:
             for each in variables
             if each.type == "String"
         }
-        self.inputs = [each.valueReference for each in variables if each.causality == "input"]
+        # The path; what can be measured comes later in the table.
+        first = list(takewhile(lambda each: each.causality == "input", variables))
+        self.inputs = [each.valueReference for each in first]
+        self.start_inputs = [float(each.start) for each in first]
+        self.follows_a_path = [each.name for each in first[:1]] == ["load.position[1]"]
         self.outputs = [each.name for each in variables if each.causality == "output"]
-        self.usual = {
-            each.name: float(each.start) for each in variables if each.causality == "parameter" and each.type == "Real"
-        }
+        others = [each for each in variables if each.causality in ("parameter", "input") and each not in first]
+        self.usual = {each.name: float(each.start) for each in others if each.type == "Real"}
         self._by_reference = {each.valueReference: each for each in variables}
 
     def settable(self, reference: int, *, late: bool) -> bool:

@@ -32,7 +32,7 @@ class Driven:
 
     def __init__(self, fmu: Fmu, k: int) -> None:
         self.fmu, self.instance, self.k, self.steps = fmu, Instance(fmu, lambda _: None), k, 0
-        self.follows = len(fmu.inputs) == 15
+        self.follows, self.others = fmu.follows_a_path, fmu.start_inputs[15:]
         for call in (("setup", 0.0), ("enter",), ("leave",)):
             assert self.instance.do(call) == OK, self.instance.messages
 
@@ -42,7 +42,7 @@ class Driven:
         x = [size * rate**n * np.sin(rate * t + 0.5 * np.pi * n) for n in range(5)]
         jet = [0.0] * 15
         jet[::3] = map(float, x)
-        return [jet[0] + 5.0, jet[1], jet[2] - 5.0, *jet[3:]]
+        return [jet[0] + 5.0, jet[1], jet[2] - 5.0, *jet[3:], *self.others]
 
     def advance(self, count: int) -> None:
         for _ in range(count):
