@@ -126,7 +126,7 @@ def draw(found: Findings) -> Figure:
     steps = [(k[1], v) for k, v in found.curves.items() if k[0] == "stepped"]
     for (count, (h, values)), look in zip(steps, looks(), strict=False):
         right.loglog(h, values, label=f"{count} masses, index {2 * count + 1}", **look)
-    right.set_ylim(1e-2, 1e4)
+    right.set_ylim(1e-3, 1e4)
     label(right, "step $h$ [s]", "input error / peak", "original form, backward Euler", "upper right")
     return figure
 

@@ -27,8 +27,11 @@ STYLE: Any = {
 BAD, GOOD, OTHER, FOURTH = "#b3260a", "#0b3c68", "#5f8f3a", "#8a5bb0"
 """Failing, surviving, in between: different in grey as well."""
 
-_LOOKS = ((BAD, "-", "o"), (GOOD, "-", "s"), (OTHER, "--", "^"), (FOURTH, "-.", "D"), ("#777777", ":", "v"),
-          ("#c79a00", "--", "x"), ("#000000", "-", ""), ("#3aa0a0", "-.", "P"))  # fmt: skip
+_LOOKS = (
+    (BAD, "-", "o"), (GOOD, "--", "s"), (OTHER, "-.", "^"), (FOURTH, ":", "D"),
+    ("#777777", (0, (5, 1, 1, 1, 1, 1)), "v"),
+    ("#c79a00", "--", "x"), ("#000000", "-", ""), ("#3aa0a0", "-.", "P"),
+)  # fmt: skip
 
 
 def looks() -> Any:
