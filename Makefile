@@ -7,8 +7,9 @@ TEST_PROCESSES ?= 2
 BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
+PEERS := .venv/peers
 
-.PHONY: help demo test hostile load check format fmu bench atlas pictures clean
+.PHONY: help demo test hostile load check format fmu bench chart atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -39,8 +40,12 @@ fmu: $(INSTALLED)  ## build the rotary crane's FMU
 	$(BIN)/python build_fmu.py
 
 bench: $(INSTALLED)  ## measure what a step costs on this machine
+	$(RUN) pytest benchmarks/test_bench_steps.py --benchmark-enable --benchmark-columns=median,iqr,rounds -q
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/fmu_cost.py
+
+chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, into docs/speed-accuracy (some 20 minutes)
+	$(PEERS)/bin/python -m benchmarks.chart
 
 atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)
 	$(RUN) benchmarks.atlas
@@ -63,6 +68,20 @@ $(INSTALLED): pyproject.toml | $(BIN)/python
 	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[dev,masters]'; \
 	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[dev,masters]'; fi >/dev/null 2>&1 \
 	|| echo "Not all of ecospy, libcosimpy and fmu-manipulation-toolbox can be installed here; their tests are skipped"
+	@touch $@
+
+# Other solvers have an environment of their own: they must not change the versions that the tests run with.
+$(PEERS)/.installed: pyproject.toml | $(INSTALLED)
+	@echo "Installing other solvers into $(PEERS) (a minute or two)"
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --clear --python $(BIN)/python $(PEERS); \
+	else $(RUN) venv $(PEERS); fi
+	@install() { if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(PEERS)/bin/python "$$@"; \
+	else $(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check "$$@"; fi; }; \
+	install -e . || exit 1; \
+	for each in $$($(BIN)/python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['project']\
+	['optional-dependencies']['peers'])"); do \
+		install "$$each" >/dev/null 2>&1 || echo "$$each cannot be installed here; the page says so"; \
+	done
 	@touch $@
 
 $(BIN)/python:

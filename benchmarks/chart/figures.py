@@ -1,0 +1,164 @@
+"""The figures of the page. Lines differ in marker and dash as well as in colour: they read in grey too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from benchmarks.chart.own import CLOSED_FORM, NAME
+from benchmarks.chart.rows import Row
+from benchmarks.chart.selection import front
+from benchmarks.chart.study import Study
+
+STYLE = {
+    "font.size": 9, "axes.titlesize": 9.5, "axes.labelsize": 9, "legend.fontsize": 8, "axes.grid": True,
+    "grid.color": "0.88", "grid.linewidth": 0.6, "axes.axisbelow": True, "svg.hashsalt": "speed-accuracy",
+    "figure.dpi": 100, "savefig.dpi": 160, "svg.fonttype": "path",
+}  # fmt: skip
+COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d1f", "#56b4e9", "#7f7f7f", "#5b3794", "#e69f00")
+MARKERS = "osD^vPXd<>hp8H*1234"
+DASHES: tuple[object, ...] = (
+    "-",
+    "--",
+    "-.",
+    ":",
+    (0, (5, 1, 1, 1, 1, 1)),
+    (0, (1, 1)),
+    (0, (7, 2)),
+    (0, (3, 1, 1, 1)),
+)
+FAMILIES: dict[str, object] = {
+    "backward-euler": "-", "bdf": "-", "radau": "--", "trapezoidal": "-.", "gauss": "-.", "generalized-alpha": ":",
+}  # fmt: skip
+OLDEST = 1e-16  # an error of zero is drawn here
+FORM_TITLES = {"projected": "projected form (index 3 or 2)", "reduced": "reduced form (index 1, or algebraic)"}
+
+Spread = Callable[[Row], tuple[float, float]]
+
+
+def draw_all(study: Study, folder: Path) -> list[str]:
+    """Draw every figure as SVG and PNG into `folder`; returns their names."""
+    names = []
+    with plt.rc_context(STYLE):
+        for scene in study.scenes:
+            rows = [row for row in study.rows if row.scene == scene]
+            names.append(_save(_two_forms(rows, study.spread, scene, "error"), folder, f"work-precision-{scene}"))
+            names.append(_save(_two_forms(rows, study.spread, scene, "violation"), folder, f"violation-{scene}"))
+        main = study.scenes[0]
+        names.append(_save(_methods([row for row in study.rows if row.scene == main], main), folder, "methods"))
+        names.append(_save(_orders(study), folder, "orders"))
+    return names
+
+
+def _save(figure: Figure, folder: Path, name: str) -> str:
+    figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    figure.savefig(folder / f"{name}.png")
+    plt.close(figure)
+    return name
+
+
+def _two_forms(rows: Sequence[Row], spread: Spread, scene: str, what: str) -> Figure:
+    """Draw the fronts of all solvers, one panel a form; what they give beside it, for the same points."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.6), sharex=True, sharey=True, layout="constrained")
+    solvers = list(dict.fromkeys([NAME, *(row.solver for row in rows if row.solver != CLOSED_FORM)]))
+    for form, axis in zip(FORM_TITLES, axes, strict=True):
+        for k, solver in enumerate(solvers):
+            own = [row for row in rows if row.solver == solver and row.formulation == form]
+            _line(axis, front(own), spread, what, solver, k)
+        _closed_form(axis, rows, what)
+        axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]", title=FORM_TITLES[form])
+    label = "largest error of any input / its peak [1]" if what == "error" else "largest constraint violation [m, rad]"
+    axes[0].set_ylabel(label)
+    handles = {text: line for axis in axes for line, text in zip(*axis.get_legend_handles_labels(), strict=True)}
+    handles = {text: handles[text] for text in sorted(handles, key=lambda text: text != NAME)}
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(5, len(handles)))
+    figure.suptitle(f"{scene.replace('_', ' ')}: best settings of every solver", fontsize=10.5)
+    return figure
+
+
+def _line(axis: Axes, points: Sequence[Row], spread: Spread, what: str, label: str, k: int) -> None:
+    if not points:
+        return
+    points = [row for row in points if getattr(row, what) is not None]
+    x = np.array([row.seconds for row in points])
+    y = np.array([max(getattr(row, what) or 0.0, OLDEST) for row in points])
+    bars = np.array([spread(row) for row in points]).T
+    bars = np.abs(np.clip(bars, 1e-9, None) - x)
+    axis.errorbar(
+        x, y, xerr=bars, label=label, color=COLOURS[k % len(COLOURS)], marker=MARKERS[k % len(MARKERS)],
+        linestyle=DASHES[k % len(DASHES)], markersize=6 if k == 0 else 4.5, linewidth=2.0 if k == 0 else 1.1,
+        elinewidth=0.8, capsize=1.5, markerfacecolor=COLOURS[k % len(COLOURS)] if k % 2 == 0 else "white",
+    )  # fmt: skip
+
+
+def _closed_form(axis: Axes, rows: Sequence[Row], what: str) -> None:
+    for row in rows:
+        if row.solver == CLOSED_FORM and row.solved:
+            if what == "error":
+                axis.axvline(row.seconds, color="0.35", linewidth=1.0, linestyle=(0, (1, 2)),
+                             label="closed form (exact)")  # fmt: skip
+            else:
+                axis.axvline(row.seconds, color="0.35", linewidth=1.0, linestyle=(0, (1, 2)), label="closed form")
+
+
+def _family(method: str) -> dict[str, object]:
+    """Return colour and dash of a family of methods, and the marker of its member."""
+    adaptive = method.endswith("adaptive")
+    for k, (start, dash) in enumerate(FAMILIES.items()):
+        if method.startswith(start):
+            member = "".join(each for each in method.removesuffix(", adaptive") if each.isdigit())
+            return {
+                "color": COLOURS[k],
+                "linestyle": (0, (1, 1)) if adaptive else dash,
+                "marker": MARKERS[int(member or 0) % len(MARKERS)],
+                "markerfacecolor": "white" if k % 2 or adaptive else COLOURS[k],
+                "markersize": 5,
+                "linewidth": 1.1,
+            }
+    return {"color": "0.5"}
+
+
+def _methods(rows: Sequence[Row], scene: str) -> Figure:
+    """Draw our own methods, one line each, on the smallest model."""
+    figure, axis = plt.subplots(figsize=(9.0, 5.2), layout="constrained")
+    own = [row for row in rows if row.solver == NAME and row.solved]
+    model = own[0].model if own else ""
+    top = 1e1
+    for method in dict.fromkeys(row.method for row in own if row.formulation == "projected" and row.model == model):
+        points = [row for row in own if (row.model, row.formulation, row.method) == (model, "projected", method)]
+        label = method if min(row.error for row in points) < top else f"{method} (above the scale)"
+        axis.plot([row.seconds for row in points], [max(row.error, OLDEST) for row in points], label=label,
+                  **_family(method))  # fmt: skip
+    for row in own:
+        if row.formulation == "reduced" and row.model == model and row.method == "exact inversion":
+            axis.plot(row.seconds, row.error, "*", color="black", markersize=13, label="exact inversion (reduced form)")
+    axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
+             ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),
+             title=f"{scene.replace('_', ' ')}, model {model}: methods of servocore on the projected form")  # fmt: skip
+    figure.legend(loc="outside right center")
+    return figure
+
+
+def _orders(study: Study) -> Figure:
+    """Draw error against step, with the fitted orders and the round-off."""
+    figure, axis = plt.subplots(figsize=(9.0, 5.6), layout="constrained")
+    for line in study.order_lines:
+        order = "no order" if line.fit.order is None else f"order {line.fit.order:.2f}"
+        nominal = str(line.nominal) if line.nominal > 0 else "none"
+        axis.plot(line.steps, line.errors, label=f"{line.method}: {order} (nominal {nominal})", **_family(line.method))
+    steps = np.array(sorted({h for line in study.order_lines for h in line.steps}))
+    if study.round_off and len(steps):
+        axis.plot(steps, study.round_off / steps**2, color="0.3", linewidth=2.0, linestyle=(0, (1, 2)),
+                  label=f"round-off, {study.round_off:.1e} s²/h²")  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="step h [s]", ylabel="largest error of any input / its peak [1]",
+             ylim=(1e-10, 1e1), title="rotary crane, path of degree 13, projected form")  # fmt: skip
+    figure.legend(loc="outside right center")
+    return figure

@@ -1,0 +1,144 @@
+"""The library's own routes, and the vectorised closed form as the limit: lists of settings, made into candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+import servocore as sc
+from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Candidate, Prepared, Problem
+
+NAME, CLOSED_FORM = "servocore", "closed-form"
+
+METHODS: tuple[sc.Method, ...] = (
+    sc.BackwardEuler(), *(sc.BDF(order) for order in range(2, 7)), *(sc.RadauIIA(stages) for stages in range(2, 8)),
+    sc.Trapezoidal(), sc.Gauss(1), sc.Gauss(2), sc.GeneralizedAlpha(),
+)  # fmt: skip
+"""Every method, on the smallest model of every scene."""
+
+FEW_METHODS: tuple[sc.Method, ...] = (sc.BackwardEuler(), sc.BDF(4), sc.RadauIIA(5))
+"""On the other models, which give the same errors at another price, and on the original form."""
+
+DIVISIONS = (1, 2, 4, 8, 16, 32)  # of each output interval
+FEW_DIVISIONS = (1, 4, 16)
+TOLERANCES = (1e-3, 1e-6, 1e-9)
+ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
+ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)
+MOST_UNKNOWN_STEPS = 1_000_000
+"""Steps of a run times unknowns of a step: more would take longer than it tells."""
+
+
+def candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
+    """List our routes on a problem."""
+    if smoke:
+        return [*_fixed(problem, None, sc.Projected(), FEW_METHODS[:1], DIVISIONS[:2]), *_reduced(problem, None)]
+    first, *others = problem.scene.models
+    found = [*_reduced(problem, first), *_fixed(problem, first, sc.Projected(), METHODS, DIVISIONS)]
+    found += _adaptive(problem, first)
+    found += _fixed(problem, first, sc.Original(), FEW_METHODS, FEW_DIVISIONS)
+    for model in others:
+        found += [*_reduced(problem, model), *_fixed(problem, model, sc.Projected(), FEW_METHODS, FEW_DIVISIONS)]
+    return found
+
+
+def order_candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
+    """List every method on the projected form, for its order of convergence."""
+    return [
+        _candidate(problem, None, sc.Projected(), method, steps)
+        for method in (METHODS[:2] if smoke else METHODS)
+        for steps in (ORDER_STEPS[2:5] if smoke else ORDER_STEPS)
+    ]
+
+
+def _reduced(problem: Problem, model: str | None) -> list[Candidate]:
+    """List the reduced form: one solve an instant, or an integration of the internal dynamics."""
+    index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
+    if index == 0:
+        return [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), OUTPUT_INTERVALS, "exact inversion")]
+    return _fixed(problem, model, sc.Reduced(), METHODS, FEW_DIVISIONS)
+
+
+def _fixed(
+    problem: Problem,
+    model: str | None,
+    formulation: sc.Formulation,
+    methods: Sequence[sc.Method],
+    divisions: Sequence[int],
+) -> list[Candidate]:
+    """List methods at constant step."""
+    size = len(problem.scene.model(model).coordinates)
+    most = MOST_UNKNOWN_STEPS // (OUTPUT_INTERVALS * size)
+    return [
+        _candidate(problem, model, formulation, method, division * OUTPUT_INTERVALS)
+        for method in methods
+        for division in divisions
+        if division <= most or division == divisions[0]
+    ]
+
+
+def _candidate(
+    problem: Problem, model: str | None, formulation: sc.Formulation, method: sc.Method, steps: int, name: str = ""
+) -> Candidate:
+    step = problem.scene.reference.duration / steps
+    return Candidate(
+        problem, NAME, model or problem.scene.default_model, formulation.name, name or method.name, f"{steps} steps",
+        partial(_prepare, problem, formulation, method, model, step=step),
+    )  # fmt: skip
+
+
+def _adaptive(problem: Problem, model: str) -> list[Candidate]:
+    """List error control: by whole runs on the projected form, step by step on a reduced form of index one."""
+    index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
+    formulations = (sc.Projected(), *((sc.Reduced(),) if index else ()))
+    return [
+        Candidate(problem, NAME, model, formulation.name, f"{method.name}, adaptive", f"rtol = {rtol:g}",
+                  partial(_prepare, problem, formulation, method, model, step=sc.Adaptive(rtol=rtol)))
+        for formulation in formulations
+        for method in ADAPTIVE
+        for rtol in TOLERANCES
+    ]  # fmt: skip
+
+
+def _prepare(
+    problem: Problem,
+    formulation: sc.Formulation,
+    method: sc.Method,
+    model: str | None,
+    step: float | sc.Adaptive,
+) -> Prepared:
+    """Compile everything by solving once."""
+    run = partial(sc.solve, problem.scene, formulation, method, step=step, model=model)
+    run()
+    return Prepared(run, partial(_read, problem), _remark)
+
+
+def _read(problem: Problem, solution: sc.Solution) -> Answer:
+    statistics = solution.statistics
+    inputs = {name: solution[name] for name in problem.inputs}
+    return Answer(inputs, max(statistics.servo_violation, statistics.constraint_violation))
+
+
+def _remark(solution: sc.Solution) -> str:
+    found = solution.statistics
+    return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorisations} factorisations"
+
+
+def closed_form(problem: Problem) -> list[Candidate]:
+    """Return the formula of the exact answer by vectorised NumPy on the output grid: nothing can be faster."""
+    scene = problem.scene
+    if scene.closed_form is None:
+        return []
+
+    def prepare() -> Prepared:
+        t, values, formula = problem.grid(), scene.parameter_values(), scene.closed_form
+        assert formula is not None
+
+        def run() -> dict[str, np.ndarray]:
+            return formula(scene.reference.jet(t, scene.closed_form_order), values)
+
+        return Prepared(run, lambda found: Answer({name: found[name] for name in problem.inputs}, 0.0))
+
+    return [Candidate(problem, CLOSED_FORM, "none", "closed form", "vectorised NumPy", f"{OUTPUT_INTERVALS} intervals",
+                      prepare)]  # fmt: skip
