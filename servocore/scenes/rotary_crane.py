@@ -145,10 +145,28 @@ def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         base,
         coordinates,
         ca.vertcat(along, s * along, s, rope_length, load),
-        guess=ca.vertcat(ca.atan2(start[1, 0], start[0, 0]), ca.norm_2(start[:2, 0]), -start[2, 0], 0, 0),
+        guess=_swinging_guess(start, base.parameters),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={TENSION: hanging_load.tension(start, base.parameters), SWING: hanging_load.swing_angle(rope)},
         name="rotary crane, generalized",
+    )
+
+
+def _swinging_guess(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Return (phi, s, l, swing angles) with the rope along the load's acceleration less gravity.
+
+    A rope guessed vertical is too far off for Newton's method where the load swings by tens of degrees.
+    """
+    pull = gamma[:, 2] + ca.vertcat(0, 0, p["gravity"])
+    direction = -pull / ca.norm_2(pull)  # from trolley to load
+    rope_length = gamma[2, 0] / direction[2]
+    trolley = gamma[:2, 0] - rope_length * direction[:2]
+    s = ca.norm_2(trolley)
+    along = trolley / s
+    outwards = ca.dot(along, direction[:2])
+    sidewards = along[0] * direction[1] - along[1] * direction[0]
+    return ca.vertcat(
+        ca.atan2(trolley[1], trolley[0]), s, rope_length, ca.atan2(outwards, -direction[2]), ca.asin(sidewards)
     )
 
 
