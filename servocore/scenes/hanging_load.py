@@ -20,6 +20,18 @@ def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
     return p["load_mass"] * ca.norm_2(gamma[:, 2] + up)
 
 
+def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return where the trolley is, how long the rope, and its direction from trolley to load.
+
+    The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
+    where the load swings by tens of degrees.
+    """
+    pull = gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
+    direction = -pull / ca.norm_2(pull)
+    length = gamma[-1, 0] / direction[-1]
+    return gamma[:-1, 0] - length * direction[:-1], length, direction
+
+
 def limits(above: str) -> tuple[Limit, Limit]:
     """Return the limits of a taut rope and of a load below what it hangs from, called `above`."""
     return (

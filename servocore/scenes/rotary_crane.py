@@ -78,7 +78,8 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     rope = load - ca.vertcat(place, 0)
     lam = ca.SX.sym("lam", 4)
     gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
-    radius = ca.norm_2(gamma[:2, 0])
+    above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
+    radius = ca.norm_2(above)
     masses = (
         *[p["bridge_inertia"]] * 2,
         *[p["trolley_mass"]] * 2,
@@ -103,7 +104,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         output=load,
         multipliers=lam,
         gamma=gamma,
-        guess=ca.vertcat(gamma[:2, 0] / radius, gamma[:2, 0], radius, -gamma[2, 0], gamma[:, 0]),
+        guess=ca.vertcat(above / radius, above, radius, hanging, gamma[:, 0]),
         home=HOME,
         observables={
             PHI: ca.atan2(direction[1], direction[0]),
@@ -153,14 +154,8 @@ def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
 
 
 def _swinging_guess(gamma: ca.SX, p: Parameters) -> ca.SX:
-    """Return (phi, s, l, swing angles) with the rope along the load's acceleration less gravity.
-
-    A rope guessed vertical is too far off for Newton's method where the load swings by tens of degrees.
-    """
-    pull = gamma[:, 2] + ca.vertcat(0, 0, p["gravity"])
-    direction = -pull / ca.norm_2(pull)  # from trolley to load
-    rope_length = gamma[2, 0] / direction[2]
-    trolley = gamma[:2, 0] - rope_length * direction[:2]
+    """Return (phi, s, l, swing angles) with the rope along the load's acceleration less gravity."""
+    trolley, rope_length, direction = hanging_load.suspension(gamma, p)
     s = ca.norm_2(trolley)
     along = trolley / s
     outwards = ca.dot(along, direction[:2])

@@ -27,6 +27,7 @@ lumped parameters.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -43,6 +44,7 @@ from servocore.rotationless import (
     revolute,
     turned,
 )
+from servocore.scenes import hanging_load
 from servocore.symbols import Parameters, Quantity
 
 if TYPE_CHECKING:
@@ -98,13 +100,13 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
     constraints = _constraints(crane, length)
     lam = crane.multipliers(constraints)
     rope = winch - load
-    return crane.system(
+    system = crane.system(
         "rotary crane, bodies",
         constraints=constraints,
         multipliers=lam,
         inputs=dict(zip(inputs, (phi, s, beta), strict=True)),
         outputs=dict(zip(outputs, ca.vertsplit(load), strict=True)),
-        guess=lambda y: _above_the_load(parameters, y),
+        guess=lambda y: _hanging(parameters, y, y[:2], -y[2]),
         home=(4.0, 0.0, -5.0),
         observables={
             PHI: phi,
@@ -114,6 +116,8 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
             SWING: ca.atan2(ca.norm_2(rope[:2]), rope[2]),
         },
     )
+    place, hanging, _ = hanging_load.suspension(system.gamma, parameters)
+    return replace(system, guess=crane.configuration(_hanging(parameters, system.gamma[:, 0], place, hanging)))
 
 
 def _bodies(p: Parameters) -> tuple[RigidBody, RigidBody, RigidBody]:
@@ -147,16 +151,16 @@ def _constraints(crane: Assembly, length: ca.SX) -> dict[str, ca.SX]:
     }
 
 
-def _above_the_load(p: Parameters, y: ca.SX) -> dict[str, object]:
-    """Return the configuration with the trolley above the load at y, for z < 0 off the slewing axis."""
-    phi, beta = ca.atan2(y[1], y[0]), -y[2] / p["winch_radius"]
-    bridge, trolley = turned(_Z, phi), ca.vertcat(y[0], y[1], 0)
+def _hanging(p: Parameters, load: ca.SX, place: ca.SX, length: ca.SX) -> dict[str, object]:
+    """Return the configuration with the trolley at a place off the slewing axis and the load on a rope."""
+    phi, beta = ca.atan2(place[1], place[0]), length / p["winch_radius"]
+    bridge, trolley = turned(_Z, phi), ca.vertcat(place, 0)
     return {
         "bridge": ((0, 0, 0), bridge),
         "trolley": (trolley, bridge),
         "winch": (trolley, ca.mtimes(bridge, turned(_ACROSS, beta))),
-        "load": y,
+        "load": load,
         "phi": phi,
-        "s": ca.sqrt(y[0] ** 2 + y[1] ** 2),
+        "s": ca.norm_2(place),
         "beta": beta,
     }
