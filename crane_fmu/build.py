@@ -32,7 +32,7 @@ from crane_fmu.kinds import FORMULATIONS, KINDS, ROTARY_CRANE, Kind, Progress
 from crane_fmu.shim import add_shim
 from crane_fmu.slave_base import INTERFACE_FILE
 from crane_fmu.slave_trajectory import PATH_FILE
-from crane_fmu.writing import write_together
+from servocore.writing import write_together
 
 __all__ = ["FORMULATIONS", "build_fmu", "collect", "interface", "main", "packed"]
 

@@ -1,32 +1,20 @@
-"""The command ``crane-fmu``: parsing, progress and sentences; what it computes is in the other modules.
-
-Exit codes: 0 when everything asked for was done; 2 when it was not, with one sentence on the standard error
-stream. Whatever else is raised is a defect and ends with its traceback.
-"""
+"""The command ``crane-fmu``: its options and what they say; what it computes is in the other modules."""
 
 from __future__ import annotations
 
 import io
 import sys
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from time import monotonic
-from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import rich.box
 import rich.table
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from typer.core import TyperGroup
 
 import servocore as sc
 from crane_fmu import feedforward as ff
-from crane_fmu.parameters_file import read_parameters
-from crane_fmu.writing import require_place, write_together
+from servocore.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
+from servocore.writing import require_places, write_together
 
 if TYPE_CHECKING:
     from crane_fmu.report.page import Table
@@ -34,104 +22,17 @@ if TYPE_CHECKING:
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
 NAME = "crane-fmu"
-REFUSED = 2
-WIDE = 120
-"""Columns of text for tables that do not go to a terminal."""
-
-UsageError: Any = typer.BadParameter.__mro__[1]
-"""What the command line's own complaints have in common; Typer gives it no public name."""
-
-
-class SentenceGroup(TyperGroup):
-    """A command group that ends refusals with one plain sentence and exit code 2."""
-
-    def main(self, *args: Any, **options: Any) -> Any:
-        """Run the command line and end the process; the arguments are Typer's own."""
-        try:
-            with _notes_on_the_error_stream():
-                code = super().main(*args, **{**options, "standalone_mode": False})
-        except sc.ServocoreError as error:
-            _refuse(str(error))
-        except typer.Abort:
-            _refuse("stopped")
-        except UsageError as error:
-            message = error.format_message().rstrip(".")
-            _refuse(f"{message[:1].lower()}{message[1:]}; see {NAME} --help")
-        sys.exit(code if isinstance(code, int) else 0)
-
-
-@contextmanager
-def _notes_on_the_error_stream() -> Iterator[None]:
-    """Print the library's warnings as plain lines; those of others stay as they are."""
-    with warnings.catch_warnings():
-        others = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, sc.ServocoreWarning):
-                print(f"{NAME}: note: {message}", file=sys.stderr)
-            else:
-                others(message, category, *place, **more)
-
-        warnings.showwarning = show
-        warnings.simplefilter("always", sc.ServocoreWarning)
-        yield
-
-
-def _refuse(sentence: str) -> NoReturn:
-    print(f"{NAME}: {' '.join(sentence.split())}", file=sys.stderr)
-    sys.exit(REFUSED)
-
-
 app = typer.Typer(
     name=NAME,
     cls=SentenceGroup,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
-    context_settings={"help_option_names": ["-h", "--help"]},
     help="Inputs that make the load of a rotary crane follow its path, and that crane as an FMU.",
-    epilog="Exit code 0: done. Exit code 2: refused, with one sentence on the error stream and no file.",
+    **SETTINGS,
 )
 
 
 @app.callback()
 def _commands() -> None:
     """Keep the commands named even if there is one only; the text of the help is that of `app`."""
-
-
-class PatientProgress:
-    """A progress bar on the error stream, for terminals only, that appears after a second."""
-
-    def __init__(self, label: str) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
-        self._task = self._progress.add_task(label, total=None)
-        self._begin = monotonic()
-        self._started = False
-
-    def __enter__(self) -> PatientProgress:
-        return self
-
-    def __call__(self, done: int, total: int) -> None:
-        """Show that `done` of `total` steps are done."""
-        self._show()
-        self._progress.update(self._task, completed=done, total=total)
-
-    def describe(self, label: str) -> None:
-        """Change what is said to be going on."""
-        self._show()
-        self._progress.update(self._task, description=label)
-
-    def _show(self) -> None:
-        if not self._started and self._progress.console.is_terminal and monotonic() - self._begin > 1.0:
-            self._progress.start()
-            self._started = True
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._started:
-            self._progress.stop()
 
 
 def _option(panel: str, *names: str, metavar: str, text: str) -> Any:
@@ -242,12 +143,11 @@ def feedforward(
     """
     line = LineOptions(start, end, duration, profile, ramp)
     path = path_request(reference, tolerance, line)
-    results = [each for each in (output, plot) if each is not None]
-    _require_places(results, {each for each in (reference, parameters) if each is not None})
+    require_places({"--output": output, "--plot": plot}, [reference, parameters])
     if plot is not None and plot.suffix.lower() not in ff.PICTURES:
         raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
-    changed = {} if parameters is None else read_parameters(parameters, sc.scenes.rotary_crane())
-    contents = {}
+    changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
+    contents: dict[Path, str | bytes] = {}
     with PatientProgress("computing the inputs") as progress:
         solution = ff.feedforward(
             path, changed, ff.Route(model, formulation, method, step, rtol, atol, output_step), progress
@@ -256,10 +156,10 @@ def feedforward(
         if plot is not None:
             contents[plot] = _drawn(solution, plot.suffix.lower())
     if output is not None:
-        contents[output] = table.encode()
+        contents[output] = table
     write_together(contents)
     if output is None:
-        _print(table)
+        write_to_stdout(table)
 
 
 def _drawn(solution: sc.Solution, suffix: str) -> bytes:
@@ -316,9 +216,7 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
         done = demo(output, progress.describe)
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
-    console = Console()
-    if not console.is_terminal:
-        console.width = max(console.width, WIDE)
+    console = table_console()
     for each in done.tables:
         console.print(f"[bold]{each.title}[/bold]", _terminal_table(each), sep="\n")
         console.print(each.note, "", sep="\n" if each.note else "")
@@ -332,16 +230,6 @@ def _terminal_table(table: Table) -> rich.table.Table:
     for row in table.rows:
         shown.add_row(*row)
     return shown
-
-
-def _print(text: str) -> None:
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        raise  # whoever reads has seen enough: Typer ends quietly
-    except OSError as error:
-        raise sc.InvalidSetting(f"cannot write to the standard output stream: {error.strerror or error}") from error
 
 
 class LineOptions(NamedTuple):
@@ -377,16 +265,6 @@ def path_request(reference: Path | None, tolerance: float | None, line: LineOpti
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
     profile = next(iter(ff.PROFILES)) if line.profile is None else line.profile
     return ff.LineRequest(line.start, line.end, line.duration, profile, line.ramp)
-
-
-def _require_places(results: Sequence[Path], sources: set[Path]) -> None:
-    places = [each.resolve() for each in results]
-    if len(set(places)) < len(places):
-        raise sc.InvalidSetting(f"--output and --plot both name {results[0]}")
-    for result in results:
-        if result.resolve() in {each.resolve() for each in sources}:
-            raise sc.InvalidSetting(f"cannot write {result}: it is read as well")
-        require_place(result)
 
 
 def main() -> None:

@@ -1,56 +1,14 @@
-"""Files that appear complete or not at all."""
+"""Folders that appear filled or not at all."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import servocore as sc
-
-
-def require_place(file: Path) -> None:
-    """Raise `InvalidSetting` if a file of that name cannot be there: before the work rather than after it."""
-    if file.is_dir():
-        raise sc.InvalidSetting(f"cannot write {file}: it is a folder")
-    if file.exists() and not file.is_file():
-        raise sc.InvalidSetting(f"cannot write {file}: it is no ordinary file")
-    if not file.parent.is_dir():
-        raise sc.InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
-
-
-def write_together(contents: Mapping[Path, bytes]) -> None:
-    """Write several files: all are written beside their places first and then renamed.
-
-    Parameters
-    ----------
-    contents : mapping of Path to bytes
-        What goes where.
-
-    Raises
-    ------
-    InvalidSetting
-        If a folder does not exist or cannot be written.
-    """
-    try:
-        with ExitStack() as leftovers:
-            waiting = []
-            for name, content in contents.items():
-                file = name.resolve()  # a symbolic link stays one
-                with tempfile.NamedTemporaryFile(
-                    prefix=f".{file.name}", suffix=".part", dir=file.parent, delete=False
-                ) as stream:
-                    part = Path(stream.name)
-                    leftovers.callback(part.unlink, missing_ok=True)
-                    stream.write(content)
-                part.chmod(0o644)
-                waiting.append((part, file))
-            for part, file in waiting:
-                part.replace(file)
-    except OSError as error:
-        raise sc.InvalidSetting(f"cannot write {', '.join(map(str, contents))}: {_reason(error)}") from error
 
 
 @contextmanager

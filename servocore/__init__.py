@@ -20,6 +20,7 @@ from servocore.errors import (
 )
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
+from servocore.parameters_file import read_parameters
 from servocore.plant import Plant, compile_plant
 from servocore.program import Program, StepReport
 from servocore.references import (
@@ -95,6 +96,7 @@ __all__ = [
     "compile_plant",
     "from_csv",
     "generalise",
+    "read_parameters",
     "rest_to_rest",
     "sampled",
     "scenes",

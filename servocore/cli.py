@@ -23,7 +23,7 @@ from servocore.levels_text import HEADINGS, csv_text, markdown_page, remarks, ro
 from servocore.parameters_file import read_parameters
 from servocore.scene import Scene
 from servocore.scenes import REGISTRY
-from servocore.solution import write_atomically
+from servocore.writing import require_places, write_together
 
 NAME = "servocore"
 _INDENT = 22  # where the second column of a printed analysis begins
@@ -177,16 +177,18 @@ def show_levels(
     Other work on the machine shows in the times a little; trust the ratios.
     """
     scenes = _asked_for(scene, every, parameters)
-    _require_places(csv, markdown, parameters)
+    require_places({"--csv": csv, "--markdown": markdown}, [parameters])
     levels: list[Level] = []
     with PatientProgress("measuring") as progress:
         for each in scenes:
             levels += measure_levels(each, instants=instants, repeats=_REPEATS, describe=progress.describe)
+    contents = {}
     if csv is not None:
-        write_atomically(csv, csv_text(levels))
+        contents[csv] = csv_text(levels)
     if markdown is not None:
         command = _as_typed(scene, every, parameters, instants, markdown)
-        write_atomically(markdown, markdown_page(levels, command=command, instants=instants, repeats=_REPEATS))
+        contents[markdown] = markdown_page(levels, command=command, instants=instants, repeats=_REPEATS)
+    write_together(contents)
     console = table_console()
     for each in scenes:
         own = [level for level in levels if level.scene == each.name]
@@ -207,20 +209,6 @@ def _asked_for(scene: str | None, every: bool, parameters: Path | None) -> list[
     if parameters is not None:
         raise InvalidSetting("--parameters belongs to one scene, not to --all")
     return [factory() for factory in REGISTRY.values()]
-
-
-def _require_places(csv: Path | None, markdown: Path | None, parameters: Path | None) -> None:
-    """Raise `InvalidSetting` for results that cannot be written: before the work rather than after it."""
-    results = [each for each in (csv, markdown) if each is not None]
-    if len({each.resolve() for each in results}) < len(results):
-        raise InvalidSetting(f"--csv and --markdown both name {csv}")
-    for file in results:
-        if parameters is not None and file.resolve() == parameters.resolve():
-            raise InvalidSetting(f"cannot write {file}: it is read as well")
-        if file.is_dir():
-            raise InvalidSetting(f"cannot write {file}: it is a folder")
-        if not file.parent.is_dir():
-            raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
 
 
 def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants: int, markdown: Path) -> str:

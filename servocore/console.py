@@ -7,6 +7,9 @@ stream. Whatever else is raised is a defect and ends with its traceback.
 from __future__ import annotations
 
 import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from time import monotonic
 from types import TracebackType
 from typing import Any, NoReturn
@@ -16,7 +19,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from typer.core import TyperGroup
 
-from servocore.errors import ServocoreError
+from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
 
 REFUSED = 2
 WIDE = 120
@@ -41,7 +44,8 @@ class SentenceGroup(TyperGroup):
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command line and end the process; the arguments are Typer's own."""
         try:
-            code = super().main(*args, **{**options, "standalone_mode": False})
+            with self._notes_on_the_error_stream():
+                code = super().main(*args, **{**options, "standalone_mode": False})
         except ServocoreError as error:
             self._refuse(str(error))
         except typer.Abort:
@@ -50,6 +54,22 @@ class SentenceGroup(TyperGroup):
             message = error.format_message().rstrip(".")
             self._refuse(f"{message[:1].lower()}{message[1:]}; see {self.name} --help")
         sys.exit(code if isinstance(code, int) else 0)
+
+    @contextmanager
+    def _notes_on_the_error_stream(self) -> Iterator[None]:
+        """Print the library's warnings as plain lines; those of others stay as they are."""
+        with warnings.catch_warnings():
+            others = warnings.showwarning
+
+            def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+                if issubclass(category, ServocoreWarning):
+                    print(f"{self.name}: note: {message}", file=sys.stderr)
+                else:
+                    others(message, category, *place, **more)
+
+            warnings.showwarning = show
+            warnings.simplefilter("always", ServocoreWarning)
+            yield
 
     def _refuse(self, sentence: str) -> NoReturn:
         print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
@@ -97,3 +117,20 @@ def table_console() -> Console:
     if not console.is_terminal:
         console.width = max(console.width, WIDE)
     return console
+
+
+def write_to_stdout(text: str) -> None:
+    """Write a text to the standard output stream.
+
+    Raises
+    ------
+    InvalidSetting
+        If the stream cannot take it, for example because the disk is full.
+    """
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise  # whoever reads has seen enough: Typer ends quietly
+    except OSError as error:
+        raise InvalidSetting(f"cannot write to the standard output stream: {error.strerror or error}") from error

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from servocore.errors import InvalidSetting
 from servocore.program import Channel
 from servocore.symbols import Array
+from servocore.writing import write_together
 
 
 @dataclass(frozen=True)
@@ -116,27 +114,4 @@ class Solution:
         table = np.column_stack([self.t, *[self[name] for name in names]])
         lines = [",".join(("time", *names))]
         lines += [",".join(repr(float(value)) for value in row) for row in table]
-        write_atomically(Path(path), "\n".join(lines) + "\n")
-
-
-def write_atomically(path: Path, content: str | bytes) -> None:
-    """Write to a temporary file beside `path` and rename it: nobody ever meets half a file.
-
-    Raises
-    ------
-    InvalidSetting
-        If the folder does not exist or cannot be written.
-    """
-    data = content.encode() if isinstance(content, str) else content
-    try:
-        handle, temporary = tempfile.mkstemp(prefix=path.name, suffix=".part", dir=path.parent)
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            Path(temporary).chmod(0o644)
-            Path(temporary).replace(path)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error
+        write_together({Path(path): "\n".join(lines) + "\n"})

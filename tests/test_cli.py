@@ -10,17 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_lines import CommandLine, write
 
 import servocore as sc
 from crane_fmu.cli import app
 from crane_fmu.feedforward import FORMULATIONS, METHODS, MODELS, PROFILES, LineRequest
-from crane_fmu.parameters_file import read_parameters
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
 PAPER = ["--formulation", "projected", "--method", "backward-euler"]
 ROOT = Path(__file__).resolve().parents[1]
+run = CommandLine(app, "crane-fmu")
+assert_refused = run.assert_refused
 
 
 @pytest.fixture(autouse=True)
@@ -28,28 +29,9 @@ def _empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
-
-
 def table(text):
     lines = text.splitlines()
     return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
-
-
-def assert_refused(result, *words):
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("crane-fmu: ")
-    assert len(result.stderr.splitlines()) == 1
-    assert "Traceback" not in result.stderr
-    for word in words:
-        assert word in result.stderr
-
-
-def write(name, text):
-    Path(name).write_text(text, encoding="utf-8")
-    return name
 
 
 def reference_csv(name="path.csv", groups=5, count=41, change=None):
@@ -320,8 +302,8 @@ def test_a_parameter_file_that_is_no_text_is_refused():
 def test_a_parameter_file_may_name_all_six_and_integers_count():
     crane = sc.scenes.rotary_crane()
     text = "\n".join(f"{name} = {value}" for name, value in crane.parameter_values().items())
-    assert read_parameters(Path(write("crane.toml", text)), crane) == crane.parameter_values()
-    assert tomllib.loads("load_mass = 3") == read_parameters(Path(write("one.toml", "load_mass = 3")), crane)
+    assert sc.read_parameters(Path(write("crane.toml", text)), crane) == crane.parameter_values()
+    assert tomllib.loads("load_mass = 3") == sc.read_parameters(Path(write("one.toml", "load_mass = 3")), crane)
 
 
 def test_the_file_that_is_read_is_never_overwritten():

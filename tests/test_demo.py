@@ -18,7 +18,7 @@ from crane_fmu.demo import demo, example_cycle, examples_folder
 from crane_fmu.kinds import KINDS
 from crane_fmu.report.closed_loop import LoopRun
 from crane_fmu.run import input_rows, run_fmu
-from crane_fmu.writing import filled_folder, write_together
+from crane_fmu.writing import filled_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
@@ -195,8 +195,3 @@ class TestWriting:
             _half_done(tmp_path / "out", RuntimeError)
         assert (tmp_path / "out" / "report.html").read_text() == "old"
         assert [each.name for each in tmp_path.iterdir()] == ["out"]
-
-    def test_of_two_files_none_is_written_if_one_cannot_be(self, tmp_path):
-        with pytest.raises(sc.InvalidSetting, match="cannot write"):
-            write_together({tmp_path / "one": b"1", tmp_path / "nowhere" / "two": b"2"})
-        assert list(tmp_path.iterdir()) == []

@@ -9,37 +9,20 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_lines import CommandLine, write
 
 import servocore as sc
 from servocore import cli
 from servocore.cli import app, described
 
 ROOT = Path(__file__).resolve().parents[1]
+run = CommandLine(app, "servocore")
+assert_refused = run.assert_refused
 
 
 @pytest.fixture(autouse=True)
 def _empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
-
-
-def assert_refused(result, *words):
-    assert result.exit_code == 2, result.output
-    assert result.stdout == ""
-    assert result.stderr.startswith("servocore: ")
-    assert len(result.stderr.splitlines()) == 1
-    assert "Traceback" not in result.stderr
-    for word in words:
-        assert word in result.stderr
-
-
-def write(name, text):
-    Path(name).write_text(text, encoding="utf-8")
-    return name
 
 
 class TestScenes:

@@ -13,7 +13,6 @@ from problems import problem, scene, solved
 
 import servocore as sc
 from servocore.program import Channel
-from servocore.solution import write_atomically
 
 CRANE = scene("rotary_crane")
 
@@ -129,16 +128,6 @@ def test_a_failed_write_leaves_the_old_file_and_no_rest(solution, tmp_path, monk
     assert os.listdir(tmp_path) == ["inputs.csv"]
 
 
-def test_an_interrupted_write_leaves_no_rest(tmp_path, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Path, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        write_atomically(tmp_path / "new.txt", "content")
-    assert os.listdir(tmp_path) == []
-
-
 def test_a_folder_that_does_not_exist_is_refused_by_name(solution, tmp_path):
     with pytest.raises(sc.InvalidSetting, match=r"cannot write .*nowhere"):
         solution.to_csv(tmp_path / "nowhere" / "inputs.csv")
@@ -148,13 +137,6 @@ def test_unknown_names_write_nothing(solution, tmp_path):
     with pytest.raises(KeyError, match="M_c"):
         solution.to_csv(tmp_path / "inputs.csv", ["M_c"])
     assert os.listdir(tmp_path) == []
-
-
-def test_text_and_bytes_are_written_whole(tmp_path):
-    write_atomically(tmp_path / "text", "grün\n")
-    write_atomically(tmp_path / "bytes", b"\x00\xff")
-    assert (tmp_path / "text").read_text(encoding="utf-8") == "grün\n"
-    assert (tmp_path / "bytes").read_bytes() == b"\x00\xff"
 
 
 # Angles --------------------------------------------------------------------------------------------------------------

@@ -1,0 +1,75 @@
+"""Files that appear complete or not at all; command lines around the library write theirs with it too."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+
+from servocore.errors import InvalidSetting
+
+
+def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | None] = ()) -> None:
+    """Refuse results that cannot be written: before the work rather than after it.
+
+    Parameters
+    ----------
+    results : mapping of str to Path or None
+        Where each option wants its file; None where it was not given.
+    sources : iterable of Path or None
+        Files that are read and must survive.
+
+    Raises
+    ------
+    InvalidSetting
+        If two options name one file, or a file is read as well, is a folder or has none to be in.
+    """
+    wanted = {option: file for option, file in results.items() if file is not None}
+    read = {file.resolve() for file in sources if file is not None}
+    taken: dict[Path, str] = {}
+    for option, file in wanted.items():
+        other = taken.setdefault(file.resolve(), option)
+        if other != option:
+            raise InvalidSetting(f"{other} and {option} both name {wanted[other]}")
+        if file.resolve() in read:
+            raise InvalidSetting(f"cannot write {file}: it is read as well")
+        if file.is_dir():
+            raise InvalidSetting(f"cannot write {file}: it is a folder")
+        if file.exists() and not file.is_file():
+            raise InvalidSetting(f"cannot write {file}: it is no ordinary file")
+        if not file.parent.is_dir():
+            raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
+
+
+def write_together(contents: Mapping[Path, str | bytes]) -> None:
+    """Write several files: all are written beside their places first and then renamed.
+
+    Parameters
+    ----------
+    contents : mapping of Path to str or bytes
+        What goes where; texts are written as UTF-8.
+
+    Raises
+    ------
+    InvalidSetting
+        If a folder does not exist or cannot be written.
+    """
+    try:
+        with ExitStack() as leftovers:
+            waiting = []
+            for name, content in contents.items():
+                file = name.resolve()  # a symbolic link stays one
+                with tempfile.NamedTemporaryFile(
+                    prefix=f".{file.name}", suffix=".part", dir=file.parent, delete=False
+                ) as stream:
+                    part = Path(stream.name)
+                    leftovers.callback(part.unlink, missing_ok=True)
+                    stream.write(content.encode() if isinstance(content, str) else content)
+                part.chmod(0o644)
+                waiting.append((part, file))
+            for part, file in waiting:
+                part.replace(file)
+    except OSError as error:
+        names = ", ".join(map(str, contents))
+        raise InvalidSetting(f"cannot write {names}: {error.strerror or error}") from error

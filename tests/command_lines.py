@@ -1,0 +1,34 @@
+"""What the tests of both command lines share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from typer import Typer
+from typer.testing import CliRunner
+
+
+class CommandLine:
+    """A command line as a caller in an empty folder sees it."""
+
+    def __init__(self, app: Typer, name: str) -> None:
+        self.app, self.name = app, name
+
+    def __call__(self, *arguments: object) -> Any:
+        return CliRunner().invoke(self.app, list(map(str, arguments)))
+
+    def assert_refused(self, result: Any, *words: str) -> None:
+        """One sentence with these words on the error stream, nothing else, and exit code 2."""
+        assert result.exit_code == 2, result.output
+        assert result.stdout == ""
+        assert result.stderr.startswith(f"{self.name}: ")
+        assert len(result.stderr.splitlines()) == 1
+        assert "Traceback" not in result.stderr
+        for word in words:
+            assert word in result.stderr
+
+
+def write(name: str, text: str) -> str:
+    Path(name).write_text(text, encoding="utf-8")
+    return name

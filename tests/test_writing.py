@@ -1,0 +1,65 @@
+"""Files appear complete or not at all."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+import servocore as sc
+from servocore.writing import require_places, write_together
+
+
+def test_text_and_bytes_are_written_whole(tmp_path):
+    write_together({tmp_path / "text": "grün\n", tmp_path / "bytes": b"\x00\xff"})
+    assert (tmp_path / "text").read_text(encoding="utf-8") == "grün\n"
+    assert (tmp_path / "bytes").read_bytes() == b"\x00\xff"
+    assert (tmp_path / "text").stat().st_mode & 0o777 == 0o644
+
+
+def test_several_files_appear_together_or_not_at_all(tmp_path):
+    with pytest.raises(sc.InvalidSetting, match="nowhere"):
+        write_together({tmp_path / "one": "1", tmp_path / "nowhere" / "two": "2"})
+    assert os.listdir(tmp_path) == []
+
+
+def test_an_interrupted_write_leaves_no_rest(tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_together({tmp_path / "new.txt": "content"})
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_symbolic_link_stays_one(tmp_path):
+    (tmp_path / "target").write_text("old")
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    write_together({tmp_path / "link": "new"})
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "target").read_text() == "new"
+
+
+def test_a_place_that_can_be_written_is_accepted(tmp_path):
+    (tmp_path / "old").write_text("old")
+    require_places({"--output": tmp_path / "old", "--plot": tmp_path / "new", "--csv": None}, [tmp_path / "read", None])
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("folder", "cannot write folder: it is a folder"),
+        ("read", "cannot write read: it is read as well"),
+        ("./folder/../read", "it is read as well"),
+        ("nowhere/new", "cannot write nowhere/new: there is no folder nowhere"),
+        ("pipe", "cannot write pipe: it is no ordinary file"),
+        ("other", "--plot and --output both name other"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(name, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("folder").mkdir()
+    Path("read").touch()
+    os.mkfifo("pipe")
+    with pytest.raises(sc.InvalidSetting, match=sentence.replace(".", r"\.")):
+        require_places({"--plot": Path("other"), "--output": Path(name)}, [Path("read")])
