@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from servocore.errors import InvalidReference
-from servocore.references import figure_of_eight, periodic
+from servocore import figure_of_eight, periodic
 
 PERIOD = 7.0
 W = 2 * np.pi / PERIOD
