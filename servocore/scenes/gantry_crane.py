@@ -62,6 +62,7 @@ def points() -> MechanicalSystem:
     p, lam = PARAMETERS, ca.SX.sym("lam")
     gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
     rope = load - ca.vertcat(coordinates.q[:2], 0)
+    above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
     masses = (
         p["bridge_mass"] + p["trolley_mass"],
         p["trolley_mass"],
@@ -83,7 +84,7 @@ def points() -> MechanicalSystem:
         output=load,
         multipliers=lam,
         gamma=gamma,
-        guess=ca.vertcat(gamma[:2, 0], -gamma[2, 0], gamma[:, 0]),
+        guess=ca.vertcat(above, hanging, gamma[:, 0]),
         home=(1.0, 1.0, -4.0),
         observables={TENSION: 2 * lam * rope_length, SWING: hanging_load.swing_angle(rope)},
     )
@@ -102,11 +103,12 @@ def generalized() -> MechanicalSystem:
     direction = ca.vertcat(ca.sin(along) * ca.cos(across), ca.sin(across), -ca.cos(along) * ca.cos(across))
     rope = rope_length * direction
     start = base.gamma
+    above, hanging, towards = hanging_load.suspension(start, base.parameters)
     return generalise(
         base,
         coordinates,
         ca.vertcat(s_x, s_y, rope_length, ca.vertcat(s_x, s_y, 0) + rope),
-        guess=ca.vertcat(start[:2, 0], -start[2, 0], 0, 0),
+        guess=ca.vertcat(above, hanging, ca.atan2(towards[0], -towards[2]), ca.asin(towards[1])),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={
             TENSION: hanging_load.tension(start, base.parameters),

@@ -51,6 +51,7 @@ def points() -> MechanicalSystem:
     s, rope, x, z = ca.vertsplit(coordinates.q)
     p, lam = PARAMETERS, ca.SX.sym("lam")
     gamma = ca.SX.sym("gamma", 2, MAX_REFERENCE_ORDER + 1)
+    above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
     masses = (p["trolley_mass"], p["winch_inertia"] / p["winch_radius"] ** 2, p["load_mass"], p["load_mass"])
     input_matrix = ca.SX(2, 4)
     input_matrix[0, 0], input_matrix[1, 1] = -1, -1 / p["winch_radius"]
@@ -67,7 +68,7 @@ def points() -> MechanicalSystem:
         output=ca.vertcat(x, z),
         multipliers=lam,
         gamma=gamma,
-        guess=ca.vertcat(gamma[0, 0], -gamma[1, 0], gamma[0, 0], gamma[1, 0]),
+        guess=ca.vertcat(above, hanging, gamma[:, 0]),
         home=(1.0, -4.0),
         observables={TENSION: 2 * lam * rope, SWING: ca.atan2(x - s, -z)},
     )
@@ -81,11 +82,12 @@ def generalized() -> MechanicalSystem:
     s, rope, swing = ca.vertsplit(coordinates.q)
     start = base.gamma
     load = ca.vertcat(s + rope * ca.sin(swing), -rope * ca.cos(swing))
+    above, hanging, towards = hanging_load.suspension(start, base.parameters)
     return generalise(
         base,
         coordinates,
         ca.vertcat(s, rope, load),
-        guess=ca.vertcat(start[0, 0], -start[1, 0], 0),
+        guess=ca.vertcat(above, hanging, ca.atan2(towards[0], -towards[1])),
         observables={TENSION: hanging_load.tension(start, base.parameters)},
         name="overhead crane, generalized",
     )
