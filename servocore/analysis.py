@@ -153,8 +153,9 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
 
 
 def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> StructureReport:
+    complete = system
     system, dropped = prepared(system, p)
-    left_out = f"redundant constraints left out: {', '.join(f'g_{k + 1}' for k in dropped)}" if dropped else ""
+    left_out = f"redundant constraints left out: {complete.listed_constraints(dropped)}" if dropped else ""
     outline = StructureReport(
         name=system.name,
         degrees_of_freedom=system.degrees_of_freedom,

@@ -35,22 +35,12 @@ def prepared(system: MechanicalSystem, p: Array) -> tuple[MechanicalSystem, tupl
 
 
 def redundant_constraints(system: MechanicalSystem, p: Array) -> list[int]:
-    """Return the holonomic constraints whose Jacobian rows depend on those before them, at the home configuration."""
-    if not system.lam.numel():
-        return []
-    q, _ = system.home_configuration()
-    G = np.asarray(ca.Function("G", [system.q, system.p], [system.G])(q, p))
-    dependent = []
-    basis = np.zeros((0, G.shape[1]))
-    for k, row in enumerate(G):
-        rest = row - (basis @ row) @ basis
-        rest = rest - (basis @ rest) @ basis
-        length = float(np.linalg.norm(rest))
-        if length <= 1e-9 * max(1.0, float(np.linalg.norm(row))):
-            dependent.append(k)
-        else:
-            basis = np.vstack([basis, rest / length])
-    return dependent
+    """Return the holonomic constraints that follow from the others, where all hold near the home configuration.
+
+    Their number is that of the constraints less their rank; which ones are left out is a choice, the last where
+    there is one (`servocore.ranks`).
+    """
+    return list(system.constraint_rank(p).redundant)
 
 
 def without_constraints(system: MechanicalSystem, dropped: list[int]) -> MechanicalSystem:
@@ -58,4 +48,10 @@ def without_constraints(system: MechanicalSystem, dropped: list[int]) -> Mechani
     kept = [k for k in range(system.lam.numel()) if k not in dropped]
     gone = system.lam[dropped]
     observables = {k: ca.substitute(e, gone, ca.SX.zeros(len(dropped))) for k, e in system.observables.items()}
-    return replace(system, constraints=system.constraints[kept], multipliers=system.lam[kept], observables=observables)
+    return replace(
+        system,
+        constraints=system.constraints[kept],
+        multipliers=system.lam[kept],
+        observables=observables,
+        constraint_names=tuple(system.constraint_names[k] for k in kept if system.constraint_names),
+    )

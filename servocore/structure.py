@@ -130,8 +130,10 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
     Raises
     ------
     InvalidModel
-        If the equations are structurally singular, or the system Jacobian stays singular.
+        If some holonomic constraints are redundant, the equations are structurally singular, or the system Jacobian
+        stays singular.
     """
+    system.require_independent_constraints()
     equations = second_order_equations(system)
     tried = []
     for remedy in (None, leave_out_vanishing, combine):

@@ -11,7 +11,7 @@ depend on q. The reference gamma and its derivatives are symbols too: a compiled
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.ranks import ConstraintRank, constraint_rank
 from servocore.symbols import Array, Coordinates, Parameters, Quantity
 
 MAX_REFERENCE_ORDER = 24
@@ -79,11 +80,14 @@ class MechanicalSystem:
         Symbols of the inputs, shape (m,), if observables use them; made when not given.
     home_parameters : tuple of float, optional
         Parameter values at which the structure is analysed; the defaults when not given.
+    constraint_names : tuple of str, optional
+        What messages call the rows of `constraints`; g_1, g_2, ... when not given.
 
     Raises
     ------
     InvalidModel
-        If sizes do not match, M is not symmetric, or an expression holds a foreign symbol.
+        If sizes do not match, M is not symmetric, an expression holds a foreign symbol, or there are more inputs than
+        degrees of freedom. Redundant constraints do not count: the rank is taken where they hold.
     """
 
     name: str
@@ -105,6 +109,7 @@ class MechanicalSystem:
     observables: Mapping[Quantity, ca.SX] = field(default_factory=dict)
     u: ca.SX = DERIVED
     home_parameters: tuple[float, ...] = ()
+    constraint_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
@@ -120,6 +125,7 @@ class MechanicalSystem:
         self._require_shape("gyroscopic", (n, 1))
         self._require_own_symbols()
         self._require_symmetric_mass()
+        self._require_freedom(n, m, m_h)
 
     def _fill(self, attribute: str, default: ca.SX) -> None:
         if getattr(self, attribute) is DERIVED:
@@ -128,8 +134,8 @@ class MechanicalSystem:
     def _require_shapes(self, n: int, m: int, m_h: int) -> None:
         if len(self.outputs) != m:
             raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
-        if m > n - m_h:
-            raise InvalidModel(f"{self.name}: {m} inputs exceed the {n - m_h} degrees of freedom")
+        if len(self.constraint_names) not in (0, m_h):
+            raise InvalidModel(f"{self.name}: {len(self.constraint_names)} names for {m_h} holonomic constraints")
         expected = {
             "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
             "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
@@ -161,6 +167,21 @@ class MechanicalSystem:
         if leftover:
             raise InvalidModel(f"{self.name}: {what} holds symbols that it must not use: {leftover}")
 
+    def _require_freedom(self, n: int, m: int, m_h: int) -> None:
+        if m <= n - m_h:
+            return  # even if all constraints were independent
+        found = self._rank_at_home
+        if not found.assembled:
+            raise InvalidModel(
+                f"{self.name}: {m} inputs are too many for {n} coordinates with {m_h} holonomic constraints, unless"
+                " these are redundant in part; no configuration that satisfies them was found from the guess at home"
+            )
+        if m > n - found.rank:
+            raise InvalidModel(
+                f"{self.name}: {m} inputs exceed the {n - found.rank} degrees of freedom"
+                f" ({n} coordinates, {found.rank} independent ones of {m_h} holonomic constraints)"
+            )
+
     def _require_symmetric_mass(self) -> None:
         skew = ca.Function("skew", [self.q, self.p], [self.mass - self.mass.T])
         # An irrational-looking point: a difference that vanishes here vanishes as an expression.
@@ -189,10 +210,39 @@ class MechanicalSystem:
         """Multipliers of the holonomic constraints, shape (m_h,)."""
         return self.multipliers
 
-    @property
+    @cached_property
     def degrees_of_freedom(self) -> int:
-        """N - m_h."""
-        return len(self.coordinates) - int(self.constraints.numel())
+        """N less the rank of the holonomic constraints, where they hold."""
+        return len(self.coordinates) - self._rank_at_home.rank
+
+    @cached_property
+    def _rank_at_home(self) -> ConstraintRank:
+        return self.constraint_rank()
+
+    def constraint_rank(self, p: Array | None = None) -> ConstraintRank:
+        """Find how many holonomic constraints are independent, and which are redundant.
+
+        Told at configurations that satisfy them near the guess at `home`, with the parameter values `p` or those of
+        home.
+        """
+        home, values = self.home_configuration()
+        starts = [home]
+        if p is not None:
+            starts, values = [self.home_configuration(p)[0], home], p
+        return constraint_rank(self.constraints, self.q, self.p, starts, values, self.coordinates.nominal)
+
+    def listed_constraints(self, rows: Sequence[int]) -> str:
+        """Return what messages call some rows of the holonomic constraints."""
+        return ", ".join(self.constraint_names[k] if self.constraint_names else f"g_{k + 1}" for k in rows)
+
+    def require_independent_constraints(self) -> None:
+        """Raise `InvalidModel`, naming rows that follow from others, if some holonomic constraints are redundant."""
+        found = self._rank_at_home
+        if found.redundant:
+            raise InvalidModel(
+                f"{self.name}: {len(found.redundant)} of the {found.rows} holonomic constraints are redundant (rank"
+                f" {found.rank}): {self.listed_constraints(found.redundant)}; solve and analyse leave them out"
+            )
 
     @cached_property
     def G(self) -> ca.SX:  # noqa: N802 - the paper's name
@@ -218,9 +268,9 @@ class MechanicalSystem:
         """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
         return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
 
-    def home_configuration(self) -> tuple[Array, Array]:
-        """Return (q, p): the guess at `home` with `home_parameters`."""
-        p = np.array(self.home_parameters, dtype=np.float64)
+    def home_configuration(self, p: Array | None = None) -> tuple[Array, Array]:
+        """Return (q, p): the guess at `home` with the parameter values `p`, or with `home_parameters`."""
+        p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
         gamma = np.zeros(self.gamma.shape)
         gamma[:, 0] = self.home
         guess = ca.Function("guess", [self.gamma, self.p], [self.guess])

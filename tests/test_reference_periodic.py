@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from servocore.errors import InvalidReference
 from servocore import figure_of_eight, periodic
+from servocore.errors import InvalidReference
 
 PERIOD = 7.0
 W = 2 * np.pi / PERIOD

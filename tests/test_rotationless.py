@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from servocore.derivative_array import compile_inversion, derivative_array
 from servocore.errors import InvalidModel
+from servocore.redundancy import redundant_constraints, without_constraints
 from servocore.rotationless import (
     GROUND,
     Assembly,
@@ -403,18 +404,30 @@ def test_a_four_bar_linkage_of_spatial_bodies_has_one_degree_of_freedom_and_inde
     assert (system.degrees_of_freedom, found.degrees_of_freedom, found.index) == (1, 0, 3)
 
 
-def test_four_hinges_in_a_plane_are_refused_as_dependent():
+def four_hinges():
     page = howto()
     closing = revolute(page["rocker"].at((page["ROCKER"], 0, 0)), page["coupler"].at((page["COUPLER"], 0, 0)))
     theta = page["linkage"].augmented("theta")
-    with pytest.raises(InvalidModel, match="1 inputs exceed the -2 degrees of freedom"):
-        page["linkage"].system(
-            "four hinges",
-            constraints={**page["constraints"], "C": closing},
-            inputs={Quantity("torque", "N.m"): theta},
-            outputs={Quantity("theta", "rad"): theta},
-            guess=page["near"],
-        )
+    return page["linkage"].system(
+        "four hinges",
+        constraints={**page["constraints"], "C": closing},
+        inputs={Quantity("torque", "N.m"): theta},
+        outputs={Quantity("theta", "rad"): theta},
+        guess=page["near"],
+    )
+
+
+def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_rows():
+    system, p = four_hinges(), howto()["p"].values()
+    assert system.degrees_of_freedom == 1
+    named = "3 of the 39 holonomic constraints are redundant \\(rank 36\\): C 3, C 4, C 5"
+    with pytest.raises(InvalidModel, match=f"four hinges: {named}; solve and analyse leave them out"):
+        derivative_array(system)
+    kept = without_constraints(system, redundant_constraints(system, p))
+    array = derivative_array(kept)
+    y, _, residual = compile_inversion(array)(ca.horzcat(1.0, 2.0, -3.0), p)
+    assert float(y[array.position("u.torque", 0)]) == pytest.approx(FourBar(1.0).torque(2.0, -3.0), rel=1e-9)
+    assert float(residual) < 1e-12
 
 
 def test_the_torque_that_drives_a_closed_loop_s_crank_is_that_of_complex_numbers_all_around():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from problems import actuated_chain, car_chain, changed, driven_pendulum, mass_on_car, redundant_pendulum
 
 import servocore as sc
-from servocore.system import MAX_REFERENCE_ORDER, gyroscopic_forces
+from servocore.system import DERIVED, MAX_REFERENCE_ORDER, gyroscopic_forces
 
 q = sc.Coordinates(sc.Quantity("a", "m"), sc.Quantity("b", "m"))
 STRANGER = ca.SX.sym("stranger")
@@ -164,13 +164,44 @@ def test_a_mass_matrix_asymmetric_away_from_zero_only_is_refused():
         changed(system, mass=mass, gyroscopic=ca.SX.zeros(2))
 
 
+def overactuated(base: sc.MechanicalSystem) -> sc.MechanicalSystem:
+    """The pendulum in three coordinates with an input and an output too many."""
+    wrong = {
+        "inputs": (sc.Quantity("t1", "N"), sc.Quantity("t2", "N")),
+        "outputs": (sc.Quantity("y1", "m"), sc.Quantity("y2", "m")),
+        "output": base.q[:2],
+        "input_matrix": -ca.SX.eye(3)[:2, :],
+        "gamma": DERIVED,
+        "guess": ca.SX([0.4, -1.0, 0.4]),
+        "home": (0.4, -1.0),
+    }
+    return changed(base, **wrong)
+
+
 def test_more_inputs_than_degrees_of_freedom_are_refused():
-    with pytest.raises(sc.InvalidModel, match="redundant pendulum: 2 inputs exceed the 1 degrees of freedom"):
-        changed(
-            redundant_pendulum(),
-            inputs=(sc.Quantity("t1", "N"), sc.Quantity("t2", "N")),
-            outputs=(sc.Quantity("y1", "m"), sc.Quantity("y2", "m")),
-        )
+    counted = r"\(3 coordinates, 2 independent ones of 2 holonomic constraints\)"
+    with pytest.raises(
+        sc.InvalidModel, match=f"redundant pendulum: 2 inputs exceed the 1 degrees of freedom {counted}"
+    ):
+        overactuated(redundant_pendulum())
+
+
+def test_redundant_constraints_take_no_degree_of_freedom_away():
+    base = redundant_pendulum()
+    thrice = ca.vertcat(base.constraints, base.constraints[0], ca.sum1(base.constraints))
+    system = changed(base, constraints=thrice, multipliers=DERIVED)
+    assert system.degrees_of_freedom == 1
+    assert system.constraint_rank().redundant == (2, 3)
+    with pytest.raises(sc.InvalidModel, match=r"2 of the 4 holonomic constraints are redundant \(rank 2\): g_3, g_4;"):
+        system.require_independent_constraints()
+    counted = r"\(3 coordinates, 2 independent ones of 4 holonomic constraints\)"
+    with pytest.raises(sc.InvalidModel, match=f"2 inputs exceed the 1 degrees of freedom {counted}"):
+        overactuated(system)
+
+
+def test_names_of_constraints_are_as_many_as_constraints():
+    with pytest.raises(sc.InvalidModel, match="redundant pendulum: 1 names for 2 holonomic constraints"):
+        changed(redundant_pendulum(), constraint_names=("rod",))
 
 
 def test_as_many_outputs_as_inputs_are_needed():

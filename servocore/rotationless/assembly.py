@@ -177,12 +177,24 @@ class Assembly:
             guess=self.configuration(guess(gamma[:, 0])),
             home=home,
             observables=observables or {},
+            constraint_names=self._row_names(constraints),
         )
 
     def multipliers(self, constraints: Mapping[str, ca.SX]) -> Mapping[str, ca.SX]:
         """Return symbols of the multipliers by name of the joint, '' for those of orthonormality."""
         rows = {"": self.orthonormality, **constraints}
         return {key: ca.SX.sym(f"lam_{key or 'orthonormality'}", each.numel()) for key, each in rows.items()}
+
+    def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
+        """Name every row by its joint, with a number where that has several."""
+        bodies = [part.name for part in self.parts if isinstance(part, RigidBody)]
+        directors = ("d1.d1", "d2.d2", "d3.d3", "d2.d3", "d3.d1", "d1.d2")
+        joints = [
+            name if rows.numel() == 1 else f"{name} {k + 1}"
+            for name, rows in constraints.items()
+            for k in range(rows.numel())
+        ]
+        return (*(f"{name} {pair}" for name in bodies for pair in directors), *joints)
 
     @property
     def _names(self) -> list[str]:

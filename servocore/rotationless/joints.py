@@ -1,4 +1,4 @@
-"""Joints: constraints between two places, at most quadratic in the coordinates, independent of one another.
+"""Joints: constraints between two places, at most quadratic in the coordinates.
 
 Every function takes a place `a` on one body and a place `b` on another (or on the ground) and returns a
 column that vanishes where the joint holds. With the multipliers lam of these rows the joint exerts -G^T lam.
@@ -16,9 +16,10 @@ column that vanishes where the joint holds. With the multipliers lam of these ro
 | `angle`, `displacement` | 1 | define an augmented coordinate |
 
 Closed loops of parallel hinges: a planar four-bar linkage of three moving bodies and four revolutes has 20
-joint rows, 3 too many, since three revolutes keep all bodies in their plane already. Let the hinge that
-closes the loop be `on_line`, a point of one body on the hinge axis of the other (2 rows): then all
-constraints are independent.
+joint rows, 3 too many, since three revolutes keep all bodies in their plane already. `analyse` names such rows
+and `solve` leaves them out, as it does in overconstrained spatial loops (Bricard). Or let the hinge that closes
+the loop be `on_line`, a point of one body on the hinge axis of the other (2 rows): then all constraints are
+independent, and all joint forces determined.
 """
 
 from __future__ import annotations
