@@ -68,8 +68,9 @@ class Scene:
     parameters : mapping of str to float
         Values that differ from the defaults.
     follow_branch : bool
-        Whether every instant of the exact inversion starts from the one before instead of the model's guess: where
-        several configurations belong to one output, a run then stays on the branch on which it started.
+        Whether every instant of the exact inversion starts from where the one before was heading instead of the
+        model's guess: where several configurations belong to one output, a run then stays on the branch on which it
+        started, and goes on smoothly where two branches meet.
     """
 
     name: str

@@ -35,7 +35,8 @@ def compile_program(
 ) -> Program:
     """Compile a model with a formulation and a method; repeated calls return the same program.
 
-    With `follow_branch` an exact inversion starts from the instant before instead of the model's guess.
+    With `follow_branch` an exact inversion starts from where the instant before was heading instead of the model's
+    guess.
     """
     dae = formulation.dae(system)
     # Without differential states every instant stands alone: a step is a start.
@@ -96,12 +97,20 @@ def _compile_step(step: Discretisation) -> ca.Function:
 
 
 def _compile_following_step(array: DerivativeArray, order: int) -> ca.Function:
-    """Invert exactly, starting from the instant before: without internal dynamics its state is all unknowns."""
+    """Invert exactly, starting from where the instant before was heading.
+
+    Without internal dynamics its state is all unknowns, derivatives included. Where two motions meet, the one that goes
+    on with the same velocity and acceleration is the nearer, by a power of h.
+    """
     solver = compile_array_solver(array)
     system = array.system
     state, h = ca.MX.sym("state", len(array.unknowns)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
-    found = solver(gamma[:, : array.reference_order + 1], p, state)
+    known = dict(zip(array.unknowns, ca.vertsplit(state), strict=True))
+    ahead = [
+        value + h * known.get((j, k + 1), 0) + h**2 / 2 * known.get((j, k + 2), 0) for (j, k), value in known.items()
+    ]
+    found = solver(gamma[:, : array.reference_order + 1], p, ca.vertcat(*ahead))
     return ca.Function("sc_step", [state, gamma, h, p], list(found))
 
 
