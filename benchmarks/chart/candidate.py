@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.interpolate import make_interp_spline
 
 import servocore as sc
 
@@ -15,6 +16,10 @@ Array = npt.NDArray[np.float64]
 
 OUTPUT_INTERVALS = 200
 """All solvers report on this many intervals of the run, or on a whole multiple of them."""
+
+COARSE = (40, 100)
+"""Intervals of coarser grids, for solvers that pay by the instant; a spline brings their inputs to the output grid."""
+SPLINE_DEGREE = 7
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,15 @@ class Problem:
             exact = self.exact(len(values) - 1)[name]
             found[name] = float(np.abs(values - exact).max() / np.abs(exact).max())
         return found
+
+
+def on_output_grid(problem: Problem, values: Array) -> Array:
+    """Return trajectories (m, N) on the output grid: as they are, or by a spline through a coarser grid's."""
+    intervals = values.shape[1] - 1
+    if intervals >= OUTPUT_INTERVALS:
+        return values
+    found: Array = make_interp_spline(problem.grid(intervals), values, k=SPLINE_DEGREE, axis=1)(problem.grid())
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,16 @@ from functools import partial
 import numpy as np
 
 import servocore as sc
-from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Candidate, Prepared, Problem
+from benchmarks.chart.candidate import (
+    COARSE,
+    OUTPUT_INTERVALS,
+    Answer,
+    Array,
+    Candidate,
+    Prepared,
+    Problem,
+    on_output_grid,
+)
 
 NAME, CLOSED_FORM = "servocore", "closed-form"
 
@@ -26,6 +35,10 @@ FEW_DIVISIONS = (1, 4, 16)
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
 ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)
+ORDER_DURATION = 20.0
+"""Duration in s of the run on which orders are fitted."""
+LARGEST_ROUND_OFF = 1e-9
+"""c of a round-off c/h^2, in s^2; an error that grows faster as the step falls is no round-off."""
 MOST_UNKNOWN_STEPS = 1_000_000
 """Steps of a run times unknowns of a step: more would take longer than it tells."""
 
@@ -56,7 +69,8 @@ def _reduced(problem: Problem, model: str | None) -> list[Candidate]:
     """List the reduced form: one solve an instant, or an integration of the internal dynamics."""
     index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
     if index == 0:
-        return [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), OUTPUT_INTERVALS, "exact inversion")]
+        return [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), steps, "exact inversion")
+                for steps in (*COARSE, OUTPUT_INTERVALS)]  # fmt: skip
     return _fixed(problem, model, sc.Reduced(), METHODS, FEW_DIVISIONS)
 
 
@@ -109,19 +123,25 @@ def _prepare(
     step: float | sc.Adaptive,
 ) -> Prepared:
     """Compile everything by solving once."""
-    run = partial(sc.solve, problem.scene, formulation, method, step=step, model=model)
-    run()
+
+    def run() -> tuple[sc.Solution, Array]:
+        solution = sc.solve(problem.scene, formulation, method, step=step, model=model)
+        return solution, on_output_grid(problem, solution.values[:, : len(problem.inputs)].T)
+
+    first, _ = run()
+    if first.names[: len(problem.inputs)] != problem.inputs:
+        raise ValueError("the inputs are not the first trajectories of a solution")
     return Prepared(run, partial(_read, problem), _remark)
 
 
-def _read(problem: Problem, solution: sc.Solution) -> Answer:
-    statistics = solution.statistics
-    inputs = {name: solution[name] for name in problem.inputs}
+def _read(problem: Problem, found: tuple[sc.Solution, Array]) -> Answer:
+    statistics = found[0].statistics
+    inputs = dict(zip(problem.inputs, found[1], strict=True))
     return Answer(inputs, max(statistics.servo_violation, statistics.constraint_violation))
 
 
-def _remark(solution: sc.Solution) -> str:
-    found = solution.statistics
+def _remark(answer: tuple[sc.Solution, Array]) -> str:
+    found = answer[0].statistics
     return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorisations} factorisations"
 
 

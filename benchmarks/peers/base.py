@@ -8,7 +8,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Problem
+from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Problem, on_output_grid
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, INPUTS_AS_DERIVATIVES, Form, make_form
 
 FORMS = (("projected", ""), ("reduced", DERIVATIVE_ARRAY), ("reduced", INPUTS_AS_DERIVATIVES))
@@ -35,7 +35,7 @@ class Lean:
     """A compiled function whose arguments and results stay in place: what a call costs is the evaluation.
 
     CasADi evaluates it by its virtual machine, as it does for `servocore`: a few microseconds, less than NumPy code
-    by hand would take.
+    by hand would take. CasADi's own conversions of arrays would cost ten times as much.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -43,14 +43,16 @@ class Lean:
         self.arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
         self.results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
         for k, each in enumerate(self.arguments):
-            buffer.set_arg(k, memoryview(each))
+            if each.size:
+                buffer.set_arg(k, memoryview(each))
         for k, each in enumerate(self.results):
-            buffer.set_res(k, memoryview(each.reshape(-1, order="F")))
+            if each.size:
+                buffer.set_res(k, memoryview(each.reshape(-1, order="F")))
         self._buffer = buffer
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
-        """Evaluate; the results are overwritten by the next call."""
-        for place, value in zip(self.arguments, arguments, strict=True):
+        """Evaluate with the first arguments, columns one after the other; the next call overwrites the results."""
+        for place, value in zip(self.arguments, arguments, strict=False):
             place[:] = value
         self._evaluate()
         return self.results
@@ -71,22 +73,25 @@ def jacobian_functions(form: Form) -> tuple[Lean, Lean]:
     return Lean(both), Lean(sum_)
 
 
-def reader(form: Form) -> tuple[Callable[[Array, Array, Array], Array], Callable[[Array, Array, Array], Answer]]:
-    """Return the function from (t (N,), y (n, N), y' (n, N)) to inputs (m, N), and the one to an `Answer`.
+def reader(
+    form: Form, intervals: int = OUTPUT_INTERVALS
+) -> tuple[Callable[[Array, Array, Array], Array], Callable[[Array, Array, Array], Answer]]:
+    """Return the function from (t (N,), y (n, N), y' (n, N)) to inputs (m, 201), and the one to an `Answer`.
 
-    The first is part of a solve: the user wants inputs. The second adds the constraint violation.
+    The first is part of a solve: the user wants inputs. The second adds the constraint violation. With fewer intervals
+    a spline brings the inputs to the output grid.
     """
     arguments = [form.t, form.y, form.yp]
-    count = OUTPUT_INTERVALS + 1
-    outputs = ca.Function("outputs", arguments, [ca.densify(form.outputs)], {"cse": True}).map(count)
-    violation = ca.Function("violation", arguments, [ca.densify(form.violation)], {"cse": True}).map(count)
+    count = intervals + 1
+    outputs = Lean(ca.Function("outputs", arguments, [ca.densify(form.outputs)], {"cse": True}).map(count))
+    violation = Lean(ca.Function("violation", arguments, [ca.densify(form.violation)], {"cse": True}).map(count))
 
     def inputs(t: Array, y: Array, yp: Array) -> Array:
-        return np.asarray(outputs(t[None], y, yp))
+        return on_output_grid(form.problem, outputs(t, y.ravel(order="F"), yp.ravel(order="F"))[0])
 
     def answer(t: Array, y: Array, yp: Array) -> Answer:
-        found = dict(zip(form.problem.inputs, inputs(t, y, yp), strict=True))
-        return Answer(found, float(np.max(np.asarray(violation(t[None], y, yp)))))
+        found = dict(zip(form.problem.inputs, inputs(t, y, yp).copy(), strict=True))
+        return Answer(found, float(np.max(violation(t, y.ravel(order="F"), yp.ravel(order="F"))[0])))
 
     return inputs, answer
 

@@ -1,9 +1,11 @@
 """CasADi's own integrators: `idas` (SUNDIALS) and `collocation` (Radau and Gauss-Legendre).
 
 Both ask for x' = f(x, z, t), 0 = g(x, z, t). Derivatives that a form does not give explicitly become algebraic
-unknowns w, with x' = w. Jacobians are CasADi's own. `collocation` reports at the ends of its elements: at least one
-element for each interval of the output grid. Its systems are solved by KINSOL, which keeps factorisations and takes
-half the time of CasADi's `newton` and `fast_newton` here, with the loosest tolerance that costs no accuracy.
+unknowns w, with x' = w. Jacobians are CasADi's own, and the integrator is called on arrays in place, without CasADi's
+conversions of matrices. `collocation` reports at the ends of its elements; where these are fewer than the intervals of
+the output grid, a spline of degree 7 brings the inputs there. Its systems are solved by KINSOL, which keeps
+factorisations and takes half the time of CasADi's `newton` and `fast_newton` here, with the loosest tolerance that
+costs no accuracy.
 """
 
 from __future__ import annotations
@@ -14,15 +16,20 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
+from benchmarks.chart.candidate import COARSE, OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, Form
-from benchmarks.peers.base import Effort, available_forms, inside, named, peer_models, reader
+from benchmarks.peers.base import Effort, Lean, available_forms, inside, named, peer_models, reader
 
 NAME, DISTRIBUTION = "casadi", "casadi"
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
-ELEMENTS = (1, 2, 4, 8)  # of collocation for each interval of the output grid
-COLLOCATION = (("radau", 1), ("radau", 2), ("radau", 3), ("radau", 4), ("radau", 5), ("radau", 7), ("legendre", 4))
+ELEMENTS = (200, 400, 800)  # of low order
+COLLOCATION = {
+    ("radau", 1): ELEMENTS, ("radau", 2): ELEMENTS, ("radau", 3): (100, *ELEMENTS), ("radau", 4): (*COARSE, 200, 400),
+    ("radau", 5): (*COARSE, 200, 400), ("radau", 7): (*COARSE, 200), ("radau", 9): (*COARSE, 200),
+    ("legendre", 4): ELEMENTS,
+}  # fmt: skip
+"""Numbers of elements, by scheme and order."""
 
 
 def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
@@ -37,24 +44,19 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
                           partial(prepare, form, "idas", idas_options(form, tolerance)))
                 for tolerance in inside(TOLERANCES, effort.smoke)
             ]  # fmt: skip
-            for scheme, order in inside(collocations(form), effort.smoke):
+            for (scheme, order), elements in inside(list(collocations(form).items()), effort.smoke):
                 found += [
                     Candidate(problem, NAME, model, form.formulation, named(f"collocation, {scheme} {order}", form),
-                              f"{elements * OUTPUT_INTERVALS} elements",
-                              partial(prepare, form, "collocation", collocation_options(scheme, order, elements)))
-                    for elements in (inside(ELEMENTS, effort.smoke) if order > 1 or differential(form) else (1,))
+                              f"{count} elements",
+                              partial(prepare, form, "collocation", collocation_options(scheme, order, count), count))
+                    for count in inside(elements, effort.smoke)
                 ]  # fmt: skip
     return found
 
 
-def differential(form: Form) -> bool:
-    """Whether anything is left to integrate."""
-    return bool(form.differential.any())
-
-
-def collocations(form: Form) -> Sequence[tuple[str, int]]:
+def collocations(form: Form) -> dict[tuple[str, int], Sequence[int]]:
     """Return the schemes worth trying: a purely algebraic form needs no order."""
-    return COLLOCATION if differential(form) else COLLOCATION[:1]
+    return dict(COLLOCATION) if form.differential.any() else {("radau", 1): (*COARSE, OUTPUT_INTERVALS)}
 
 
 def idas_options(form: Form, tolerance: float) -> dict[str, object]:
@@ -68,32 +70,34 @@ def collocation_options(scheme: str, order: int, elements: int) -> dict[str, obj
     return {
         "collocation_scheme": scheme,
         "interpolation_order": order,
-        "number_of_finite_elements": elements * OUTPUT_INTERVALS - 1,  # rounded up in every interval of the grid
+        "number_of_finite_elements": elements - 1,  # rounded up in every interval of the grid
         "rootfinder": "kinsol",
         "rootfinder_options": {"abstol": 1e-12},
     }
 
 
-def prepare(form: Form, plugin: str, options: dict[str, object]) -> Prepared:
+def prepare(form: Form, plugin: str, options: dict[str, object], elements: int = OUTPUT_INTERVALS) -> Prepared:
     """Write the form semi-explicitly and build the integrator."""
     x, z, ode, alg, y, yp = semi_explicit(form)
-    t = form.problem.grid()
+    t = form.problem.grid(min(elements, OUTPUT_INTERVALS))
     dae = {"t": form.t, "x": x, "z": z, "ode": ode, "alg": alg}
     integrator = ca.integrator("peer", plugin, dae, t[0], list(t[1:]), options)
-    rebuild = ca.Function("rebuild", [form.t, x, z], [ca.densify(y), ca.densify(yp)]).map(len(t))
+    integrate = Lean(integrator)
+    rebuild = Lean(ca.Function("rebuild", [form.t, x, z], [ca.densify(y), ca.densify(yp)]).map(len(t)))
+    final_x, final_z = (integrate.results[integrator.index_out(name)] for name in ("xf", "zf"))
     places = np.flatnonzero(form.differential)
     x0 = form.y0[places] if len(places) else np.zeros(1)
     unknown = np.setdiff1d(np.arange(form.size), places)
     z0 = np.concatenate([form.y0[unknown], form.yp0[places]])[: z.numel()] if len(places) else form.y0
     if z.numel() != len(z0):
         z0 = np.concatenate([form.y0[unknown], form.yp0[implicit_rates(form)]])
-    inputs, answer = reader(form)
+    inputs, answer = reader(form, len(t) - 1)
 
     def run() -> tuple[Array, Array, Array]:
-        found = integrator(x0=x0, z0=z0)
+        integrate(x0, z0)
         # The first instant has its consistent values, which every solver is given.
-        columns = ca.horzcat(x0, found["xf"]), ca.horzcat(z0, found["zf"])
-        y_values, yp_values = (np.asarray(each) for each in rebuild(t[None], *columns))
+        columns = (np.concatenate([first, rest.ravel(order="F")]) for first, rest in ((x0, final_x), (z0, final_z)))
+        y_values, yp_values = rebuild(t, *columns)
         return y_values, yp_values, inputs(t, y_values, yp_values)
 
     def read(found: tuple[Array, Array, Array]) -> Answer:

@@ -3,7 +3,7 @@
 Residual and analytic Jacobian are straight-line Python with common subexpressions, as `sympy.lambdify(..., cse=True)`
 gives; unknowns and equations are scaled; Newton starts from the extrapolated solution and stops on its last step; the
 linear systems go to LAPACK without SciPy's checks. On the reduced form of a problem without internal dynamics there is
-nothing to step: Newton is started from the last instant.
+nothing to step: Newton is started from the last instant, on fewer instants too, with a spline of degree 7 through them.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
+from benchmarks.chart.candidate import COARSE, OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, Form
 from benchmarks.chart.translate import compiled
 from benchmarks.peers.base import Effort, available_forms, inside, named, peer_models, reader
 
 NAME, DISTRIBUTION = "plain NumPy/SciPy", "scipy"
 
-DIVISIONS = (1, 2, 4, 8, 16)  # of each interval of the output grid
+STEPS = (200, 400, 800, 1600, 3200)
 STEP_TOLERANCE, MOST_ITERATIONS = 1e-9, 20
 
 
@@ -36,16 +36,16 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
             pointwise = not form.differential.any()
             method = "Newton at every instant" if pointwise else "backward Euler"
             found += [
-                Candidate(problem, NAME, model, form.formulation, named(method, form),
-                          f"{division * OUTPUT_INTERVALS} steps", partial(prepare, form, division))
-                for division in ((1,) if pointwise else inside(DIVISIONS, effort.smoke))
+                Candidate(problem, NAME, model, form.formulation, named(method, form), f"{steps} steps",
+                          partial(prepare, form, steps))
+                for steps in ((*COARSE, OUTPUT_INTERVALS) if pointwise else inside(STEPS, effort.smoke))
             ]  # fmt: skip
     return found
 
 
-def prepare(form: Form, division: int) -> Prepared:
+def prepare(form: Form, steps: int) -> Prepared:
     """Write the step in Python."""
-    step = form.problem.scene.reference.duration / (OUTPUT_INTERVALS * division)
+    step = form.problem.scene.reference.duration / steps
     before = ca.SX.sym("before", form.size)
     residual = ca.substitute(form.residual, form.yp, (form.y - before) / step)
     weights = np.where(form.differential.any() & (form.formulation == "projected"), step**-1.0, 1.0) ** form.levels
@@ -54,9 +54,10 @@ def prepare(form: Form, division: int) -> Prepared:
     arguments = [form.t, form.y, before]
     evaluate = compiled("step", arguments, [residual / scale, jacobian * ca.repmat(ca.DM(weights).T, form.size, 1)
                                             / ca.repmat(scale, 1, form.size)])  # fmt: skip
-    t = form.problem.grid(OUTPUT_INTERVALS * division)
-    inputs, answer = reader(form)
+    t = form.problem.grid(steps)
+    division = max(steps // OUTPUT_INTERVALS, 1)
     coarse = t[::division]
+    inputs, answer = reader(form, len(coarse) - 1)
 
     def run() -> tuple[Array, Array, Array]:
         y = integrate(evaluate, t, form.y0, weights)
