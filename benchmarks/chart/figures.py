@@ -14,9 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.chart.own import CLOSED_FORM, NAME
+from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
-from benchmarks.chart.study import Study
 
 STYLE = {
     "font.size": 9, "axes.titlesize": 9.5, "axes.labelsize": 9, "legend.fontsize": 8, "axes.grid": True,
@@ -44,17 +44,17 @@ FORM_TITLES = {"projected": "projected form (index 3 or 2)", "reduced": "reduced
 Spread = Callable[[Row], tuple[float, float]]
 
 
-def draw_all(study: Study, folder: Path) -> list[str]:
+def draw_all(record: Record, folder: Path) -> list[str]:
     """Draw every figure as SVG and PNG into `folder`; returns their names."""
     names = []
     with plt.rc_context(STYLE):
-        for scene in study.scenes:
-            rows = [row for row in study.rows if row.scene == scene]
-            names.append(_save(_two_forms(rows, study.spread, scene, "error"), folder, f"work-precision-{scene}"))
-            names.append(_save(_two_forms(rows, study.spread, scene, "violation"), folder, f"violation-{scene}"))
-        main = study.scenes[0]
-        names.append(_save(_methods([row for row in study.rows if row.scene == main], main), folder, "methods"))
-        names.append(_save(_orders(study), folder, "orders"))
+        for scene in record.scenes:
+            rows = record.of(scene)
+            names.append(_save(_two_forms(rows, record.spread, scene, "error"), folder, f"work-precision-{scene}"))
+            names.append(_save(_two_forms(rows, record.spread, scene, "violation"), folder, f"violation-{scene}"))
+        main = record.scenes[0]
+        names.append(_save(_methods(record.of(main), main), folder, "methods"))
+        names.append(_save(_orders(*record.order_study), folder, "orders"))
     return names
 
 
@@ -147,17 +147,17 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
     return figure
 
 
-def _orders(study: Study) -> Figure:
+def _orders(lines: Sequence[OrderLine], round_off: float) -> Figure:
     """Draw error against step, with the fitted orders and the round-off."""
     figure, axis = plt.subplots(figsize=(9.0, 5.6), layout="constrained")
-    for line in study.order_lines:
+    for line in lines:
         order = "no order" if line.fit.order is None else f"order {line.fit.order:.2f}"
         nominal = str(line.nominal) if line.nominal > 0 else "none"
         axis.plot(line.steps, line.errors, label=f"{line.method}: {order} (nominal {nominal})", **_family(line.method))
-    steps = np.array(sorted({h for line in study.order_lines for h in line.steps}))
-    if study.round_off and len(steps):
-        axis.plot(steps, study.round_off / steps**2, color="0.3", linewidth=2.0, linestyle=(0, (1, 2)),
-                  label=f"round-off, {study.round_off:.1e} s²/h²")  # fmt: skip
+    steps = np.array(sorted({h for line in lines for h in line.steps}))
+    if round_off and len(steps):
+        axis.plot(steps, round_off / steps**2, color="0.3", linewidth=2.0, linestyle=(0, (1, 2)),
+                  label=f"round-off, {round_off:.1e} s²/h²")  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="step h [s]", ylabel="largest error of any input / its peak [1]",
              ylim=(1e-10, 1e1), title="rotary crane, path of degree 13, projected form")  # fmt: skip
     figure.legend(loc="outside right center")
