@@ -40,7 +40,8 @@ fmu: $(INSTALLED)  ## build the rotary crane's FMU
 	$(BIN)/python build_fmu.py
 
 bench: $(INSTALLED)  ## measure what a step costs on this machine
-	$(RUN) pytest benchmarks/test_bench_steps.py --benchmark-enable --benchmark-columns=median,iqr,rounds -q
+	$(RUN) pytest benchmarks/test_bench_steps.py --benchmark-enable --benchmark-timer=time.process_time \
+		--benchmark-columns=median,iqr,rounds -q
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/fmu_cost.py
 
