@@ -24,6 +24,9 @@ class Call:
     -----
     Arguments are broadcast to nothing: each must have exactly as many entries as the function declares. Matrices
     are read and returned column by column (Fortran order), vectors are one-dimensional. A `Call` is not re-entrant.
+
+    Where CasADi gives up, as in a linear system that is singular to the last bit, it leaves results as they were. All
+    of them are then NaN.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -50,7 +53,11 @@ class Call:
         for k, result in enumerate(results):
             if result.size:
                 self._buffer.set_res(k, result.data)
+                result[-1] = np.nan  # success writes over it: a look costs less than asking CasADi every time
         self._evaluate()
+        if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
+            for result in results:
+                result.fill(np.nan)
         return tuple(
             result if columns == 1 else result.reshape((rows, columns), order="F")
             for result, (rows, columns) in zip(results, self._shapes, strict=True)

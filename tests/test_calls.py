@@ -98,3 +98,17 @@ def test_sparse_results_are_refused_when_compiled():
     x = ca.SX.sym("x")
     with pytest.raises(ValueError, match="result 1 of sparse is sparse"):
         Call(ca.Function("sparse", [x], [x, ca.vertcat(x, ca.SX(1, 1))]))
+
+
+def test_where_casadi_gives_up_every_result_is_nan_and_the_next_call_is_good():
+    """A linear system that is singular to the last bit ends the evaluation: results would hold what memory held."""
+    given = ca.MX.sym("a")
+    matrix = ca.vertcat(ca.horzcat(given, given), ca.horzcat(given, 2 * given))
+    root = ca.solve(matrix, ca.MX([1.0, 2.0]), "qr")
+    call = Call(ca.Function("root", [given], [root, given + 1, ca.sum1(root)]))
+    good = call(1.0)
+    assert all(np.isfinite(each).all() for each in good)
+    for _ in range(3):
+        assert all(np.isnan(each).all() for each in call(0.0))
+        for found, expected in zip(call(1.0), good, strict=True):
+            np.testing.assert_array_equal(found, expected)
