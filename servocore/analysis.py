@@ -14,6 +14,7 @@ from servocore.derivative_array import DerivativeArray, compile_inversion, deriv
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.feasibility import require_feasible
 from servocore.internal_dynamics import DAMPED, internal_eigenvalues
+from servocore.rank_loss import rank_losses
 from servocore.redundancy import prepared
 from servocore.scene import Scene
 from servocore.structure import equilibrated, system_jacobian
@@ -67,6 +68,8 @@ class StructureReport:
         What had to be done to the equations before the analysis applied.
     reason : str
         Why the problem is singular, with the time if a reference is known.
+    rank_loss : str
+        Where along the reference the constraints lose rank, so that two motions go on from there.
     advice : str
         Which route is enough.
     """
@@ -85,6 +88,7 @@ class StructureReport:
     eigenvalues: tuple[complex, ...] = ()
     remedy: str = ""
     reason: str = ""
+    rank_loss: str = ""
 
     @property
     def advice(self) -> str:
@@ -100,6 +104,7 @@ class StructureReport:
             ("eigenvalues", ", ".join(f"{value:.4g}" for value in self.eigenvalues)),
             ("classification", self.classification),
             ("reason", self.reason),
+            ("loss of rank", self.rank_loss),
             ("remedy", self.remedy),
             ("condition", f"{self.condition:.3g}"),
             ("equations", _offsets(self.equation_offsets)),
@@ -183,11 +188,12 @@ def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> Structur
         internal_states=tuple(array.names[j] + "'" * order for j, order in array.states),
         remedy="; ".join(each for each in (left_out, found.equations.remedy) if each),
     )
-    condition, reason = _along_reference(array, p, scene)
+    condition, reason, rank_loss = _along_reference(array, p, scene)
+    outline = replace(outline, condition=condition, reason=reason, rank_loss=rank_loss)
     if reason:
-        return replace(outline, condition=condition, reason=reason)
+        return outline
     eigenvalues = internal_eigenvalues(array, p)
-    return replace(outline, condition=condition, eigenvalues=eigenvalues, classification=_classified(eigenvalues))
+    return replace(outline, eigenvalues=eigenvalues, classification=_classified(eigenvalues))
 
 
 def _classified(eigenvalues: tuple[complex, ...]) -> str:
@@ -218,8 +224,8 @@ def _eigenvalues(system: MechanicalSystem, p: tuple[float, ...]) -> tuple[comple
     return internal_eigenvalues(derivative_array(system), np.array(p))
 
 
-def _along_reference(array: DerivativeArray, p: Array, scene: Scene | None) -> tuple[float, str]:
-    """Return the worst condition of the system Jacobian and, if the path becomes singular, why."""
+def _along_reference(array: DerivativeArray, p: Array, scene: Scene | None) -> tuple[float, str, str]:
+    """Return the worst condition of the system Jacobian and, if there is one, why or where the path is singular."""
     system = array.system
     if scene is None:
         times, gamma = np.zeros(1), np.zeros((1, array.reference_order + 1, len(system.outputs)))
@@ -230,16 +236,22 @@ def _along_reference(array: DerivativeArray, p: Array, scene: Scene | None) -> t
             times = np.linspace(scene.reference.start_time, scene.reference.end_time, _SURVEY_POINTS)
             gamma = scene.reference.jet(times, array.reference_order)
         except InvalidReference as error:
-            return np.inf, str(error)
+            return np.inf, str(error), ""
     invert, condition = _survey_functions(array)
-    worst = 0.0
+    worst, found = 0.0, []
     for time, jet in zip(times, gamma, strict=True):
         values, _, _ = invert(jet.T, p)
         here = condition(values, jet, p)
         if not here < _SINGULAR_CONDITION:
-            return here, f"{system.name} is singular at t = {time:.6g} s: the system Jacobian has condition {here:.2g}"
+            reason = f"{system.name} is singular at t = {time:.6g} s: the system Jacobian has condition {here:.2g}"
+            return here, reason, ""
         worst = max(worst, here)
-    return worst, ""
+        found.append(values)
+    if scene is None or array.states:
+        return worst, "", ""  # with internal dynamics the configurations are not those of the motion
+    places = [array.unknowns.index((k, 0)) for k in range(len(system.coordinates))]
+    losses = rank_losses(system, scene.reference, p, times, np.array(found)[:, places])
+    return worst, "", "; ".join(map(str, losses))
 
 
 @lru_cache(maxsize=32)

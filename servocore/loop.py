@@ -132,9 +132,24 @@ def advance(
     worst = worst.ravel()[:used]
     failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
     good = int(failed.argmax()) if failed.any() else used
+    if good == 0 and length > 1:
+        # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
+        return _one_by_one(reference, program, p, t, step, state)
     iterations, factorisations = counts[:, :good].sum(axis=1)
     states = np.hstack([state[:, None], found[:, :good]])
     return Run(states, round(iterations), round(factorisations), float(worst[:good].max(initial=0.0))), good == used
+
+
+def _one_by_one(
+    reference: Reference, program: Program, p: Array, t: Array, step: float, state: Array
+) -> tuple[Run, bool]:
+    parts = [Run(state[:, None], 0, 0, 0.0)]
+    for k in range(len(t) - 1):
+        part, complete = advance(reference, program, p, t[k : k + 2], step, parts[-1].states[:, -1], 1)
+        parts.append(replace(part, states=part.states[:, 1:]))
+        if not complete:
+            return joined(parts), False
+    return joined(parts), True
 
 
 def failure(

@@ -17,6 +17,8 @@ from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
 from servocore.methods import BackwardEuler, Method, RadauIIA
+from servocore.plausibility import angles_of, follow_angles, warn_of_wrong_inputs
+from servocore.rank_loss import require_one_branch
 from servocore.rechoosing import solve_with_states
 from servocore.redundancy import prepared
 from servocore.references import Reference
@@ -72,7 +74,7 @@ def solve(
     InconsistentStart
         If no consistent initial values are found.
     IntegrationFailed
-        If a step is not solved.
+        If a step is not solved, or the motion changes branch where the constraints lose rank.
     """
     advice = ""
     if formulation is None and method is None:
@@ -96,6 +98,7 @@ def solve(
     else:
         solution = solve_at_constant_step(stepper, t, progress)
     return replace(solution, advice=advice)
+    require_one_branch(stepper.system, scene.reference, stepper.parameters, solution)
 
 
 def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None = None) -> Solution:
@@ -124,7 +127,9 @@ def _solve_bounded(
     p = base.parameters.values(scene.parameters)
     system = prepared(base, p)[0]
     require_feasible(scene.reference, system, scene.limits, p)
-    return solve_boundary_value(system, scene.reference, p, route, h, progress)
+    solution = solve_boundary_value(system, scene.reference, p, route, h, progress)
+    require_one_branch(system, scene.reference, p, solution)
+    return solution
 
 
 def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, Method | BoundaryValue, str]:
