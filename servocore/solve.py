@@ -17,7 +17,6 @@ from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
 from servocore.methods import BackwardEuler, Method, RadauIIA
-from servocore.plausibility import angles_of, follow_angles, warn_of_wrong_inputs
 from servocore.rank_loss import require_one_branch
 from servocore.rechoosing import solve_with_states
 from servocore.redundancy import prepared
