@@ -15,6 +15,7 @@ import numpy as np
 from servocore.accuracy import Adaptive
 from servocore.errors import IntegrationFailed
 from servocore.loop import Progress, Run, begin, observe, run, statistics
+from servocore.plausibility import follow_angles
 from servocore.solution import Solution
 from servocore.stepper import Stepper
 from servocore.symbols import Array
@@ -42,6 +43,7 @@ def solve_to_tolerance(stepper: Stepper, control: Adaptive, t: Array, progress: 
 def _solution(stepper: Stepper, t: Array, done: Run) -> Solution:
     reference, program = stepper.scene.reference, stepper.program
     values, violations = observe(program, reference, stepper.parameters, t, done.states)
+    follow_angles(stepper, t, done.states, values)
     summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
     return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
 

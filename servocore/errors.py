@@ -12,7 +12,7 @@ class ServocoreError(Exception):
 
 
 class ServocoreWarning(UserWarning):
-    """Something that will not do what its user expects, said in advance."""
+    """Something that will not do, or has not done, what its user expects: said in advance, or after a look at it."""
 
 
 class InvalidModel(ServocoreError):

@@ -167,17 +167,22 @@ def failure(
     )
 
 
-def observe(program: Program, reference: Reference, p: Array, t: Array, states: Array) -> tuple[Array, Array]:
+def observe(
+    program: Program, reference: Reference, p: Array, t: Array, states: Array, angles: tuple[int, ...] = ()
+) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N).
 
     Raises
     ------
     IntegrationFailed
-        If the states have left the branch of the equations that is wanted.
+        If the states have left the branch of the equations that is wanted, or one of the channels `angles` turns by
+        half a turn or more from one instant to the next, which cannot be told from a turn the other way round.
     """
     jets, count = reference.jet(t, program.start_order), len(t)
     values, violations = _mapped(program.observe, count)(states, side_by_side(jets), np.tile(p[:, None], count))
     table = values.T
+    for k in angles:
+        _require_less_than_half_a_turn(program, k, t, table[:, k])
     for k, channel in enumerate(program.channels):
         if channel.wraps:
             table[:, k] = np.unwrap(table[:, k])
@@ -185,6 +190,17 @@ def observe(program: Program, reference: Reference, p: Array, t: Array, states: 
             first = int((~(table[:, k] > 0.0)).argmax())
             program.require_branch(table[first], float(t[first]))
     return table, violations
+
+
+def _require_less_than_half_a_turn(program: Program, channel: int, t: Array, angle: Array) -> None:
+    turns = np.abs(np.diff(angle))
+    if not (turns < np.pi).all():
+        k = int((~(turns < np.pi)).argmax())
+        raise IntegrationFailed(
+            f"{program.name}: {program.channels[channel].name} turns by {turns[k]:.4g} rad in the step from"
+            f" t = {t[k]:.6g} s to {t[k + 1]:.6g} s, a step tells turns of less than pi from those the other way round;"
+            f" a smaller step is needed"
+        )
 
 
 def input_noise(inputs: Array) -> float | None:

@@ -17,6 +17,7 @@ from servocore.feasibility import require_feasible
 from servocore.formulations import Formulation, Reduced
 from servocore.loop import Progress, observe, run, statistics
 from servocore.methods import BackwardEuler, Method, RadauIIA
+from servocore.plausibility import angles_of, follow_angles, warn_of_wrong_inputs
 from servocore.rank_loss import require_one_branch
 from servocore.rechoosing import solve_with_states
 from servocore.redundancy import prepared
@@ -73,7 +74,14 @@ def solve(
     InconsistentStart
         If no consistent initial values are found.
     IntegrationFailed
-        If a step is not solved, or the motion changes branch where the constraints lose rank.
+        If a step is not solved, an angle turns too far between two instants to tell which way, or the motion changes
+        branch where the constraints lose rank.
+
+    Warns
+    -----
+    ServocoreWarning
+        Before the run if it cannot succeed: internal dynamics that grow, a path that is too rough, a form of an index
+        on which the inputs of the method do not converge. After it if an input is off by more than half of its peak.
     """
     advice = ""
     if formulation is None and method is None:
@@ -89,6 +97,7 @@ def solve(
     setting = output_step if isinstance(control, Adaptive) else control.h
     t, h = time_grid(scene.reference, setting)
     stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model)
+    warn_of_index(stepper)
     require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters, t)
     if isinstance(control, Adaptive):
         solution = solve_to_tolerance(stepper, control, t, progress)
@@ -96,15 +105,17 @@ def solve(
         solution = solve_with_states(stepper, formulation, t, progress)
     else:
         solution = solve_at_constant_step(stepper, t, progress)
-    return replace(solution, advice=advice)
     require_one_branch(stepper.system, scene.reference, stepper.parameters, solution)
+    return replace(solution, advice=advice)
 
 
 def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None = None) -> Solution:
     """Step through the instants `t`, one step of the stepper apart, and report every one."""
     reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
     done = run(reference, program, p, t, stepper.step, progress)
-    values, violations = observe(program, reference, p, t, done.states)
+    values, violations = observe(program, reference, p, t, done.states, angles_of(stepper))
+    follow_angles(stepper, t, done.states, values)
+    warn_of_wrong_inputs(stepper, t, values)
     summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
     return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
 
@@ -161,6 +172,22 @@ def warn_of_jumps(scene: Scene, model: str | None = None) -> None:
             f"the inputs of {scene.name} need the path's derivative of order {order}, but the path is continuous up to"
             f" order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
             f" {reference.end_time:g} s, the ends included, wherever that derivative does",
+            ServocoreWarning,
+            stacklevel=3,
+        )
+
+
+def warn_of_index(stepper: Stepper) -> None:
+    """Warn before a method runs on a form of an index on which its inputs do not converge."""
+    if stepper.index <= 1:
+        return
+    # What a form says of its index holds where the structural index is five.
+    index = stepper.index + max(0, derivative_array(stepper.system).signature.index - 5)
+    order = stepper.method.orders(index).forces
+    if index > 3 and order < 1:
+        warnings.warn(
+            f"{stepper.program.name}: the form has index {index}, on which the inputs of {stepper.method.name} err like"
+            f" the step to the power {order} and no step is small enough; use the form Reduced(), or BackwardEuler()",
             ServocoreWarning,
             stacklevel=3,
         )

@@ -104,7 +104,8 @@ class RadauIIA:
         H(X_i) sum_j w_ij (X_j - x0) = h f(X_i, Z_i, t0 + c_i h),    0 = h(X_i, Z_i, t0 + c_i h),    W = A^-1
 
     Stiffly accurate and L-stable: order 2 s - 1 on forms of index one. On projected forms (index 3) velocities have
-    order s and multipliers and inputs s - 1, at least one (Hairer, Lubich & Roche 1989).
+    order s and multipliers and inputs s - 1, at least one (Hairer, Lubich & Roche 1989). Every further index costs two
+    or more stages one order: on index 5 two stages diverge, three do not converge.
     """
 
     stages: int = 3
@@ -120,9 +121,13 @@ class RadauIIA:
     def orders(self, index: int) -> Orders:
         """Return the orders of convergence on a form of the given index."""
         s = self.stages
+        if s == 1:
+            return BackwardEuler().orders(index)
         if index <= 1:
             return Orders(2 * s - 1, 2 * s - 1, 2 * s - 1)
-        return Orders(s, s, max(1, s - 1))
+        if index > 3:
+            return Orders(s + 4 - index, s + 3 - index, s + 2 - index)
+        return Orders(s, s, s - 1)
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step; with one stage they are those of backward Euler."""
@@ -155,6 +160,10 @@ class Gauss:
         s = self.stages
         if index <= 1:
             return Orders(2 * s, 2 * s, s + s % 2)
+        if index > 3:
+            lost = index - 3
+            forces = -lost if s % 2 else s - 4 - 2 * lost
+            return Orders(forces + 2, forces + 1, forces)
         return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4)
 
     def discretise(self, dae: Dae) -> Discretisation:
