@@ -1,0 +1,186 @@
+"""Runs that satisfy every equation and are wrong all the same are refused or warned of; right ones are left alone."""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import servocore as sc
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.atlas.row06_singular_configurations import near_axis, near_slack, torque_of_cosines
+
+CIRCLE = sc.periodic((0.0, 0.0, -1.0), [[5.0, 0.0, 0.0]], [[0.0, 5.0, 0.0]], period=2 * np.pi, cycles=3)
+"""Three times round the slewing axis: the bridge turns by 6 pi, the trolley runs inside the load."""
+
+
+def projected(scene: sc.Scene, steps: int, model: str = "points") -> sc.Solution:
+    return sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=scene.reference.duration / steps, model=model)
+
+
+def largest_error(scene: sc.Scene, found: sc.Solution, name: str) -> float:
+    """Largest error of a quantity in relation to its peak."""
+    exact = scene.exact(found.t)[name]
+    return float(np.abs(found[name] - exact).max() / np.abs(exact).max())
+
+
+# Angles in a step -----------------------------------------------------------------------------------------------------
+
+
+def test_a_step_that_turns_the_bridge_the_wrong_way_round_is_refused_with_angle_limit_and_time():
+    """Past the slewing axis at 3 mm Newton's method finds a bridge angle a full turn away, which follows all equations.
+
+    The bridge turns by 1.7 rad in this step; found was 1.7 - 2 pi, with a torque eight times the peak.
+    """
+    said = r"phi turns by 4\.586 rad in the step from t = 9\.98 s to 10 s, .* less than pi .* a smaller step is needed$"
+    with pytest.raises(sc.IntegrationFailed, match=said):
+        projected(near_axis(3e-3), 1000, "bodies")
+
+
+def test_a_winch_that_turns_by_half_a_turn_a_step_is_refused():
+    with pytest.raises(sc.IntegrationFailed, match=r"beta turns by 3\.\d+ rad in the step from t = "):
+        projected(near_slack(0.1), 1000, "bodies")
+
+
+@pytest.mark.parametrize("model", sc.scenes.rotary_crane().models)
+@pytest.mark.parametrize("steps", [40, 5, 3, 2])
+def test_the_exact_bridge_angle_follows_the_path_however_far_its_instants_lie_apart(model, steps):
+    """At five steps the bridge turns by 0.6 turns a step, at three by one, at two by one and a half."""
+    crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
+    found = sc.solve(crane, sc.Reduced(), step=CIRCLE.duration / steps, model=model)
+    np.testing.assert_allclose(found["phi"] - found["phi"][0], np.linspace(0.0, 6 * np.pi, steps + 1), atol=1e-9)
+
+
+def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well():
+    crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
+    found = sc.solve(crane, sc.Reduced(), step=sc.Adaptive(1e-6), output_step=CIRCLE.duration / 5)
+    assert found["phi"][-1] - found["phi"][0] == pytest.approx(6 * np.pi, abs=1e-9)
+
+
+@pytest.mark.parametrize("distance", [1.0, 1e-2, 1.1e-3])
+def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(distance):
+    crane = near_axis(distance)
+    for sign, scene in ((1.0, crane), (-1.0, near_axis(-distance))):
+        found = sc.solve(scene, sc.Reduced(), step=crane.reference.duration / 3)
+        fine = scene.exact(np.linspace(0.0, crane.reference.duration, 30_001))["phi"]
+        np.testing.assert_allclose(found["phi"], fine[::10_000], atol=1e-9)
+        assert np.sign(found["phi"][-1] - found["phi"][0]) == sign
+
+
+def test_an_angle_that_cannot_be_followed_is_refused_with_its_time():
+    """Without its limits the crane passes right through the axis, in the middle of a step."""
+    through = replace(near_axis(0.0), limits=())
+    with pytest.raises(sc.IntegrationFailed, match=r"phi cannot be followed from t = 8 s to 12 s, near t = 10 s"):
+        sc.solve(through, sc.Reduced(), step=4.0)
+
+
+# Inputs far from the exact ones ---------------------------------------------------------------------------------------
+
+
+def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_body_turn_limit_and_time():
+    crane, steps = near_slack(1.0), 1000
+    with pytest.warns(sc.ServocoreWarning) as heard:
+        found = projected(crane, steps, "bodies")
+    assert len(heard) == 1
+    numbers = re.fullmatch(
+        r"rotary crane, bodies, projected, backward-euler: at t = (\S+) s M_w is (\S+) N\.m, the exact inversion gives"
+        r" (\S+) N\.m; winch turns by (\S+) rad within this step, where about (\S+) rad would be an error of half the"
+        r" peak; take the form Reduced\(\), which has no step, or a smaller step or another method",
+        str(heard[0].message),
+    )
+    assert numbers is not None
+    time, given, exact, turn, allowed = map(float, numbers.groups())
+    k = int(np.abs(found.t - time).argmin())
+    assert given == pytest.approx(found["M_w"][k], rel=1e-3)
+    assert exact == pytest.approx(crane.exact(found.t)["M_w"][k], rel=1e-3)
+    assert turn == pytest.approx(np.diff(found["beta"])[k - 1], rel=0.02)
+    assert largest_error(crane, found, "M_w") > 5.0
+    finer = round(steps * turn / allowed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sc.ServocoreWarning)  # at half the peak it may be given or not
+        assert largest_error(crane, projected(crane, finer, "bodies"), "M_w") == pytest.approx(0.5, rel=0.2)
+
+
+def test_direction_cosines_add_the_torque_of_two_sines():
+    """2 sin a - sin(a + b) in place of a - b: what `bodies` finds beyond the two other models, at every instant."""
+    crane = near_slack(3.0)
+    found, other = (projected(crane, 1000, model) for model in ("bodies", "points"))
+    p = crane.parameter_values()
+    added = torque_of_cosines(np.diff(found["l"]) / p["winch_radius"], p["winch_inertia"], found.t[1])
+    peak = np.abs(added).max()
+    assert peak > 10.0
+    np.testing.assert_allclose((found["M_w"] - other["M_w"])[2:], added, atol=0.002 * peak)
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.03, 0.01])
+def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance):
+    crane = near_axis(distance)
+    with pytest.warns(sc.ServocoreWarning, match=r"M_b is .* the exact inversion gives .* phi turns by"):
+        found = projected(crane, 1000)
+    assert largest_error(crane, found, "phi") < 1e-12
+    assert largest_error(crane, found, "M_b") > 0.5
+
+
+@pytest.mark.parametrize("method", [sc.Gauss(1), sc.Trapezoidal()], ids=lambda method: method.name)
+def test_inputs_that_an_undamped_method_loses_are_warned_of(method):
+    cars = sc.scenes.cars(2).with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
+    with pytest.warns(sc.ServocoreWarning, match=r"u is .* N, the exact inversion gives"):
+        sc.solve(cars, sc.Projected(), method, step=0.01)
+
+
+def test_runs_that_are_right_are_left_alone():
+    """Warnings are errors: the models of the crane at the paper's step, and a chain and an arm of their own."""
+    for model in sc.scenes.rotary_crane().models:
+        projected(sc.scenes.rotary_crane(), 200, model)
+    projected(sc.scenes.cars(3), 100)
+    projected(sc.scenes.mass_on_car(), 100)
+
+
+# Methods on forms of high index ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("count", "method", "order"),
+    [(3, sc.RadauIIA(2), -1), (3, sc.RadauIIA(3), 0), (4, sc.RadauIIA(4), -1), (3, sc.Gauss(1), -2),
+     (3, sc.Trapezoidal(), -2)],
+    ids=str,
+)  # fmt: skip
+def test_a_method_whose_inputs_do_not_converge_on_a_form_of_this_index_is_warned_of_in_advance(count, method, order):
+    """Chains of n cars have index 2 n + 1, their projected form two less: the error goes like the power announced."""
+    cars, errors = sc.scenes.cars(count), []
+    for steps in (100, 200):
+        with pytest.warns(sc.ServocoreWarning) as heard:
+            found = sc.solve(cars, sc.Projected(), method, step=cars.reference.duration / steps)
+        said = (
+            f"the form has index {2 * count - 1}, on which the inputs of {method.name} err like the step to the power"
+        )
+        assert f"{said} {order} " in str(heard[0].message)
+        errors.append(largest_error(cars, found, "u"))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
+    assert method.orders(2 * count - 1).forces == order
+
+
+@pytest.mark.parametrize(("count", "stages"), [(2, 2), (2, 3), (3, 4), (3, 5)])
+def test_enough_stages_converge_at_the_order_they_say_and_nothing_is_warned_of(count, stages):
+    cars, method = sc.scenes.cars(count), sc.RadauIIA(stages)
+    errors = [
+        largest_error(cars, sc.solve(cars, sc.Projected(), method, step=cars.reference.duration / steps), "u")
+        for steps in (100, 200)
+    ]
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(method.orders(2 * count - 1).forces, abs=0.15)
+
+
+@pytest.mark.parametrize(("form", "index", "order"), [(sc.Projected(), 5, 0), (sc.Original(), 7, -2)], ids=str)
+def test_the_elastic_bar_warns_of_methods_with_too_few_stages(form, index, order):
+    bar = sc.scenes.elastic_bar()
+    with pytest.warns(sc.ServocoreWarning) as heard:
+        sc.solve(bar, form, sc.RadauIIA(3), step=bar.reference.duration / 100)
+    said = f"the form has index {index}, on which the inputs of radau3 err like the step to the power {order} "
+    assert said in str(heard[0].message)
