@@ -6,6 +6,7 @@ from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.calls import Call
 from servocore.program import LimitText, require_margins
@@ -14,9 +15,12 @@ from servocore.scene import Limit
 from servocore.symbols import Array
 from servocore.system import MechanicalSystem
 
-_SURVEY_POINTS = 2001
-_REFINED_POINTS = 41
-_REFINEMENTS = 3
+_FEWEST_SURVEYED, _MOST_SURVEYED = 400, 20_000
+_SURVEYED_EACH = 16  # instants on a stretch of the path
+_VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
+_CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
+_REFINED_POINTS = 21
+_REFINEMENTS = 4
 
 
 def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
@@ -36,26 +40,65 @@ def require_feasible(
 ) -> None:
     """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
 
-    The margins are surveyed on a fine grid; around the smallest of each the grid is refined.
+    The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
+    the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
     """
     _require_at(reference, system, tuple(each for each in limits if each.at_instants_only), p, t)
     limits = tuple(each for each in limits if not each.at_instants_only)
     if not limits:
         return
     texts = limit_texts(limits)
-    survey = np.linspace(reference.start_time, reference.end_time, _SURVEY_POINTS)
-    surveyed = _margins(reference, system, limits, p, survey)
-    for k, text in enumerate(texts):
-        broken = ~(surveyed[k] > 0.0)
+    survey = _survey(reference)
+    margins = _margins(reference, system, limits, p, survey)
+    _require_kept(texts, margins, survey)
+    if not _may_fall_to_zero(margins):
+        return
+    rows, places = _valleys(margins)
+    below, above = survey[np.maximum(places - 1, 0)], survey[np.minimum(places + 1, len(survey) - 1)]
+    lanes = np.arange(len(rows))
+    for _ in range(_REFINEMENTS):  # all valleys of all limits at once
+        grid = np.linspace(below, above, _REFINED_POINTS)
+        margins = _margins(reference, system, limits, p, grid.ravel()).reshape(len(limits), *grid.shape)
+        lows = margins[rows, :, lanes]
+        deepest = np.nan_to_num(lows, nan=-np.inf).argmin(axis=1)
+        for lane in lanes[~(lows[lanes, deepest] > 0.0)]:
+            require_margins((texts[rows[lane]],), lows[lane, deepest[[lane]]], float(grid[deepest[lane], lane]))
+        below = grid[np.maximum(deepest - 1, 0), lanes]
+        above = grid[np.minimum(deepest + 1, _REFINED_POINTS - 1), lanes]
+
+
+def _survey(reference: Reference) -> Array:
+    """Instants evenly on every stretch of the path, in all not too few and not too many."""
+    ends = reference.stretches
+    pieces = len(ends) - 1
+    each = max(_SURVEYED_EACH, -(-_FEWEST_SURVEYED // pieces))
+    each = max(1, min(each, _MOST_SURVEYED // pieces))
+    fractions = np.arange(each) / each
+    return np.append((ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel(), ends[-1])
+
+
+def _require_kept(texts: tuple[LimitText, ...], margins: Array, t: Array) -> None:
+    for text, margin in zip(texts, margins, strict=True):
+        broken = ~(margin > 0.0)
         if broken.any():
             first = int(broken.argmax())
-            require_margins((text,), surveyed[k, [first]], float(survey[first]))
-        t, lowest = survey, int(surveyed[k].argmin())
-        for _ in range(_REFINEMENTS):
-            t = np.linspace(t[max(0, lowest - 1)], t[min(len(t) - 1, lowest + 1)], _REFINED_POINTS)
-            margin = _margins(reference, system, limits, p, t)[k]
-            lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
-            require_margins((text,), margin[[lowest]], float(t[lowest]))
+            require_margins((text,), margin[[first]], float(t[first]))
+
+
+def _may_fall_to_zero(margins: Array) -> bool:
+    """Whether a margin (limits, N) may reach zero between instants, to judge by its second differences nearby."""
+    bends = np.abs(np.diff(margins, 2, axis=1))
+    nearby = np.pad(bends, ((0, 0), (2, 2)), mode="edge")
+    largest = np.maximum(np.maximum(nearby[:, :-2], nearby[:, 1:-1]), nearby[:, 2:])
+    return bool((margins <= _CAUTION * largest).any())
+
+
+def _valleys(margins: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return rows and columns of the lowest local minima of every row, as many of each row (it saves compiling)."""
+    padded = np.pad(margins, ((0, 0), (1, 1)), constant_values=np.inf)
+    is_valley = (margins <= padded[:, :-2]) & (margins <= padded[:, 2:])
+    places = np.argsort(np.where(is_valley, margins, np.inf), axis=1, kind="stable")[:, :_VALLEYS]
+    return np.repeat(np.arange(len(margins)), places.shape[1]), places.ravel()
 
 
 def _require_at(

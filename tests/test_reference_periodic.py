@@ -59,3 +59,8 @@ def test_it_starts_and_ends_with_whole_cycles_and_is_smooth_for_ever():
 def test_what_makes_no_sense_is_refused(arguments, sentence):
     with pytest.raises(InvalidReference, match=sentence):
         periodic(*arguments)
+
+
+def test_it_is_divided_into_half_periods_of_the_highest_harmonic():
+    np.testing.assert_allclose(np.diff(EIGHT.stretches), PERIOD / 4, rtol=1e-12)
+    assert EIGHT.stretches[[0, -1]].tolist() == [EIGHT.start_time, EIGHT.end_time]

@@ -394,3 +394,20 @@ rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
     room = Path(__file__).resolve().parents[1] / "servocore"
     subprocess.run([sys.executable, "-c", script, str(room)], check=True, timeout=60)
+
+
+# Stretches -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        (rest_to_rest((0.0,), (1.0,), 3.0, start_time=1.0), [1.0, 4.0]),
+        (rest_to_rest((0.0,), (1.0,), 3.0, three_phase(0.5), start_time=1.0), [1.0, 1.5, 3.5, 4.0]),
+        (rest_to_rest((0.0,), (1.0,), 3.0, three_phase(1.5)), [0.0, 1.5, 3.0]),
+        (through([(0.0,), (1.0,), (3.0,)], times=[0.0, 2.0, 3.0]), [0.0, 2.0, 3.0]),
+    ],
+    ids=["one polynomial", "three phases", "no cruise", "waypoints"],
+)
+def test_a_path_tells_where_its_pieces_meet(path, expected):
+    np.testing.assert_allclose(path.stretches, expected, rtol=1e-15)

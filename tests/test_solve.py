@@ -177,6 +177,14 @@ def test_a_near_miss_of_the_axis_between_survey_points_is_found():
         solve(CRANE.with_reference(path((5.0, 1e-5, -5.0), (-5.3, 1e-5, -5.0))), step=0.1)
 
 
+def test_a_limit_broken_for_milliseconds_in_a_short_ramp_is_found():
+    """Ten milliseconds of free fall and more, then 20 s at constant speed: far from every evenly spaced instant."""
+    drop = sc.rest_to_rest((5.0, 0.0, -2.0), (5.0, 0.0, -3.5), 20.0, sc.three_phase(ramp=0.01))
+    assert drop.jet(np.linspace(0.0, 20.0, 401), 2)[:, 2, 2].min() > -9.81
+    with pytest.raises(sc.InvalidReference, match=r"at t = 0\.00\S* s the rope goes slack"):
+        solve(CRANE.with_reference(drop), step=0.1)
+
+
 def test_limits_depend_on_parameters():
     """On the moon the same descent makes the rope slack."""
     descent = CRANE.with_reference(path((5, 0, -2), (5, 1, -5), 3.0))

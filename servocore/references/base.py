@@ -73,6 +73,11 @@ class Reference(ABC):
         """Time between start and end, in s."""
         return self.end_time - self.start_time
 
+    @property
+    def stretches(self) -> FloatArray:
+        """Times in s, start and end included, that divide the path into stretches: each analytic, with few turns."""
+        return np.array([self.start_time, self.end_time])
+
     def jet(self, t: npt.ArrayLike, order: int) -> FloatArray:
         """Path and plain derivatives gamma, gamma', ..., gamma^(order) at the times `t`.
 

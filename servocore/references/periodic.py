@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 
+MOST_STRETCHES = 1000
+"""Of longer runs a stretch holds several turns; they repeat what was looked at before."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Periodic(Reference):
     """Trigonometric polynomial gamma(t) = centre + sum_k (cosines_k cos(k w t) + sines_k sin(k w t)), w = 2 pi/period.
@@ -42,6 +46,12 @@ class Periodic(Reference):
         super().__post_init__()
         for array in (self.centre, self.cosines, self.sines):
             array.setflags(write=False)
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Half periods of the highest harmonic: that is how often it turns."""
+        halves = np.ceil(2.0 * len(self.cosines) * self.duration / self.period)
+        return np.linspace(self.start_time, self.end_time, int(np.clip(halves, 1, MOST_STRETCHES)) + 1)
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         turn = np.fmod(t - self.start_time, self.period) / self.period

@@ -46,6 +46,11 @@ class PiecewisePolynomial(Reference):
         for array in (self.knots, self.coefficients, self.ends):
             array.setflags(write=False)
 
+    @property
+    def stretches(self) -> FloatArray:
+        """The knots."""
+        return self.knots
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         piece = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
         left, right = self.knots[piece], self.knots[piece + 1]

@@ -47,6 +47,10 @@ class Profile(ABC):
         """Time in s that the law needs at least; 0 for one that stretches to any duration."""
         return 0.0
 
+    def junctions(self, duration: float) -> tuple[float, ...]:  # noqa: ARG002 - one piece has none
+        """Return the times since the start, in s, where analytic pieces meet."""
+        return ()
+
     @abstractmethod
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
         """Evaluate s, s', ..., s^(order), derivatives by time.
@@ -164,9 +168,17 @@ class ThreePhaseProfile(Profile):
         """Two ramps, in s."""
         return 0.0 if self.ramp is None else 2.0 * self.ramp
 
+    def junctions(self, duration: float) -> tuple[float, ...]:
+        """Return the end of the first ramp and the begin of the last."""
+        ramp = self._ramp(duration)
+        return (ramp, duration - ramp)
+
+    def _ramp(self, duration: float) -> float:
+        return DEFAULT_RAMP * duration if self.ramp is None else self.ramp
+
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
         """Evaluate as `Profile.jet` says."""
-        ramp = DEFAULT_RAMP * duration if self.ramp is None else self.ramp
+        ramp = self._ramp(duration)
         cruise_time = duration - ramp
         near = np.minimum(elapsed, remaining)
         ramping = (elapsed < ramp) | (remaining <= ramp)

@@ -34,6 +34,12 @@ class RestToRest(Reference):
     end: tuple[float, ...]
     profile: Profile
 
+    @property
+    def stretches(self) -> FloatArray:
+        """Start, end, and where the pieces of the time law meet."""
+        inner = [self.start_time + each for each in self.profile.junctions(self.duration)]
+        return np.unique([self.start_time, *inner, self.end_time])
+
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         duration = self.duration
         elapsed = np.clip(t - self.start_time, 0.0, duration)
