@@ -37,19 +37,39 @@ _SMALLEST_TURN = 0.01  # rad a step: not worth a word
 
 
 def angles_of(stepper: Stepper) -> tuple[int, ...]:
-    """Return the channels that are angles among the coordinates: steps follow them through full turns.
+    """Return the channels that are coordinates which some equation knows up to full turns only.
 
     A step of half a turn cannot be told from one the other way round; see `servocore.loop.observe`. On a form of index
     one or less the velocities are unknowns of their own, and tell.
     """
     if stepper.index <= 1:
         return ()
-    system, found = stepper.system, []
-    observed = {each.name: expression for each, expression in system.observables.items()}
     names = [channel.name for channel in stepper.program.channels]
+    return tuple(names.index(each) for each in _periodic_coordinates(stepper.system))
+
+
+@lru_cache(maxsize=64)
+def _periodic_coordinates(system: MechanicalSystem) -> tuple[str, ...]:
+    """Return the angles among the coordinates, reported as they are, of which an equation is a periodic function.
+
+    Decided by numbers, at a point without symmetry. An angle that enters linearly, of a wheel say, may turn as far as
+    it likes.
+    """
+    terms = (system.constraints, system.output, system.potential, system.mass, system.input_matrix, system.force)
+    evaluate = Call(
+        ca.Function("sc_terms", [system.q, system.v, system.p], [ca.densify(ca.vertcat(*map(ca.vec, terms)))])
+    )
+    point, p = np.sin(1.0 + np.arange(len(system.coordinates))), system.parameters.values()
+    observed = {each.name: expression for each, expression in system.observables.items()}
+    found = []
     for k, each in enumerate(system.coordinates.quantities):
-        if each.unit == "rad" and ca.is_equal(observed.get(each.name, system.q[k]), system.q[k]):
-            found.append(names.index(each.name))
+        if each.unit != "rad" or not ca.is_equal(observed.get(each.name, system.q[k]), system.q[k]):
+            continue
+        aside = np.arange(len(point)) == k
+        here, there, round_again = (evaluate(point + turn * aside, point, p)[0] for turn in (0.0, 1.0, 2 * np.pi))
+        scale = 1e-9 * np.maximum(np.abs(here), np.abs(there))
+        if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > 1e3 * scale)).any():
+            found.append(each.name)
     return tuple(found)
 
 

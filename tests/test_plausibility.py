@@ -8,6 +8,7 @@ import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -47,6 +48,28 @@ def test_a_step_that_turns_the_bridge_the_wrong_way_round_is_refused_with_angle_
 def test_a_winch_that_turns_by_half_a_turn_a_step_is_refused():
     with pytest.raises(sc.IntegrationFailed, match=r"beta turns by 3\.\d+ rad in the step from t = "):
         projected(near_slack(0.1), 1000, "bodies")
+
+
+def test_a_wheel_that_enters_linearly_may_turn_as_far_as_it_likes_in_a_step():
+    """A cart on a wheel of 1 cm radius goes 100 m in 20 steps: 500 rad a step, each of them as good as the first."""
+    coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("theta", "rad"))
+    x, theta = coordinates["x"], coordinates["theta"]
+    wheel = sc.MechanicalSystem(
+        name="wheel",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=(sc.Quantity("M", "N.m"),),
+        outputs=(sc.Quantity("y", "m"),),
+        mass=ca.diag(ca.SX([2.0, 1e-4])),
+        constraints=x - 0.01 * theta,
+        input_matrix=ca.SX([[0.0, -1.0]]),
+        output=x,
+    )
+    reference = sc.rest_to_rest((0.0,), (100.0,), 20.0)
+    scene = sc.Scene(name="wheel", models={"points": lambda: wheel}, reference=reference)
+    found = projected(scene, 20)
+    assert np.diff(found["theta"]).max() > 100.0
+    np.testing.assert_allclose(found["theta"], 100.0 * found["x"], rtol=1e-12, atol=1e-9)
 
 
 @pytest.mark.parametrize("model", sc.scenes.rotary_crane().models)
