@@ -215,7 +215,9 @@ def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array,
                 f"{solution.route}: {loss}; this one changes over from one to the other: a scene with follow_branch and"
                 " a smaller step goes on smoothly in the form Reduced()"
             )
-        warnings.warn(f"{solution.route}: {loss}; this one goes on smoothly", ServocoreWarning, stacklevel=3)
+        ends = min(loss.time - solution.t[0], solution.t[-1] - loss.time) < 1e-6 * np.ptp(solution.t)
+        how = "this one begins or ends there" if ends else "this one goes on smoothly"
+        warnings.warn(f"{solution.route}: {loss}; {how}", ServocoreWarning, stacklevel=3)
 
 
 def configurations(system: MechanicalSystem, solution: Solution) -> Array | None:

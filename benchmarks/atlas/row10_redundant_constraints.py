@@ -8,22 +8,34 @@ from functools import cache
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+from scipy.optimize import brentq
 
 import servocore as sc
-from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, at_least, at_most
-from benchmarks.atlas.runs import quietly, relative_error
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.linkages import (
+    BASE,
+    CRANK,
+    UP,
+    antiparallelogram_angles,
+    bricard,
+    bricard_torque,
+    crossed_torque,
+    parallelogram,
+    parallelogram_torque,
+)
+from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
+from benchmarks.atlas.runs import march, quietly, relative_error, slope
+from benchmarks.atlas.style import BAD, GOOD, OTHER, label, panels
+from servocore.ranks import assembled, scaled_rows, unit_rows
 from servocore.redundancy import redundant_constraints, without_constraints
-from servocore.rotationless import GROUND, Assembly, RigidBody, angle, on_line, revolute, turned
+from servocore.rotationless import turned
 from servocore.stepper import compile_program
 
 NAME = "redundant-constraints"
-CRANK, BASE = 0.5, 1.1
-"""Lengths of crank and rocker, and of coupler and base, in m: a parallelogram."""
-DENSITY, GRAVITY = 5.0, 9.81
-ALONG, UP, HERE = (1, 0, 0), (0, 0, 1), (0, 0, 0)
 SHORT_OF = (0.6, 0.2, 0.05, 0.01)
 """How far from the stretched position, crank and coupler in line, a motion ends, in rad."""
+APART = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+"""How far from its closed configurations the Bricard linkage is looked at, in m and as parts of directors."""
 
 
 @cache
@@ -38,68 +50,23 @@ def doubled_crane() -> sc.MechanicalSystem:
     )
 
 
-@cache
-def parallelogram(closed_by: str = "on_line") -> sc.MechanicalSystem:
-    """Return a parallelogram of thin bars in space; the last hinge is a pin (`on_line`) or a full `revolute`."""
-    none = sc.Parameters()
-    bars = [_bar("crank", CRANK), _bar("coupler", BASE), _bar("rocker", CRANK)]
-    linkage = Assembly((*bars, sc.Quantity("theta", "rad")), none, (0, -GRAVITY, 0))
-    crank, coupler, rocker = (linkage.body(name) for name in ("crank", "coupler", "rocker"))
-    pivot = GROUND.at(HERE, axis=UP, normal=ALONG), crank.at(HERE, axis=UP, normal=ALONG)
-    last = rocker.at((CRANK, 0, 0)), coupler.at((BASE, 0, 0))
-    theta = linkage.augmented("theta")
-
-    def near(y: ca.SX) -> dict[str, object]:
-        joint = CRANK * ca.vertcat(ca.cos(y), ca.sin(y), 0)
-        base = ca.vertcat(BASE, 0, 0)
-        directors = turned(UP, y)
-        return {"crank": (HERE, directors), "coupler": (joint, ca.DM.eye(3)), "rocker": (base, directors), "theta": y}
-
-    return linkage.system(
-        "parallelogram",
-        constraints={
-            "A": revolute(*pivot),
-            "B": revolute(crank.at((CRANK, 0, 0)), coupler.at(HERE)),
-            "D": revolute(GROUND.at((BASE, 0, 0)), rocker.at(HERE)),
-            "C": revolute(*last) if closed_by == "revolute" else on_line(*last),
-            "theta": angle(*pivot, theta),
-        },
-        inputs={sc.Quantity("torque", "N.m"): theta},
-        outputs={sc.Quantity("y", "rad"): theta},
-        guess=near,
-        home=(1.0,),
-    )
-
-
-def _bar(name: str, length: float) -> RigidBody:
-    mass, across = DENSITY * length, DENSITY * length**3 / 12
-    return RigidBody(name, mass, (0.02 * across, across, across), (length / 2, 0, 0))
-
-
-def torque(reference: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the exact torque: cranks turn, the coupler is carried around without turning."""
-    y = reference[:, :, 0].T
-    crank, coupler = DENSITY * CRANK, DENSITY * BASE
-    inertia = 2 * crank * CRANK**2 / 3 + coupler * CRANK**2
-    return {"torque": inertia * y[2] + (crank + coupler) * GRAVITY * CRANK * np.cos(y[0])}
-
-
 def turning(end: float) -> sc.Scene:
     """Return the parallelogram whose crank turns from 0.3 rad to `end`."""
     return sc.Scene(
         name="parallelogram",
         models={"bodies": parallelogram},
         reference=sc.rest_to_rest((0.3,), (end,), 4.0),
-        closed_form=lambda reference, _: torque(reference),
+        closed_form=lambda reference, _: parallelogram_torque(reference),
         closed_form_order=2,
     )
 
 
 def measure(quick: bool) -> Findings:
-    """Look at a doubled constraint, a linkage with too many hinges, and one that passes its stretched position."""
+    """Look at a doubled constraint, linkages with too many hinges, and one that passes its stretched position."""
     found = Findings(NAME)
     _doubled(found)
     _too_many_hinges(found)
+    _bricard(found, quick)
     _towards_stretched(found, quick)
     _through_stretched(found)
     return found
@@ -110,13 +77,9 @@ def _doubled(found: Findings) -> None:
     scene = replace(crane, models={"doubled": doubled_crane})
     p = raw.parameters.values()
     for form in (sc.Original(), sc.Projected(), sc.Reduced()):
-        try:
-            compile_program(raw, form, sc.BackwardEuler())
-            seen = "compiled"
-        except sc.InvalidModel as error:
-            seen, found.facts["raw"] = type(error).__name__, str(error)
+        seen = found.facts["raw"] = _refusal(raw, form)
         found.add("rotary_crane, g_5 redundant", f"{form.name}, as it stands", "compiling a step",
-                  "5 constraints, rank 4", "InvalidModel", seen, REFUSED)  # fmt: skip
+                  "5 constraints, rank 4", "InvalidModel", seen.partition(":")[0], REFUSED)  # fmt: skip
     report = sc.analyse(scene)
     found.add("rotary_crane, g_5 redundant", "analyse", "remedy", "5 constraints, rank 4",
               "redundant constraints left out: g_5", report.remedy, SURVIVES)  # fmt: skip
@@ -129,14 +92,88 @@ def _doubled(found: Findings) -> None:
         found.facts["doubled"] = error
 
 
-def _too_many_hinges(found: Findings) -> None:
+def _refusal(system: sc.MechanicalSystem, form: sc.Formulation) -> str:
+    """Return the error of compiling a step of a system as it stands."""
     try:
-        parallelogram("revolute")
-        seen = "nothing"
+        compile_program(system, form, sc.BackwardEuler())
     except sc.InvalidModel as error:
-        seen, found.facts["hinges"] = type(error).__name__, str(error)
-    found.add("parallelogram", "four revolutes in space", "building the system", "3 rows too many", "InvalidModel",
-              seen, REFUSED)  # fmt: skip
+        return f"{type(error).__name__}: {error}"
+    return "compiled"
+
+
+def _too_many_hinges(found: Findings) -> None:
+    name, value = "parallelogram, four revolutes", "39 constraints, rank 36"
+    system, p = parallelogram("revolute"), np.zeros(0)
+    kept = without_constraints(system, redundant_constraints(system, p))
+    for route, subject, expected, verdict in (
+        ("all rows kept", system, at_least(1e14), FAILS),
+        ("redundant rows left out", kept, at_most(1e3), SURVIVES),
+    ):
+        rows = scaled_rows(subject.constraints, subject.q, subject.p, p, np.ones(len(subject.coordinates)))
+        values = np.linalg.svd(rows(subject.home_configuration()[0])[1], compute_uv=False)
+        found.add(name, route, "condition of the constraint Jacobian", value, expected, values[0] / values[-1], verdict)
+    found.facts["hinges"] = _refusal(system, sc.Reduced()).partition(": ")[2]
+    found.add(name, "reduced, as it stands", "compiling a step", value, "InvalidModel",
+              _refusal(system, sc.Reduced()).partition(":")[0], REFUSED)  # fmt: skip
+    scene = replace(turning(2.5), models={"hinges": lambda: system})
+    found.add(name, "analyse", "remedy", value, "redundant constraints left out: C 3, C 4, C 5",
+              sc.analyse(scene).remedy, SURVIVES)  # fmt: skip
+    error = found.facts["four"] = relative_error(scene, quietly(scene))
+    found.add(name, "solve", "relative input error", value, at_most(1e-12), error, SURVIVES)
+    try:
+        parallelogram("revolute", extra_input=True)
+        seen = "nothing"
+    except sc.InvalidModel as refusal:
+        seen, found.facts["overactuated"] = type(refusal).__name__, str(refusal)
+    found.add(name, "two inputs", "building the system", value, "InvalidModel", seen, REFUSED)
+
+
+def _bricard(found: Findings, quick: bool) -> None:
+    """Close six hinges: as many rows as coordinates, and yet it moves."""
+    system, p = bricard(), np.zeros(0)
+    rows = scaled_rows(system.constraints, system.q, system.p, p, np.ones(len(system.coordinates)))
+    closed = assembled(rows, system.home_configuration()[0])
+    assert closed is not None
+    directions = np.sin(1.0 + np.arange(len(closed)))
+    smallest = [_singular_values(rows(closed + each * directions)[1])[-1] for each in APART]
+    last, first = _singular_values(rows(closed)[1])[-1:-3:-1]
+    name, count = "Bricard linkage, six revolutes", "61 constraints, 61 coordinates"
+    full = int(np.linalg.matrix_rank(rows(closed + APART[0] * directions)[1]))
+    found.add(name, "rank where the loop is open by 1e-2", "rank", count, about(61, 0.0), full, FAILS)
+    found.add(name, "rank of all rows, closed to a distance", "exponent of the distance in the smallest singular value",
+              "1e-2 to 1e-6", about(1.0, 0.05), slope(np.array(APART), np.array(smallest)), FAILS)  # fmt: skip
+    found.add(name, "constraint_rank", "rank", count, about(60, 0.0), system.constraint_rank().rank, SURVIVES)
+    found.add(name, "constraint_rank", "smallest singular value", "closed", at_most(1e-13), last, SURVIVES)
+    scene = bricard_scene()
+    solution = quietly(scene, sc.Reduced(), sc.BackwardEuler(), step=scene.reference.duration / (40 if quick else 200))
+    exact = scene.exact(solution.t)
+    error = relative_error(scene, solution)
+    angle = float(np.abs(solution["cos_theta_2"] - exact["cos_theta_2"]).max())
+    violation = solution.statistics.constraint_violation
+    for parameter, bound, value in (
+        ("relative input error", 1e-12, error),
+        ("error of cos theta_2 in the closed relation", 1e-13, angle),
+        ("constraint violation", 1e-13, violation),
+    ):
+        found.add(name, "solve", parameter, count, at_most(bound), value, SURVIVES)
+    found.curves["rank"] = (np.array(APART), np.array(smallest), first)
+    found.curves["bricard"] = (solution.t, solution["torque"], exact["torque"])
+    found.facts.update(bricard=error, bricard_violation=violation, last=last, first=first)
+
+
+def _singular_values(jacobian: np.ndarray) -> np.ndarray:
+    return np.linalg.svd(unit_rows(jacobian), compute_uv=False)
+
+
+def bricard_scene() -> sc.Scene:
+    """Return the Bricard linkage whose first joint turns from -0.5 to 1.8 rad."""
+    return sc.Scene(
+        name="bricard",
+        models={"bodies": bricard},
+        reference=sc.rest_to_rest((-0.5,), (1.8,), 2.0),
+        closed_form=lambda reference, _: bricard_torque(reference),
+        closed_form_order=2,
+    )
 
 
 def _towards_stretched(found: Findings, quick: bool) -> None:
@@ -144,100 +181,156 @@ def _towards_stretched(found: Findings, quick: bool) -> None:
     errors, conditions = [], []
     for distance in distances:
         scene = turning(float(np.pi) - distance)
-        errors.append(relative_error(scene, quietly(scene, sc.Reduced(), sc.BackwardEuler(), step=0.02)))
-        conditions.append(sc.analyse(scene).condition)
-        found.add("parallelogram", "reduced, loop closed by on_line", "relative input error",
-                  f"{distance:g} rad short of stretched", at_most(1e-9), errors[-1], SURVIVES)  # fmt: skip
+        errors.append(relative_error(scene, sc.solve(scene, sc.Reduced(), sc.BackwardEuler(), step=0.02)))
+        report = sc.analyse(scene)
+        conditions.append(report.condition)
+        value = f"{distance:g} rad short of stretched"
+        found.add("parallelogram", "reduced, loop closed by on_line", "relative input error", value, at_most(1e-9),
+                  errors[-1], SURVIVES)  # fmt: skip
+        found.add("parallelogram", "analyse", "loss of rank", value, "none", report.rank_loss or "none", SURVIVES)
     found.curves["short"] = (np.array(distances), np.array(errors), np.array(conditions))
     found.facts.update(short=max(errors), nearest=distances[-1], condition=conditions[-1])
 
 
 def _through_stretched(found: Findings) -> None:
     """Turn the crank through the position in which parallelogram and antiparallelogram meet."""
-    scene = turning(float(np.pi) + 0.6)
-    condition = sc.analyse(scene).condition
-    found.add("parallelogram", "analyse", "condition of the system Jacobian along the path", "through stretched",
-              at_least(1e4), condition, SURVIVES)  # fmt: skip
-    exact = None
-    for form, method, expected in (
-        (sc.Reduced(), sc.BackwardEuler(), at_most(1e-6)),
-        (sc.Original(), sc.BackwardEuler(), at_most(0.05)),
-    ):
-        solution = quietly(scene, form, method, step=0.016)
-        error = relative_error(scene, solution)
-        found.add("parallelogram", form.name, "relative input error", "through stretched", expected, error,
-                  SURVIVES if error < 0.05 else FAILS)  # fmt: skip
-        found.curves["through", form.name] = (solution.t, solution["torque"])
-        found.facts[f"through_{form.name}"] = error
-        exact = scene.exact(solution.t)["torque"] if exact is None else exact
+    value, scene = "through stretched", turning(float(np.pi) + 0.6)
     misled = replace(scene, models={"misled": _misled})
-    solution = quietly(misled, sc.Reduced(), sc.BackwardEuler(), step=0.016)
-    error = float(np.abs(solution["torque"] - exact).max() / np.abs(exact).max())
-    found.add("parallelogram", "reduced, first guess on the other branch after", "relative input error",
-              "through stretched", at_least(0.1), error, FAILS)  # fmt: skip
-    found.curves["through", "reduced, guess of C always above"] = (solution.t, solution["torque"])
-    found.curves["exact"] = (solution.t, exact)
-    found.facts.update(condition=condition, misled=error)
+    reference = scene.reference
+    meeting = brentq(lambda t: float(reference.jet(t, 0)[0, 0]) - np.pi, reference.start_time, reference.end_time)
+    report = sc.analyse(scene)
+    seen = float(report.rank_loss.split("t = ")[1].split(" s")[0]) if report.rank_loss else np.nan
+    found.add(
+        "parallelogram", "analyse", "instant of the loss of rank [s]", value, about(meeting, 1e-4), seen, SURVIVES
+    )
+    _pointwise(found, misled, meeting)
+    try:
+        quietly(misled, sc.Reduced(), sc.BackwardEuler(), step=0.016)
+        seen_error = "nothing"
+    except sc.IntegrationFailed as error:
+        seen_error, found.facts["refusal"] = type(error).__name__, str(error)
+    found.add("parallelogram", "solve, guess of the other branch after", "outcome", value, "IntegrationFailed",
+              seen_error, REFUSED)  # fmt: skip
+    for route, subject, form, expected in (
+        ("reduced", scene, sc.Reduced(), at_most(1e-6)),
+        ("reduced, follow_branch, guess of the other branch after", replace(misled, follow_branch=True), sc.Reduced(),
+         at_most(1e-6)),
+        ("original", scene, sc.Original(), at_most(0.05)),
+    ):  # fmt: skip
+        solution = quietly(subject, form, sc.BackwardEuler(), step=0.016)
+        error = relative_error(subject, solution)
+        found.add("parallelogram", route, "relative input error", value, expected, error, SURVIVES)
+        found.facts[route.partition(",")[0] + ("_followed" if "follow" in route else "")] = error
+    found.curves["followed"] = (solution.t, scene.exact(solution.t)["torque"])
+
+
+def _pointwise(found: Findings, misled: sc.Scene, meeting: float) -> None:
+    """March the exact inversion instant by instant from the guess, which nothing checks."""
+    steps = 250
+    marched = march(sc.Stepper(misled, sc.Reduced(), sc.BackwardEuler(), misled.reference.duration / steps), steps)
+    jets = misled.reference.jet(marched.t, 2)
+    right, crossed = (each(jets)["torque"] for each in (parallelogram_torque, crossed_torque))
+    after = marched.t > meeting
+    peak = np.abs(right).max()
+    for parameter, exact, expected in (
+        ("relative input error", right, at_least(0.1)),
+        ("distance from the crossed assembly's torque after", np.where(after, crossed, right), at_most(1e-8)),
+    ):
+        error = float(np.abs(marched["torque"] - exact).max() / peak)
+        found.add("parallelogram", "pointwise, guess of the other branch after", parameter, "through stretched",
+                  expected, error, FAILS)  # fmt: skip
+        found.facts.setdefault("misled", error)
+    found.curves["pointwise"] = (marched.t, marched["torque"], np.where(after, crossed, np.nan), right)
 
 
 @cache
 def _misled() -> sc.MechanicalSystem:
-    """Return the parallelogram with a first guess that always takes the upper intersection of two circles."""
+    """Return the parallelogram with a first guess that takes the crossed assembly after the stretched position."""
     system = parallelogram()
     y = system.gamma[0, 0]
-    joint = CRANK * ca.vertcat(ca.cos(y), ca.sin(y))
-    gap = ca.vertcat(BASE, 0) - joint
-    cosine = (ca.sumsqr(gap) + BASE**2 - CRANK**2) / (2 * BASE * ca.norm_2(gap))
-    tilt = ca.atan2(gap[1], gap[0]) + ca.acos(ca.fmin(1.0, cosine))
-    end = joint + BASE * ca.vertcat(ca.cos(tilt), ca.sin(tilt)) - ca.vertcat(BASE, 0)
+    joint = CRANK * ca.vertcat(ca.cos(y), ca.sin(y), 0)
+    crossed = [
+        ca.if_else(y > ca.pi, each, other) for each, other in zip(antiparallelogram_angles(y), (0, y), strict=True)
+    ]
     columns = [
         ca.vertcat(0, 0, 0, ca.vec(turned(UP, y))),
-        ca.vertcat(joint, 0, ca.vec(turned(UP, tilt))),
-        ca.vertcat(BASE, 0, 0, ca.vec(turned(UP, ca.atan2(end[1], end[0])))),
+        ca.vertcat(joint, ca.vec(turned(UP, crossed[0]))),
+        ca.vertcat(BASE, 0, 0, ca.vec(turned(UP, crossed[1]))),
         y,
     ]
     return replace(system, guess=ca.densify(ca.vertcat(*columns)))
 
 
 def draw(found: Findings) -> Figure:
-    """Left: condition and error towards the stretched position. Right: torque through it."""
-    figure, (left, right) = panels(2, height=2.7)
-    distance, errors, conditions = found.curves["short"]
-    left.loglog(distance, conditions, color="#b3260a", marker="o", label="condition of the Jacobian")
-    left.loglog(distance, np.maximum(errors, 1e-17), color="#0b3c68", marker="s", label="input error / peak, reduced")
-    left.set_xlim(distance.max() * 1.3, distance.min() / 1.3)
-    left.set_ylim(1e-17, 1e12)
+    """Above: rank and torque of the Bricard linkage. Below: the parallelogram, before and through stretched."""
+    figure, ((rank, loop), (left, right)) = panels(2, 2, height=2.4)
+    apart, smallest, first = found.curves["rank"]
+    rank.loglog(apart, smallest, color=BAD, marker="o", label="smallest of 61 singular values")
+    rank.axhline(first, color=GOOD, ls="--", label="second smallest, loop closed")
+    rank.set_ylim(1e-9, 1.0)
     label(
-        left, "distance from the stretched position [rad]", "", "parallelogram, motion ends short of it", "upper left"
+        rank,
+        "distance from a closed loop",
+        "singular value",
+        "Bricard: the rank drops only where it closes",
+        "lower right",
     )
-    t, exact = found.curves["exact"]
-    right.plot(t, exact, color="0.6", lw=3, label="exact")
-    shown = [(k[1], v) for k, v in found.curves.items() if k[0] == "through"]
-    for (name, (times, values)), look in zip(shown, looks(), strict=False):
-        right.plot(times, values, label=name, markevery=0.1, **{**look, "markersize": 3})
-    right.set_ylim(-60, 130)
-    label(right, "time [s]", "torque [N m]", "parallelogram, through it", "upper left", fontsize=6)
+    t, values, exact = found.curves["bricard"]
+    loop.plot(t, exact, color="0.75", lw=4, label="closed form")
+    loop.plot(t, values, color=GOOD, ls="--", label="solve, one row left out")
+    label(loop, "time [s]", "torque [N m]", "Bricard: driven at one joint")
+    distance, errors, conditions = found.curves["short"]
+    left.loglog(distance, conditions, color=BAD, marker="o", label="condition of the system Jacobian")
+    left.loglog(
+        distance, np.maximum(errors, 1e-17), color=GOOD, marker="s", ls="--", label="input error / peak, reduced"
+    )
+    left.set_xlim(distance.max() * 1.3, distance.min() / 1.3)
+    left.set_ylim(1e-17, 1e13)
+    left.xaxis.set_minor_formatter(NullFormatter())
+    label(
+        left,
+        "distance from the stretched position [rad]",
+        "",
+        "Parallelogram: ends short of being stretched",
+        "upper left",
+    )
+    t, values, crossed, exact = found.curves["pointwise"]
+    right.plot(t, exact, color="0.75", lw=4, label="exact, parallelogram")
+    right.plot(*found.curves["followed"], color=GOOD, ls="--", label="follow_branch")
+    right.plot(t, values, color=BAD, label="pointwise, misleading guess")
+    right.plot(t, crossed, color=OTHER, ls="", marker="^", markevery=8, label="exact, crossed assembly")
+    right.set_ylim(-60, 120)
+    label(right, "time [s]", "torque [N m]", "Parallelogram: through the stretched position", "upper left", fontsize=6)
     return figure
 
 
 ROW = Row(
     name=NAME,
     title="Redundant constraints and rank drops",
-    avoid="more joint rows than the mechanism needs; motions through positions where two assemblies meet",
-    do="`analyse`, which names redundant rows; `on_line` for the hinge that closes a planar loop",
-    theory="Redundant rows leave multipliers undetermined: the system Jacobian is singular for good. Where rank"
-    " drops on"
-    " the way (a parallelogram stretched out) two motions go on from one position, and only the first guess decides"
-    " which one a pointwise solution takes.",
-    survivor="`analyse` names the redundant row, `solve` leaves it out: {doubled:.0e} of the peak. A loop"
-    " closed by a pin"
-    " instead of a fourth hinge has no redundant row: {short:.0e} up to {nearest:g} rad before the stretched position.",
-    limit="As it stands, a system with redundant rows is refused: “{raw}”. Four hinges in space are refused by their"
-    " count: “{hinges}”. Through the stretched position `analyse` sees a condition of {condition:.0e} and does not"
-    " refuse; with a first guess that prefers the other assembly the reduced form changes over without an error"
-    " ({misled:.0%} of the peak), with a good one its error is {through_reduced:.0e}, that of the original form"
-    " {through_original:.1%}.",
-    caption="Left: towards the stretched position. Right: torque through it; a guess on the wrong branch is followed.",
+    avoid="constraint rows as a raw formulation takes them; motions through positions where two assemblies meet",
+    do="`solve` and `analyse`, which count by rank and leave redundant rows out; `follow_branch` through a loss of"
+    " rank",
+    theory="Redundant rows leave multipliers undetermined: the system Jacobian is singular for good, and counting rows"
+    " denies the mechanism a motion that it has. In a Bricard linkage (six hinges, one degree of freedom) the rows are"
+    " dependent only where the loop is closed: the smallest singular value falls in proportion to the distance from"
+    " there, so a rank taken at a guess is wrong. Where rank drops on the way (a parallelogram stretched out) two"
+    " motions go on from one position, and only the first guess decides which one a pointwise solution takes.",
+    survivor="The rank is taken at configurations that satisfy the constraints, and a row is left out only if the"
+    " others imply it nearby. `analyse` names it, `solve` leaves it out: {doubled:.0e} of the peak on the crane,"
+    " {four:.0e} on a parallelogram of four hinges in space, {bricard:.0e} on the Bricard linkage (61 coordinates, 61"
+    " rows, rank 60) with a constraint violation of {bricard_violation:.0e}. Through the stretched position a scene"
+    " with `follow_branch` goes on smoothly whatever its guess: {reduced_followed:.0e}.",
+    limit="As it stands, a system with redundant rows is refused: “{hinges}”. Too many inputs are refused by the true"
+    " count: “{overactuated}”. Multipliers of rows left out are zero, which is one choice among many. A motion may"
+    " come within {nearest:g} rad of the stretched position ({short:.0e} of the peak, no alarm); through it `solve`"
+    " warns and `analyse` reports the instant. A solution that changes over, {misled:.0%} of the peak off and to"
+    " round-off the crossed assembly's, is refused: “{refusal}”. The loss of rank is looked for at 201 instants of a"
+    " motion, a condition beyond 1e5 counts; one that begins and ends between two of them goes unseen, and so does a"
+    " change over in steps that a user takes by hand. With a guess on the right branch the reduced form errs by"
+    " {reduced:.0e}, the original form by {original:.1%}.",
+    caption="Top: the smallest singular value of the Bricard linkage's constraints, and its torque. Bottom left:"
+    " towards the stretched position of the parallelogram. Bottom right: through it; a pointwise solution crosses over"
+    " with its guess, `follow_branch` does not.",
     measure=measure,
     draw=draw,
 )

@@ -1,0 +1,188 @@
+"""A linkage through its stretched position, where two motions meet: found, told, followed smoothly or refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import servocore as sc
+from servocore import rank_loss
+from servocore.rank_loss import changes_branch, configurations, rank_losses, require_one_branch
+
+CRANK, BASE, MASS, GRAVITY = 0.5, 1.1, 2.0, 9.81
+NAMES = ("x1", "y1", "x2", "y2")
+THROUGH = sc.rest_to_rest((0.3,), (np.pi + 0.6,), 4.0)
+
+
+@cache
+def linkage(longer: float = 0.0, guess: str = "parallelogram", freewheel: bool = False) -> sc.MechanicalSystem:
+    """A planar four-bar linkage of two point masses: joints of crank and coupler, coupler and rocker."""
+    coordinates = sc.Coordinates(
+        *(sc.Quantity(name, "m") for name in NAMES), sc.Quantity("theta", "rad"),
+        *([sc.Quantity("w", "m")] if freewheel else []),
+    )  # fmt: skip
+    x1, y1, x2, y2, theta = ca.vertsplit(coordinates.q[:5])
+    n = len(coordinates)
+    gamma = ca.SX.sym("gamma", 1, 25)
+    y = gamma[0, 0]
+    twice = 2 * ca.atan2(-CRANK * ca.sin(y), BASE - CRANK * ca.cos(y))
+    # Beyond the stretched position the other assembly: the parallelogram's corner mirrored at the diagonal.
+    tilt = ca.if_else(y > ca.pi, twice - y, y) if guess == "crossed after" else y
+    near = [CRANK * ca.cos(y), CRANK * ca.sin(y), BASE + CRANK * ca.cos(tilt), CRANK * ca.sin(tilt), y]
+    return sc.MechanicalSystem(
+        name="linkage",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=(sc.Quantity("torque", "N.m"),),
+        outputs=(sc.Quantity("angle", "rad"),),
+        mass=ca.sparsify(ca.diag(ca.vertcat(MASS, MASS, MASS, MASS, 0, *([1.0] if freewheel else [])))),
+        output=theta,
+        input_matrix=ca.sparsify(-ca.SX.eye(n)[4, :]),
+        potential=MASS * GRAVITY * (y1 + y2),
+        constraints=ca.vertcat(
+            x1 - CRANK * ca.cos(theta), y1 - CRANK * ca.sin(theta),
+            (x2 - x1) ** 2 + (y2 - y1) ** 2 - BASE**2, (x2 - BASE) ** 2 + y2**2 - (CRANK + longer) ** 2,
+        ),
+        gamma=gamma,
+        guess=ca.vertcat(*near, *([0] if freewheel else [])),
+        home=(1.0,),
+    )  # fmt: skip
+
+
+def torque(jets, _):
+    """Both masses ride on circles of the crank's radius."""
+    y = jets[:, :, 0].T
+    return {"torque": 2 * MASS * (CRANK**2 * y[2] + GRAVITY * CRANK * np.cos(y[0]))}
+
+
+def scene(reference=THROUGH, follow_branch=False, **model) -> sc.Scene:
+    return sc.Scene(
+        "linkage", {"points": lambda: linkage(**model)}, reference, closed_form=torque, closed_form_order=2,
+        follow_branch=follow_branch,
+    )  # fmt: skip
+
+
+def error(subject: sc.Scene, solution: sc.Solution) -> float:
+    exact = torque(subject.reference.jet(solution.t, 2), None)["torque"]
+    return float(np.abs(solution["torque"] - exact).max() / np.abs(exact).max())
+
+
+MEETING = brentq(lambda t: THROUGH.jet(t, 0)[0, 0] - np.pi, 1.0, 4.0)
+SENTENCE = (
+    rf"at t = {MEETING:.4f}\d* s the holonomic constraints lose rank \(condition .*, the limit is 1e\+05\)"
+    r" and two motions go on from there"
+)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
+def test_a_motion_that_goes_on_smoothly_is_right_and_comes_with_a_warning(step):
+    subject = scene()
+    with pytest.warns(sc.ServocoreWarning, match=SENTENCE + "; this one goes on smoothly"):
+        solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
+    assert error(subject, solution) < 1e-9
+
+
+@pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
+def test_a_motion_that_changes_over_with_its_guess_is_refused(step):
+    with pytest.raises(sc.IntegrationFailed, match=SENTENCE + "; this one changes over from one to the other"):
+        sc.solve(scene(guess="crossed after"), sc.Reduced(), sc.BackwardEuler(), step=step)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.016, 0.1])
+def test_following_the_branch_goes_on_smoothly_whatever_the_guess(step):
+    subject = scene(guess="crossed after", follow_branch=True)
+    with pytest.warns(sc.ServocoreWarning, match="goes on smoothly"):
+        solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
+    assert error(subject, solution) < 1e-8
+
+
+@pytest.mark.parametrize("form", [sc.Original(), sc.Projected()], ids=lambda form: form.name)
+def test_forms_that_step_are_looked_at_as_well(form):
+    system = linkage()
+    massive = replace(system, mass=system.mass + ca.sparsify(ca.diag(ca.DM([0, 0, 0, 0, 1e-3]))))
+    subject = replace(scene(), models={"points": lambda: massive})
+    with pytest.warns(sc.ServocoreWarning, match="lose rank"):
+        solution = sc.solve(subject, form, sc.BackwardEuler(), step=0.016)
+    assert error(subject, solution) < 0.05
+
+
+def test_analysis_reports_the_instant_and_keeps_its_classification():
+    report = sc.analyse(scene())
+    assert report.classification == "flat"
+    assert float(report.rank_loss.split("t = ")[1].split(" s")[0]) == pytest.approx(MEETING, abs=1e-4)
+    assert f"loss of rank        {report.rank_loss}" in str(report)
+    assert sc.analyse(scene(sc.rest_to_rest((0.3,), (2.5,), 4.0))).rank_loss == ""
+
+
+@pytest.mark.parametrize("short_of", [0.5, 0.1, 1e-2, 1e-3])
+def test_a_motion_that_ends_short_of_the_stretched_position_raises_no_alarm(short_of):
+    subject = scene(sc.rest_to_rest((0.3,), (np.pi - short_of,), 4.0))
+    assert error(subject, sc.solve(subject, step=0.02)) < 1e-9
+    assert sc.analyse(subject).rank_loss == ""
+
+
+@pytest.mark.parametrize("longer", [1e-2, 1e-4, 1e-6])
+def test_a_motion_close_by_a_loss_of_rank_raises_no_alarm(longer):
+    """A rocker that is longer keeps the assemblies apart by the square root of what it is longer."""
+    subject = scene(longer=longer, follow_branch=True)
+    sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.005)
+    assert sc.analyse(subject).rank_loss == ""
+
+
+def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_there():
+    """Which of both is up to the last bit of a pivot."""
+    ending = scene(sc.rest_to_rest((0.3,), (np.pi,), 4.0))
+    refused = r"from t = 3\.98 s to 4 s was not solved"
+    warned = r"at t = 4 s the holonomic constraints lose rank .*; this one begins or ends there"
+    with pytest.raises((sc.IntegrationFailed, sc.ServocoreWarning), match=f"{refused}|{warned}"):
+        sc.solve(ending, sc.Reduced(), sc.BackwardEuler(), step=0.02)
+
+
+def test_what_internal_dynamics_leave_free_is_judged_by_a_kink():
+    system, p = linkage(freewheel=True), np.zeros(0)
+    t = np.linspace(0.0, 4.0, 401)
+    y = THROUGH.jet(t, 0)[:, 0, 0]
+    twice = 2 * np.arctan2(-CRANK * np.sin(y), BASE - CRANK * np.cos(y))
+    for tilt, expected in ((y, False), (np.where(y > np.pi, twice - y, y), True)):
+        joints = [CRANK * np.cos(y), CRANK * np.sin(y), BASE + CRANK * np.cos(tilt), CRANK * np.sin(tilt)]
+        q = np.column_stack([*joints, y, 0.1 * np.sin(3 * t)])
+        (loss,) = rank_losses(system, THROUGH, p, t, q)
+        assert loss.time == pytest.approx(MEETING, abs=1e-4)
+        assert loss.holonomic
+        assert changes_branch(system, THROUGH, p, t, q, loss.time) is expected
+
+
+def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch):
+    subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
+    solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
+    counts = []
+
+    def counting(system, reference, p, t, q):
+        counts.append(len(t))
+        return rank_losses(system, reference, p, t, q)
+
+    monkeypatch.setattr(rank_loss, "rank_losses", counting)
+    require_one_branch(linkage(), subject.reference, np.zeros(0), solution)
+    assert counts == [201]
+
+
+def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch):
+    crane = sc.scenes.overhead_crane()
+    system = crane.model("generalized")
+    solution = sc.solve(crane, model="generalized")
+    monkeypatch.setattr(rank_loss, "configurations", lambda *_: pytest.fail("looked at"))
+    require_one_branch(system, crane.reference, system.parameters.values(), solution)
+
+
+def test_configurations_are_read_from_a_solution_unless_something_else_has_their_name():
+    subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
+    solution = sc.solve(subject)
+    q = configurations(linkage(), solution)
+    np.testing.assert_array_equal(q[:, 4], solution["theta"])
+    shadowed = replace(linkage(), observables={sc.Quantity("theta", "rad"): 2 * linkage().q[4]})
+    assert configurations(shadowed, solution) is None
