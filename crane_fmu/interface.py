@@ -10,6 +10,7 @@ import json
 import math
 import uuid
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
@@ -110,15 +111,16 @@ class Interface:
 
     def index(self, name: str) -> int:
         """Value reference of the variable called `name`; raises KeyError if there is none."""
-        for k, each in enumerate(self.variables):
-            if each.name == name:
-                return k
-        raise KeyError(name)
+        return self._places[name]
+
+    @cached_property
+    def _places(self) -> dict[str, int]:
+        return {each.name: k for k, each in enumerate(self.variables)}
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[self.index(name)]
 
-    @property
+    @cached_property
     def guid(self) -> str:
         """Identifier that changes when, and only when, the table does."""
         return str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json()))
