@@ -4,7 +4,7 @@
   a slave that has as many inputs and outputs and computes nothing; its cycles alternate with those of the FMU.
 * `instance`: the first one and a second one in a process that has imported NumPy and CasADi already.
 
-Times are the smallest of many short runs. Trust the ratio: machines are busy.
+Times are the smallest of many short runs, ratios the median over runs that followed each other: machines are busy.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ SETTINGS: dict[str, dict[str, str]] = {
     "generalized, reduced": {"model": "generalized"},
     "bodies, reduced": {"model": "bodies"},
 }
+
+BASE = "PythonFMU, nothing computed"
 
 TRIVIAL = """
 from pythonfmu import Fmi2Causality, Fmi2Slave, Real
@@ -121,15 +123,15 @@ def trivial() -> Iterator[Path]:
         yield Path(str(fmpy.extract(str(file), folder)))
 
 
-def microseconds(runs: dict[str, Callable[[int], None]]) -> dict[str, float]:
-    """Smallest time of a cycle; batches of all runs take turns."""
-    best = dict.fromkeys(runs, float("inf"))
-    for _ in range(BATCHES):
+def microseconds(runs: dict[str, Callable[[int], None]]) -> dict[str, np.ndarray]:
+    """Return times of a cycle, one a batch; batches of all runs take turns."""
+    taken = {name: np.zeros(BATCHES) for name in runs}
+    for k in range(BATCHES):
         for name, run in runs.items():
             begin = time.perf_counter()
             run(CYCLES)
-            best[name] = min(best[name], (time.perf_counter() - begin) / CYCLES)
-    return {name: 1e6 * seconds for name, seconds in best.items()}
+            taken[name][k] = 1e6 * (time.perf_counter() - begin) / CYCLES
+    return taken
 
 
 def instantiation(folder: Path) -> tuple[float, float]:
@@ -151,13 +153,12 @@ def measure(file: Path) -> dict[str, object]:
         folder = Path(str(fmpy.extract(str(file), scratch)))
         inputs = path()
         driven = {name: Driven(folder, inputs, texts) for name, texts in SETTINGS.items()}
-        driven["PythonFMU, nothing computed"] = Driven(nothing, inputs)
+        driven[BASE] = Driven(nothing, inputs)
         cycles = microseconds({name: each.cycle for name, each in driven.items()})
         starts = [instantiation(folder) for _ in range(3)]
-    base = cycles["PythonFMU, nothing computed"]
     return {
-        "cycle": cycles,
-        "ratio": {name: value / base for name, value in cycles.items()},
+        "cycle": {name: float(each.min()) for name, each in cycles.items()},
+        "ratio": {name: float(np.median(each / cycles[BASE])) for name, each in cycles.items()},
         "first instance": min(first for first, _ in starts),
         "second instance": min(second for _, second in starts),
     }

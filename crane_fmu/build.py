@@ -25,6 +25,7 @@ from pathlib import Path
 from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
+from crane_fmu.compiled_step import compiled_steps
 from crane_fmu.description import complete
 from crane_fmu.description_page import documentation_page, user_page
 from crane_fmu.interface import Interface
@@ -184,6 +185,9 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
         user_page(content.interface, content.kind.template), content.kind.file_name
     ).encode()
     members["documentation/licenses/pythonfmu.txt"] = _licence("pythonfmu")
+    programs = {name: content.files[name] for name in content.kind.to_machine_code if name in content.files}
+    for name, library in compiled_steps(programs, tell).items():
+        members[f"resources/{content.bundle}/{Path(name).with_suffix('.so')}"] = library
     if content.path is not None:
         members[f"resources/{PATH_FILE}"] = content.path
     members["model.png"] = (_HERE / "resources" / "model.png").read_bytes()

@@ -45,6 +45,8 @@ class Kind:
         Makes the table of variables.
     compiled : callable
         Makes the texts of compiled functions by file name.
+    to_machine_code : tuple of str
+        Names of those files that hold programs whose steps are compiled further.
     template, page : str
         Template of the user page, and the page in the documentation.
     runs : tuple of dict
@@ -65,6 +67,7 @@ class Kind:
     page: str
     runs: tuple[dict[str, float | str], ...]
     rest: dict[str, float]
+    to_machine_code: tuple[str, ...] = ()
 
     @property
     def file_name(self) -> str:
@@ -125,6 +128,11 @@ ROTARY_CRANE = Kind(
     page="fmu.md",
     runs=tuple({"model": model, "formulation": name} for model, name in product(_models(), FORMULATIONS)),
     rest={**_AT_REST, "M_b": 0.0, "F": 0.0, "M_w": -98.1, "swing": 0.0},
+    # a compiler takes a second for each of these, and longer than for all of them for one of the model of bodies
+    to_machine_code=(
+        *(program_file("points", formulation) for formulation in FORMULATIONS),
+        program_file("generalized", "reduced"),
+    ),
 )  # fmt: skip
 
 LOAD_TRAJECTORY = Kind(

@@ -74,8 +74,8 @@ def add_shim(folder: Path, notice: Callable[[str], None]) -> bool:
 def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
     """Return the library for an FMU with this GUID, or None, with a notice, where it cannot be made."""
     left_out = "the FMU will run in hosts that are Python only"
-    compiler = _compiler()
-    if sys.platform != "linux" or platform.machine() != "x86_64":
+    compiler = c_compiler()
+    if not is_shim_platform():
         notice(f"native hosts are served on 64-bit Linux only; {left_out}")
         return None
     if compiler is None:
@@ -95,7 +95,12 @@ def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
         return (Path(scratch) / "shim.so").read_bytes()
 
 
-def _compiler() -> list[str] | None:
+def is_shim_platform() -> bool:
+    """Return whether this machine makes binaries of the kind that `PLATFORM` names."""
+    return sys.platform == "linux" and platform.machine() == "x86_64"
+
+
+def c_compiler() -> list[str] | None:
     """Return the command of a C compiler: the environment variable CC, or what is found."""
     named = shlex.split(os.environ.get("CC", ""))
     if named:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS
-from crane_fmu.slave_base import INTERFACE_FILE, TableSlave
+from crane_fmu.slave_base import INTERFACE_FILE, TableSlave, load_once
 from crane_fmu.slave_checks import internal_steps, require_finite
 from crane_fmu.slave_estimate import Sample, completed, contradiction, kept_samples
 from crane_fmu.slave_feedback import Control, controlled
@@ -31,21 +30,6 @@ _ACTUATORS = 3  # the first channels of a program, and the first outputs
 def program_file(model: str, formulation: str) -> str:
     """Name of the file with the compiled functions."""
     return f"{model}-{formulation}.json"
-
-
-def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:
-    """Return a function that reads each file once in a process; they do not change."""
-    loaded: dict[Path, Any] = {}
-
-    def load(file: Path, read: Callable[[str], Any]) -> Any:
-        if file not in loaded:
-            loaded[file] = read(file.read_text(encoding="utf-8"))
-        return loaded[file]
-
-    return load
-
-
-load_once = _loader()
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +96,7 @@ class CraneSlave(TableSlave):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._program: Program | None = None
+        self._library = self._folder
         self._at_end = False
         self._order = ROWS - 1
         self._channels: list[int] = []
@@ -132,6 +117,7 @@ class CraneSlave(TableSlave):
         names = [channel.name for channel in program.channels]
         self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
         self._numbers = self._references(*program.parameters, "internal_step", "feedback")
+        self._library = file.with_suffix(".so")
         self._at_end, self._order, self._parameters = at_end, order, None
         return program
 
@@ -161,7 +147,7 @@ class CraneSlave(TableSlave):
             samples = kept_samples(samples, time, self._highest(heard), self._order) if h >= SHORTEST_STEP else samples
             jet = completed(samples, self._connected(heard), self._order, h).ravel().tolist()
         count = internal_steps(internal_step, h)
-        quick = quick_step(program) if count == 1 else None
+        quick = quick_step(program, self._library) if count == 1 else None
         usual = quick(motion, jet, 0.0 if self._at_end else h, h, p) if quick else None
         after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, p)
         control = self._feedback(now, jet, p, h, after.time) if gain > 0.0 else None

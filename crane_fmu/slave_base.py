@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -27,6 +27,21 @@ _STATE_FORMAT = "servocore fmu state 1"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
 _BUNDLE = Path(__file__).parents[1].name
+
+
+def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:
+    """Return a function that reads each file once in a process; they do not change."""
+    loaded: dict[Path, Any] = {}
+
+    def load(file: Path, read: Callable[[str], Any]) -> Any:
+        if file not in loaded:
+            loaded[file] = read(file.read_text(encoding="utf-8"))
+        return loaded[file]
+
+    return load
+
+
+load_once = _loader()
 
 
 class State(Protocol):
@@ -52,7 +67,7 @@ class TableSlave(GuardedSlave):
         super().__init__(**kwargs)
         self._resources = Path(kwargs["resources"])
         self._folder = self._resources / _BUNDLE
-        self._interface = Interface.from_json((self._folder / INTERFACE_FILE).read_text(encoding="utf-8"))
+        self._interface: Interface = load_once(self._folder / INTERFACE_FILE, Interface.from_json)
         self.guid = self._interface.guid
         self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=self.stop_time, step_size=self.step_size)
         variables = self._interface.variables

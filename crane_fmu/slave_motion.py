@@ -86,13 +86,17 @@ def begin(program: Program, jet: Array, p: Array, time: float) -> Snapshot:
         If the jet breaks a limit of the crane.
     InconsistentStart
         If the values are not found.
+    IntegrationFailed
+        If they are those of another branch of the equations.
     """
     gamma = _padded(program, jet)
     program.require_within_limits(gamma, p, time)
     state, report = program.begin(gamma, p)
     if not report.converged:
         raise InconsistentStart(f"{program.name}: no consistent values at t = {time:.6g} s")
-    return Snapshot(time, 0.0, state, jet, program.values(state, gamma, p))
+    values = program.values(state, gamma, p)
+    program.require_branch(values, time)
+    return Snapshot(time, 0.0, state, jet, values)
 
 
 def advance(program: Program, before: Snapshot, path: LoadPath, h: float, count: int, p: Array) -> Snapshot:
@@ -118,7 +122,7 @@ def advance(program: Program, before: Snapshot, path: LoadPath, h: float, count:
     InvalidReference
         If the path breaks a limit of the crane at the end of a step.
     InconsistentStart, IntegrationFailed
-        If a start or a step is not solved.
+        If a start or a step is not solved, or its solution is on another branch of the equations.
     """
     step = h / count
     if step < SHORTEST_STEP:
@@ -162,6 +166,7 @@ def _one_step(program: Program, before: Snapshot, jets: Array, h: float, end: fl
             f" derivatives of each other"
         )
     values = _continuous(program, program.values(state, jets[-1], p), before.values)
+    program.require_branch(values, end)
     return Snapshot(end, h, state, jets[-1, :ROWS], values)
 
 

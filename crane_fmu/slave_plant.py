@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION
-from crane_fmu.slave_base import TableSlave
+from crane_fmu.slave_base import TableSlave, load_once
 from crane_fmu.slave_checks import internal_steps, require_finite
 from crane_fmu.slave_paths import Array
 from servocore import IntegrationFailed, InvalidReference, InvalidSetting, Plant
@@ -106,8 +106,7 @@ class PlantSlave(TableSlave):
         self._at_end = self._setting("input_time") == "end"
         self._held = self._setting("hold") == "zero_order"
         self._brakes = self._setting("brakes") == "until_inputs"
-        if self._plant is None:
-            self._plant = Plant.from_json((self._folder / PLANT_FILE).read_text(encoding="utf-8"))
+        self._plant = load_once(self._folder / PLANT_FILE, Plant.from_json)
 
     def _begin(self, time: float) -> PlantState:
         start = self._checked(self._initial)

@@ -11,6 +11,7 @@ import math
 import sys
 from collections.abc import Sequence
 from functools import cache
+from pathlib import Path
 from struct import Struct
 
 import casadi as ca
@@ -21,6 +22,8 @@ from crane_fmu.slave_motion import JITTER, SHORTEST_STEP, Snapshot
 from crane_fmu.slave_paths import ROWS, Array
 from servocore import Program
 
+_NAME = "usual_step"
+
 
 class QuickStep:
     """One step of the method from the jet that the host tells, evaluated in arrays that are allocated once.
@@ -29,10 +32,17 @@ class QuickStep:
     ----------
     program : Program
         Model, formulation and method; the last with one node, at the end of the step.
+    function : casadi.Function
+        Its `usual_step`, interpreted or compiled.
+
+    Attributes
+    ----------
+    is_compiled : bool
+        False where CasADi interprets the function.
     """
 
-    def __init__(self, program: Program) -> None:
-        function = _compiled(program)
+    def __init__(self, program: Program, function: ca.Function) -> None:
+        self.is_compiled = bool(function.is_a("External"))
         self._arguments, self._results = np.zeros(function.numel_in(0)), np.zeros(function.numel_out(0))
         self._buffer, self._evaluate = function.buffer()
         self._buffer.set_arg(0, self._arguments.data)
@@ -90,23 +100,49 @@ class QuickStep:
 
 
 @cache
-def quick_step(program: Program) -> QuickStep | None:
-    """Return the quick step of a program, or None if its method has other nodes; it is compiled once in a process."""
-    return QuickStep(program) if program.nodes == (1.0,) else None
+def quick_step(program: Program, library: Path) -> QuickStep | None:
+    """Return the quick step of a program, or None if its method has other nodes; it is made once in a process.
+
+    Parameters
+    ----------
+    program : Program
+        Model, formulation and method.
+    library : Path
+        File with the compiled function; without it, or where the system cannot load it, CasADi interprets the same.
+    """
+    if program.nodes != (1.0,):
+        return None
+    return QuickStep(program, _loaded(program, library) or usual_step(program))
 
 
-def _compiled(program: Program) -> ca.Function:
+def _loaded(program: Program, library: Path) -> ca.Function | None:
+    if not (sys.platform == "linux" and library.is_file()):
+        return None
+    try:
+        function = ca.external(_NAME, str(library))
+    except Exception:  # made for another system: what CasADi raises is not documented
+        return None
+    fits = (function.n_in(), function.n_out()) == (1, 1) and function.numel_in(0) == sum(_sizes(program))
+    return function if fits else None
+
+
+def _sizes(program: Program) -> tuple[int, ...]:
+    """Return the sizes of what a usual step is given: state, jet, tau, h, parameters."""
+    return program.state_size, ROWS * DIMENSION, 1, 1, len(program.parameters)
+
+
+def usual_step(program: Program) -> ca.Function:
     """Return (state, jet, tau, h, parameters) -> (state, jet, values, 1 if all is well) of flat vectors.
 
     What comes before and after the step is one function each: calls among compiled functions cost time as well.
     """
-    sizes = (program.state_size, ROWS * DIMENSION, 1, 1, len(program.parameters))
+    sizes = _sizes(program)
     given = ca.MX.sym("given", sum(sizes))
     state, told, tau, h, p = ca.vertsplit(given, np.cumsum([0, *sizes]).tolist())
     then, gamma, margins = _before(program)(told, tau, p)
     after, _, residual = program.step(state, gamma, h, p)
     values, well = _after(program)(after, then, p, residual, margins)
-    return ca.Function("quick", [given], [ca.densify(ca.vertcat(after, then, values, well))])
+    return ca.Function(_NAME, [given], [ca.densify(ca.vertcat(after, then, values, well))])
 
 
 def _before(program: Program) -> ca.Function:
@@ -125,7 +161,9 @@ def _after(program: Program) -> ca.Function:
     p, residual = ca.SX.sym("p", len(program.parameters)), ca.SX.sym("residual")
     margins = ca.SX.sym("margins", 2 * len(program.limits))
     values, _ = program.observe(state, _columns(ca.reshape(jet, DIMENSION, ROWS), program.start_order + 1), p)
-    good = ca.vertcat(ca.fabs(ca.vertcat(state, residual)) <= sys.float_info.max, margins > 0.0)  # NaN is neither
+    positive = values[[k for k, channel in enumerate(program.channels) if channel.positive]]  # else a wrong branch
+    limited = ca.fabs(ca.vertcat(state, residual)) <= sys.float_info.max
+    good = ca.vertcat(limited, margins > 0.0, positive > 0.0)  # NaN is none of it
     return ca.Function("after", [state, jet, p, residual, margins], [values, ca.sum1(good) == good.numel()])
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -48,6 +49,9 @@ MISTAKES = (
     lambda host: host.step(0.0, 0.1),
     lambda host: host.start().set(load_mass=-1.0).step(0.0, 0.1),
     lambda host: host.start().set(internal_step=1e-9).step(0.0, 0.1),
+    lambda host: (
+        host.set(formulation="projected", input_time="end").start().set(**{"load.position[1]": -5.0}).step(0.0, 20.0)
+    ),
 )
 
 
@@ -87,6 +91,22 @@ def test_a_step_that_round_off_swallows_is_refused():
     with Host() as host:
         assert not host.start(time=1e9).step(1e9, 1e-9)
         assert "round-off" in host.messages[0]
+
+
+@pytest.mark.parametrize(("h", "reached"), [(20.0, 0.0), (5.0, 10.0)])  # the first step, and one like the step before
+def test_a_step_that_lands_on_another_branch_is_refused_and_smaller_ones_go_on(h, reached):
+    with Host() as host:
+        host.set(formulation="projected", input_time="end").start(CRANE.reference.jet(0.0, 4))
+        t = 0.0
+        while host.tell(CRANE.reference.jet(t + h, 4)).step(t, h):
+            t += h
+        assert t == reached
+        assert re.search(rf"at t = {t + h:g} s s is -2\.\S* m, on another branch of the equations", host.messages[-1])
+        before = host.outputs()
+        assert before[4] > 0.0
+        for k in range(1, 11):
+            assert host.tell(CRANE.reference.jet(t + 0.1 * k, 4)).step(t + 0.1 * (k - 1), 0.1), host.messages
+        assert host["s"] == pytest.approx(CRANE.exact(np.array([t + 1.0]))["s"][0], abs=1e-3)
 
 
 def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened():

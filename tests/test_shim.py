@@ -19,7 +19,7 @@ from fmu_host import Host, extracted, fmu_file, in_a_process, scratch
 
 from crane_fmu import shim
 
-COMPILER = shim._compiler()
+COMPILER = shim.c_compiler()
 pytestmark = pytest.mark.skipif(
     COMPILER is None or sys.platform != "linux", reason="native hosts need a C compiler on Linux"
 )
