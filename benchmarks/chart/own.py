@@ -32,6 +32,7 @@ FEW_METHODS: tuple[sc.Method, ...] = (sc.BackwardEuler(), sc.BDF(4), sc.RadauIIA
 
 DIVISIONS = (1, 2, 4, 8, 16, 32)  # of each output interval
 FEW_DIVISIONS = (1, 4, 16)
+INTERNAL_DIVISIONS = (1, 4)  # on a reduced form with internal dynamics, which needs no small steps
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
 ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)
@@ -46,13 +47,17 @@ MOST_UNKNOWN_STEPS = 1_000_000
 def candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
     """List our routes on a problem."""
     if smoke:
-        return [*_fixed(problem, None, sc.Projected(), FEW_METHODS[:1], DIVISIONS[:2]), *_reduced(problem, None)]
+        return [*_fixed(problem, None, sc.Projected(), FEW_METHODS[:1], DIVISIONS[:2]),
+                *_reduced(problem, None, FEW_METHODS[:1])]  # fmt: skip
     first, *others = problem.scene.models
     found = [*_reduced(problem, first), *_fixed(problem, first, sc.Projected(), METHODS, DIVISIONS)]
     found += _adaptive(problem, first)
     found += _fixed(problem, first, sc.Original(), FEW_METHODS, FEW_DIVISIONS)
     for model in others:
-        found += [*_reduced(problem, model), *_fixed(problem, model, sc.Projected(), FEW_METHODS, FEW_DIVISIONS)]
+        found += [
+            *_reduced(problem, model, FEW_METHODS),
+            *_fixed(problem, model, sc.Projected(), FEW_METHODS, FEW_DIVISIONS),
+        ]
     return found
 
 
@@ -65,13 +70,16 @@ def order_candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
     ]
 
 
-def _reduced(problem: Problem, model: str | None) -> list[Candidate]:
+def _reduced(problem: Problem, model: str | None, methods: Sequence[sc.Method] = METHODS) -> list[Candidate]:
     """List the reduced form: one solve an instant, or an integration of the internal dynamics."""
     index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
     if index == 0:
         return [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), steps, "exact inversion")
                 for steps in (*COARSE, OUTPUT_INTERVALS)]  # fmt: skip
-    return _fixed(problem, model, sc.Reduced(), METHODS, FEW_DIVISIONS)
+    return [
+        *_fixed(problem, model, sc.Reduced(), methods, INTERNAL_DIVISIONS),
+        *_fixed(problem, model, sc.Reduced(), [each for each in methods if each in FEW_METHODS], FEW_DIVISIONS[-1:]),
+    ]
 
 
 def _fixed(
