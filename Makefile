@@ -21,11 +21,11 @@ demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tabl
 test: $(INSTALLED)  ## run the whole test suite
 	$(RUN) pytest -n $(TEST_PROCESSES)
 
-hostile: $(INSTALLED)  ## ask the FMU ten thousand random sequences of calls: minutes
-	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest tests/test_hostile.py
+hostile: $(INSTALLED)  ## ask each FMU ten thousand random sequences of calls (some 15 minutes)
+	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest -s --durations=0 tests/test_hostile.py
 
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
-	SERVOCORE_LOAD=full $(RUN) pytest tests/test_load.py
+	SERVOCORE_LOAD=full $(RUN) pytest -s --durations=0 tests/test_load.py
 
 check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \

