@@ -130,7 +130,13 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     ----------
     system : MechanicalSystem
         Any; its constraints are differentiated twice and stabilised.
+
+    Raises
+    ------
+    InvalidModel
+        If some holonomic constraints are redundant: nothing would determine their forces.
     """
+    system.require_independent_constraints()
     rate, held_rate = _rate(system, held=False), _rate(system, held=True)
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
     state, u, slope, d, p = (ca.MX.sym(*each) for each in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))

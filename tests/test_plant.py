@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -124,3 +127,11 @@ def test_a_saved_plant_is_the_same_plant():
 def test_another_text_is_no_plant(text):
     with pytest.raises(sc.ServocoreError, match="saved plant"):
         sc.Plant.from_json(text)
+
+
+def test_a_plant_whose_constraint_forces_are_not_determined_is_refused():
+    points = sc.scenes.rotary_crane().model("points")
+    twice = ca.vertcat(points.constraints, 2 * points.constraints[3])
+    doubled = replace(points, constraints=twice, multipliers=ca.vertcat(points.lam, ca.SX.sym("lam_again")))
+    with pytest.raises(sc.InvalidModel, match=r"1 of the 5 holonomic constraints are redundant \(rank 4\): g_5"):
+        sc.compile_plant(doubled)
