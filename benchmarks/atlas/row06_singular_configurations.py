@@ -237,10 +237,10 @@ ROW = Row(
     " coordinates the reduced form is right to {rope_horizontal_reduced_generalized:g}° short of it and to"
     " {slack_rope_reduced_generalized:g} m/s² from slack. From 1e-5 m below the girder on runs come with the warning"
     " that the rope's constraint loses rank, right as they are. Steps that turn an angle among the coordinates by"
-    " half a turn or more are errors; {warned:d} projected runs end with the warning that an input is off by more than half"
-    " of its peak, which six exact inversions find out after the run. Errors below that are the step's, and nothing warns of"
-    " them. In `bodies` a winch that turns by {winch_turn:.2g} rad a step makes M_w wrong by {winch_seen:.1f} of its"
-    " peak ({winch_predicted:.1f} predicted); half a peak would be reached at"
+    " half a turn or more are errors; {warned:d} projected runs end with the warning that an input is off by more than"
+    " half of its peak, which six exact inversions find out after the run. Errors below that are the step's, and"
+    " nothing warns of them. In `bodies` a winch that turns by {winch_turn:.2g} rad a step makes M_w wrong by"
+    " {winch_seen:.1f} of its peak ({winch_predicted:.1f} predicted); half a peak would be reached at"
     " {winch_half:.1g} rad.",
     caption="What became of runs at ever smaller distances. Projected runs (1000 steps) are judged by φ, s and l, which"
     " are exact on the right branch, and are wrong too if an input is off by more than its peak.",
