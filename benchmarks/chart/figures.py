@@ -137,9 +137,9 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
         label = method if min(row.error for row in points) < top else f"{method} (above the scale)"
         axis.plot([row.seconds for row in points], [max(row.error, OLDEST) for row in points], label=label,
                   **_family(method))  # fmt: skip
-    for row in own:
-        if row.formulation == "reduced" and row.model == model and row.method == "exact inversion":
-            axis.plot(row.seconds, row.error, "*", color="black", markersize=13, label="exact inversion (reduced form)")
+    exact = [row for row in own if (row.model, row.method) == (model, "exact inversion")]
+    axis.plot([row.seconds for row in exact], [row.error for row in exact], "*:", color="black", markersize=13,
+              label="exact inversion (reduced form)\nof 40, 100 and 200 instants")  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
              ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),
              title=f"{scene.replace('_', ' ')}, model {model}: methods of servocore on the projected form")  # fmt: skip
