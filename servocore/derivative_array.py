@@ -8,7 +8,7 @@ It gives consistent initial values to every formulation, and is itself the `Redu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -57,7 +57,7 @@ class DerivativeArray:
         """Names of the variables."""
         return self.signature.equations.names
 
-    @property
+    @cached_property
     def reference_order(self) -> int:
         """Highest derivative of the reference that enters."""
         gamma = self.system.gamma

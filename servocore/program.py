@@ -179,7 +179,9 @@ class Program:
         return used.reshape(-1, used.shape[2]).T
 
     def to_json(self) -> str:
-        """Serialise, with the functions in CasADi's own format."""
+        """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
+        if self.step.is_a("External", True):
+            raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
         document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__}
         for attribute in self.__dataclass_fields__:
             value = getattr(self, attribute)

@@ -222,13 +222,20 @@ def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array,
 
 def configurations(system: MechanicalSystem, solution: Solution) -> Array | None:
     """Return the coordinates of a solution, shape (N, n); None if something else is reported under a name of one."""
+    places = _columns(system, solution.names)
+    return None if places is None else solution.values[:, places]
+
+
+@lru_cache(maxsize=64)
+def _columns(system: MechanicalSystem, names: tuple[str, ...]) -> list[int] | None:
+    """Places of the coordinates among reported names; None if something else is reported under a name of one."""
     reported = {each.name: system.output[k] for k, each in enumerate(system.outputs)}
     reported |= {each.name: expression for each, expression in system.observables.items()}
     reported |= {each.name: system.u[k] for k, each in enumerate(system.inputs)}
     for k, name in enumerate(system.coordinates.names):
         if not ca.is_equal(reported.get(name, system.q[k]), system.q[k]):
             return None
-    return np.column_stack([solution[name] for name in system.coordinates.names])
+    return [names.index(name) for name in system.coordinates.names]
 
 
 def changes_branch(system: MechanicalSystem, reference: Reference, p: Array, t: Array, q: Array, time: float) -> bool:

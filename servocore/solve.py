@@ -39,6 +39,8 @@ def solve(
     output_step: float | None = None,
     model: str | None = None,
     progress: Progress | None = None,
+    native: bool = False,
+    checks: bool = True,
 ) -> Solution:
     """Compute the inputs that make the servo output follow the scene's reference.
 
@@ -59,6 +61,11 @@ def solve(
         Model of the scene; its smallest when not given.
     progress : callable, optional
         Called with (steps done, steps in all) after every chunk of steps.
+    native : bool
+        Whether a C compiler shall turn the program into machine code first, see `Stepper`: for many solves.
+    checks : bool
+        False leaves out what finds mistakes: the survey of the scene's limits, the warnings, and the search of the
+        result for wrong branches. For many solves on paths like one that was solved with them.
 
     Returns
     -------
@@ -70,7 +77,7 @@ def solve(
     InvalidReference
         If the path breaks a limit of the scene or lacks derivatives.
     InvalidSetting
-        If the step is not positive, exceeds the duration or does not divide it.
+        If the step is not positive, exceeds the duration or does not divide it; if there is no C compiler for `native`.
     InconsistentStart
         If no consistent initial values are found.
     IntegrationFailed
@@ -89,33 +96,39 @@ def solve(
     if isinstance(method, BoundaryValue):
         return replace(_solve_bounded(scene, formulation, method, step, model, progress), advice=advice)
     formulation = formulation or Reduced()
-    warn_of_growth(scene, model)
-    warn_of_jumps(scene, model)
+    if checks:
+        warn_of_growth(scene, model)
+        warn_of_jumps(scene, model)
     control = step if isinstance(step, Adaptive) else Fixed(step) if not isinstance(step, Fixed) else step
     if output_step is not None and not isinstance(control, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     setting = output_step if isinstance(control, Adaptive) else control.h
     t, h = time_grid(scene.reference, setting)
-    stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model)
-    warn_of_index(stepper)
-    require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters, t)
+    stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model, native)
+    if checks:
+        warn_of_index(stepper)
+        require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters, t)
     if isinstance(control, Adaptive):
         solution = solve_to_tolerance(stepper, control, t, progress)
     elif isinstance(formulation, Reduced) and stepper.index == 1:
         solution = solve_with_states(stepper, formulation, t, progress)
     else:
-        solution = solve_at_constant_step(stepper, t, progress)
-    require_one_branch(stepper.system, scene.reference, stepper.parameters, solution)
+        solution = solve_at_constant_step(stepper, t, progress, checks)
+    if checks:
+        require_one_branch(stepper.system, scene.reference, stepper.parameters, solution)
     return replace(solution, advice=advice)
 
 
-def solve_at_constant_step(stepper: Stepper, t: Array, progress: Progress | None = None) -> Solution:
+def solve_at_constant_step(
+    stepper: Stepper, t: Array, progress: Progress | None = None, checks: bool = True
+) -> Solution:
     """Step through the instants `t`, one step of the stepper apart, and report every one."""
     reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
     done = run(reference, program, p, t, stepper.step, progress)
     values, violations = observe(program, reference, p, t, done.states, angles_of(stepper))
     follow_angles(stepper, t, done.states, values)
-    warn_of_wrong_inputs(stepper, t, values)
+    if checks:
+        warn_of_wrong_inputs(stepper, t, values)
     summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
     return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
 

@@ -1,0 +1,74 @@
+"""Machine code computes what the interpreter computes, to the last bit, and says when it cannot be had."""
+
+import numpy as np
+import pytest
+
+import servocore as sc
+from servocore import native
+from servocore.native import in_machine_code
+
+CRANE = sc.scenes.overhead_crane()
+
+
+@pytest.fixture
+def no_programs_kept():
+    in_machine_code.cache_clear()
+    yield
+    in_machine_code.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("formulation", "method"),
+    [(sc.Reduced(), sc.BackwardEuler()), (sc.Projected(), sc.BackwardEuler()), (sc.Projected(), sc.RadauIIA(2))],
+    ids=["exact inversion", "backward Euler", "Radau"],
+)
+def test_machine_code_gives_the_same_bits(formulation, method):
+    interpreted, compiled = (sc.solve(CRANE, formulation, method, native=each) for each in (False, True))
+    np.testing.assert_array_equal(compiled.values, interpreted.values)
+    assert compiled.statistics == interpreted.statistics
+
+
+def test_internal_dynamics_run_in_machine_code_too():
+    scene = sc.scenes.mass_on_car()
+    interpreted, compiled = (sc.solve(scene, sc.Reduced(), sc.BDF(2), native=each) for each in (False, True))
+    np.testing.assert_array_equal(compiled.values, interpreted.values)
+
+
+def test_a_program_is_compiled_once():
+    stepper = sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.1, native=True)
+    assert sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.2, native=True).program is stepper.program
+
+
+def test_machine_code_is_not_saved():
+    stepper = sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.1, native=True)
+    with pytest.raises(sc.ServocoreError, match="machine code cannot be saved"):
+        stepper.program.to_json()
+
+
+@pytest.mark.usefixtures("no_programs_kept")
+def test_without_a_compiler_machine_code_is_refused(monkeypatch):
+    monkeypatch.setenv("CC", "")
+    monkeypatch.setattr(native, "COMPILERS", ("no-such-compiler",))
+    with pytest.raises(sc.InvalidSetting, match=r"machine code needs a C compiler: .* none of no-such-compiler"):
+        sc.solve(CRANE, native=True)
+
+
+@pytest.mark.usefixtures("no_programs_kept")
+def test_a_compiler_that_fails_is_named_with_its_reason(monkeypatch, tmp_path):
+    broken = tmp_path / "brokencc"
+    broken.write_text("#!/bin/sh\necho 'no space left' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    monkeypatch.setenv("CC", str(broken))
+    with pytest.raises(sc.InvalidSetting, match=r"brokencc does not compile overhead crane.*: no space left"):
+        sc.solve(CRANE, native=True)
+
+
+def test_without_checks_the_numbers_are_the_same_and_limits_are_not_looked_at():
+    checked, bare = (sc.solve(CRANE, sc.Reduced(), checks=each) for each in (True, False))
+    np.testing.assert_array_equal(bare.values, checked.values)
+    # So fast that the rope goes slack: the equations then lead to another branch, which is refused all the same.
+    jerked = sc.scenes.rotary_crane().with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
+    with pytest.raises(sc.InvalidReference, match="the rope goes slack"):
+        sc.solve(jerked, sc.Reduced())
+    with pytest.raises(sc.IntegrationFailed):
+        sc.solve(jerked, sc.Reduced(), checks=False)
