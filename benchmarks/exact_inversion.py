@@ -27,8 +27,9 @@ from rich.table import Table
 
 import servocore as sc
 from servocore.calls import Call
-from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array, first_guess, nominal
+from servocore.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
 from servocore.feasibility import side_by_side
+from servocore.inversion import compile_inversion
 from servocore.levels import ROUTES, Spread, compiled_run, timed_in_turn
 from servocore.levels_text import machine
 from servocore.newton import MAX_ITERATIONS, STEP_TOLERANCE

@@ -10,10 +10,11 @@ import casadi as ca
 import numpy as np
 
 from servocore.calls import Call
-from servocore.derivative_array import DerivativeArray, compile_inversion, derivative_array
+from servocore.derivative_array import DerivativeArray, derivative_array
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.feasibility import require_feasible
 from servocore.internal_dynamics import DAMPED, internal_eigenvalues
+from servocore.inversion import compile_inversion
 from servocore.rank_loss import rank_losses
 from servocore.redundancy import prepared
 from servocore.scene import Scene

@@ -132,46 +132,31 @@ def choose_states(found: Signature, J: Array | None = None) -> tuple[tuple[int, 
     return tuple(sorted(states))
 
 
-def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.Function:
-    """Compile (gamma, p) -> (unknowns of the array, counts, residual), by Newton from the system's guess.
-
-    gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
-    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
-    States of the internal dynamics keep their guess.
-    """
-    system = array.system
-    solver = compile_array_solver(array)
-    gamma = ca.MX.sym("gamma", system.gamma.size1(), array.reference_order + 1)
-    p = ca.MX.sym("p", system.p.numel())
-    found = solver(gamma, p, first_guess(array)(gamma, p))
-    return ca.Function(name, [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
-
-
 def compile_array_solver(array: DerivativeArray) -> ca.Function:
     """Compile (gamma, p, guess) -> (unknowns of the array, counts, residual); states keep their guess."""
-    system = array.system
-    orders = array.reference_order + 1
-    guess_symbols = ca.SX.sym("guess", len(array.unknowns))
-    guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
-    reference = system.gamma[:, :orders]
-    scale = np.array([nominal(system, j) for j, _ in array.determined])
-    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
-    solver = compile_solver(
-        "sc_array",
-        SquareSystem(
-            unknowns=array.column(array.determined),
-            givens=ca.vertcat(ca.vec(reference), system.p, guess_symbols),
-            residual=ca.substitute(array.residual, array.column(array.states), pinned),
-            guess=ca.vertcat(*[guessed[each] for each in array.determined]),
-            unknown_scale=ca.SX(scale),
-            residual_scale=ca.SX.ones(len(array.rows)),
-        ),
-        [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)],
-    )
-    gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
-    guess = ca.MX.sym("guess", len(array.unknowns))
+    solver = compile_solver("sc_array", *array_system(array))
+    gamma = ca.MX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
+    p, guess = ca.MX.sym("p", array.system.p.numel()), ca.MX.sym("guess", len(array.unknowns))
     found = solver(ca.vertcat(ca.vec(gamma), p, guess))
     return ca.Function("sc_array_solver", [gamma, p, guess], list(found))
+
+
+def array_system(array: DerivativeArray) -> tuple[SquareSystem, list[ca.SX]]:
+    """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as what is wanted."""
+    system = array.system
+    guess_symbols = ca.SX.sym("guess", len(array.unknowns))
+    guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
+    scale = np.array([nominal(system, j) for j, _ in array.determined])
+    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
+    equations = SquareSystem(
+        unknowns=array.column(array.determined),
+        givens=ca.vertcat(ca.vec(system.gamma[:, : array.reference_order + 1]), system.p, guess_symbols),
+        residual=ca.substitute(array.residual, array.column(array.states), pinned),
+        guess=ca.vertcat(*[guessed[each] for each in array.determined]),
+        unknown_scale=ca.SX(scale),
+        residual_scale=ca.SX.ones(len(array.rows)),
+    )
+    return equations, [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)]
 
 
 def nominal(system: MechanicalSystem, variable: int) -> float:

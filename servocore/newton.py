@@ -31,6 +31,7 @@ MAX_ITERATIONS = 30
 _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
 
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
+_MOST_UNROLLED = 16  # unknowns of a block whose solution is written out as one expression
 _TEARING_FILL = 0  # a substitution must not leave more entries than it removes
 
 
@@ -75,6 +76,7 @@ class _Assembly:
     explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)  # not yet evaluated
     iterations: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
+    flat: bool = False
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
         """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
@@ -97,7 +99,25 @@ class _Assembly:
         self.values = ca.vertcat(self.values, values)
 
 
-def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function:
+def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
+    """Compile `system` like `compile_solver`, but as one expression with a single Newton iteration in every block.
+
+    For guesses that are exact already: where the iteration corrects anything that counts, the results are NaN. An
+    expression spares what the interpreter spends on calling functions, which is most of what a small block costs.
+
+    Returns
+    -------
+    casadi.Function or None
+        None if a block is too large to be written out.
+    """
+    if any(len(rows) > _MOST_UNROLLED for rows, _ in _blocks(_without_constants(system)[0])):
+        return None
+    function = compile_solver(name, system, outputs, flat=True).expand()
+    symbols = function.sx_in()
+    return ca.Function(name, symbols, function.call(symbols), {"cse": True})
+
+
+def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, flat: bool = False) -> ca.Function:
     r"""Compile `system` into a function that solves it.
 
     Parameters
@@ -108,6 +128,8 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
         The equations; must be structurally nonsingular.
     outputs : list of casadi.SX
         Expressions of unknowns and givens to return.
+    flat : bool
+        See `compile_flat_solver`.
 
     Returns
     -------
@@ -122,7 +144,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
     full, (system, constants) = system, _without_constants(system)
-    assembly = _Assembly(system, system.givens, givens, explicit=constants)
+    assembly = _Assembly(system, system.givens, givens, explicit=constants, flat=flat)
     for rows, columns in _blocks(system):
         _solve_block(assembly, rows, columns)
     worst = largest(full.residual / full.residual_scale)
@@ -232,10 +254,14 @@ def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
 
 def _solve_linear(assembly: _Assembly, unknowns: ca.SX, residual: ca.SX, jacobian: ca.SX) -> None:
     constant = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
+    assembly.linear_blocks += 1
+    if assembly.flat:
+        solve = ca.Function("sc_linear", [assembly.symbols], [ca.solve(jacobian, -constant)], {"cse": True})
+        assembly.learn(unknowns, solve(assembly.values))
+        return
     evaluate = ca.Function("sc_linear", [assembly.symbols], [jacobian, -constant], {"cse": True})
     matrix, right = evaluate(assembly.values)
     assembly.learn(unknowns, ca.solve(matrix, right, "qr"))
-    assembly.linear_blocks += 1
 
 
 def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
@@ -245,6 +271,11 @@ def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -
     for symbol, expression in torn:
         residual = ca.substitute(residual, symbol, expression)
     guess, scale, row_scale = system.guess[core], system.unknown_scale[core], system.residual_scale[kept_rows]
+    if assembly.flat:
+        assembly.learn(unknowns, _iterated_once(assembly, residual, unknowns, guess, scale))
+        for symbol, expression in torn:
+            assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+        return
     prepare = ca.Function("sc_prepare", [system.givens], [guess / scale, scale, row_scale], {"cse": True})
     start, scale_value, row_scale_value = prepare(assembly.values[: system.givens.numel()])
 
@@ -271,6 +302,20 @@ def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -
     assembly.learn(unknowns, root[:size] * scale_value * verdict)
     for symbol, expression in torn:
         assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+
+
+def _iterated_once(assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX) -> ca.MX:
+    """Return a guess after one Newton iteration, or NaN if that moved it by more than `STEP_TOLERANCE`."""
+    jacobian, size = ca.jacobian(residual, unknowns), unknowns.numel()
+    correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
+    verdict = ca.if_else(largest(correction / scale) < STEP_TOLERANCE, 1.0, np.nan)
+    start = ca.Function("sc_prepare", [assembly.system.givens], [guess])
+    iterate = ca.Function(
+        "sc_iterate", [assembly.symbols, unknowns], [(unknowns - correction) * verdict], {"cse": True}
+    )
+    assembly.iterations.append(ca.MX(1))
+    found: ca.MX = iterate(assembly.values, start(assembly.values[: assembly.system.givens.numel()]))
+    return found
 
 
 def _tear(

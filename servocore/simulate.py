@@ -8,8 +8,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from servocore.derivative_array import compile_inversion, derivative_array
+from servocore.derivative_array import derivative_array
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
+from servocore.inversion import compile_inversion
 from servocore.program import Channel
 from servocore.redundancy import prepared
 from servocore.scene import Scene

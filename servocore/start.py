@@ -5,8 +5,9 @@ from __future__ import annotations
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.derivative_array import DerivativeArray, compile_inversion
+from servocore.derivative_array import DerivativeArray
 from servocore.formulations import Reduced
+from servocore.inversion import compile_inversion
 from servocore.methods import Discretisation, RadauIIA
 from servocore.newton import compile_solver
 

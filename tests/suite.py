@@ -19,8 +19,9 @@ from hypothesis.extra.numpy import arrays
 from problems import METHODS, SCENES, exact, jets_near_home, largest_errors, observed_orders, scene, solved
 
 from servocore.dae import Dae, Equation, Unknown
-from servocore.derivative_array import compile_inversion, derivative_array
+from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidModel, InvalidReference
+from servocore.inversion import compile_inversion
 from servocore.methods import BackwardEuler
 from servocore.newton import compile_solver
 from servocore.program import Program

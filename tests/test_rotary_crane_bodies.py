@@ -8,8 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servocore.derivative_array import compile_inversion, derivative_array
+from servocore.derivative_array import derivative_array
 from servocore.formulations import Projected
+from servocore.inversion import compile_inversion
 from servocore.methods import BackwardEuler
 from servocore.references import rest_to_rest
 from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane

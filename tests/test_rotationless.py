@@ -13,8 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.derivative_array import compile_inversion, derivative_array
+from servocore.derivative_array import derivative_array
 from servocore.errors import InvalidModel
+from servocore.inversion import compile_inversion
 from servocore.redundancy import redundant_constraints, without_constraints
 from servocore.rotationless import (
     GROUND,
