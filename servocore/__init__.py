@@ -18,6 +18,7 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
+from servocore.exact_inversion import ExactInversion
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
 from servocore.parameters_file import read_parameters
@@ -61,6 +62,7 @@ __all__ = [
     "BackwardEuler",
     "BoundaryValue",
     "Coordinates",
+    "ExactInversion",
     "Fixed",
     "Formulation",
     "Gauss",

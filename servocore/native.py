@@ -11,6 +11,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -54,7 +55,24 @@ def in_machine_code(program: Program) -> Program:
     InvalidSetting
         If there is no C compiler, or it does not compile.
     """
-    functions = {name: getattr(program, name) for name in _COMPILED}
+    return replace(program, **compiled({name: getattr(program, name) for name in _COMPILED}, program.name))
+
+
+def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca.Function]:
+    """Compile functions to machine code, for as long as the process lives.
+
+    Parameters
+    ----------
+    functions : mapping of str to casadi.Function
+        By any name.
+    of_what : str
+        What they belong to, for messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no C compiler, or it does not compile.
+    """
     generator = ca.CodeGenerator("program.c")
     for name, function in functions.items():
         generator.add(_renamed(function, f"sc_native_{name}"))
@@ -68,11 +86,10 @@ def in_machine_code(program: Program) -> Program:
             subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
         except subprocess.CalledProcessError as error:
             reason = (error.stderr or "").strip().splitlines()[:1]
-            raise InvalidSetting(f"{command[0]} does not compile {program.name}: {''.join(reason)}") from error
+            raise InvalidSetting(f"{command[0]} does not compile {of_what}: {''.join(reason)}") from error
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise InvalidSetting(f"{command[0]} does not compile {program.name}: {error}") from error
-        loaded = {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
-    return replace(program, **loaded)
+            raise InvalidSetting(f"{command[0]} does not compile {of_what}: {error}") from error
+        return {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

@@ -1,0 +1,124 @@
+"""`ExactInversion` gives the closed form's inputs at any instants, and refuses what it cannot answer."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from problems import scene
+
+import servocore as sc
+from servocore.derivative_array import derivative_array
+from servocore.inversion import compile_flat_inversion
+from servocore.redundancy import prepared
+
+CRANE = scene("rotary_crane")
+POINTWISE = [
+    (name, model)
+    for name in sc.scenes.REGISTRY
+    for model in scene(name).models
+    if not derivative_array(scene(name).model(model)).states and scene(name).closed_form is not None
+]
+
+
+def assert_exact(found, exact, names):
+    for k, name in enumerate(names):
+        assert np.abs(found[:, k] - exact[name]).max() <= 1e-11 * np.abs(exact[name]).max()
+
+
+@pytest.mark.parametrize(("name", "model"), POINTWISE)
+def test_the_inputs_are_those_of_the_closed_form(name, model):
+    problem = scene(name)
+    t = np.linspace(problem.reference.start_time, problem.reference.end_time, 101)
+    inputs = sc.ExactInversion(problem, model)
+    assert inputs.inputs == tuple(each.name for each in problem.model(model).inputs)
+    assert_exact(inputs(t), problem.exact(t), inputs.inputs)
+
+
+def test_all_cranes_are_among_the_scenes_with_one_expression():
+    for name in ("rotary_crane", "overhead_crane", "gantry_crane"):
+        system = scene(name).model("points")
+        found = compile_flat_inversion(derivative_array(prepared(system, system.parameters.values({}))[0]))
+        assert found is not None
+        assert found.n_instructions() < 1000
+
+
+@given(st.permutations(range(12)))
+def test_instants_stand_alone_in_any_order(order):
+    t = np.linspace(0.0, 20.0, 12)
+    inputs = sc.ExactInversion(CRANE)
+    np.testing.assert_array_equal(inputs(t[list(order)]), inputs(t)[list(order)])
+
+
+def test_one_instant_gives_one_row_and_none_gives_none():
+    inputs = sc.ExactInversion(CRANE)
+    np.testing.assert_array_equal(inputs(7.3), inputs([7.3])[0])
+    assert inputs([]).shape == (0, 3)
+
+
+def test_before_and_after_the_path_the_crane_is_held_at_rest():
+    weight = CRANE.parameter_values()
+    np.testing.assert_allclose(
+        sc.ExactInversion(CRANE)([-5.0, 25.0]),
+        np.tile([0.0, 0.0, -weight["load_mass"] * weight["gravity"] * weight["winch_radius"]], (2, 1)),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize("model", ["points", "bodies"])
+def test_machine_code_gives_the_same_bits(model):
+    t = np.linspace(0.0, 20.0, 37)
+    interpreted, compiled = (sc.ExactInversion(CRANE, model, native=each)(t) for each in (False, True))
+    np.testing.assert_array_equal(compiled, interpreted)
+
+
+def test_a_guess_that_is_not_exact_costs_time_and_nothing_else():
+    system = CRANE.model("points")
+    astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))
+    crane = replace(CRANE, models={"points": lambda: astray})
+    t = np.linspace(0.0, 20.0, 51)
+    array = derivative_array(prepared(astray, astray.parameters.values({}))[0])
+    jet = CRANE.reference.jet(7.0, array.reference_order)
+    quick = compile_flat_inversion(array)(jet.T, astray.parameters.values({}))[0]
+    assert np.isnan(np.asarray(quick)).any()
+    assert_exact(sc.ExactInversion(crane)(t), CRANE.exact(t), ("M_b", "F", "M_w"))
+    assert_exact(sc.solve(crane, sc.Reduced(), step=0.4).values, CRANE.exact(t), ("M_b", "F", "M_w"))
+
+
+# Refusals ------------------------------------------------------------------------------------------------------------
+
+
+def test_internal_dynamics_are_refused():
+    with pytest.raises(sc.InvalidModel, match=r"passive_joint_arm has internal dynamics: .* solve computes them"):
+        sc.ExactInversion(scene("passive_joint_arm"))
+
+
+def test_a_scene_that_follows_a_branch_is_refused():
+    with pytest.raises(sc.InvalidModel, match="rotary_crane follows a branch"):
+        sc.ExactInversion(replace(CRANE, follow_branch=True))
+
+
+def test_a_path_beyond_a_limit_is_refused_with_the_time():
+    jerked = CRANE.with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
+    with pytest.raises(sc.InvalidReference, match=r"at t = 0\.\d+ s the rope goes slack"):
+        sc.ExactInversion(jerked)
+
+
+def test_a_path_without_enough_derivatives_is_refused():
+    rough = replace(CRANE.reference, max_order=3)
+    with pytest.raises(sc.InvalidReference, match="derivatives up to order 3, the inputs of rotary_crane need order 4"):
+        sc.ExactInversion(CRANE.with_reference(rough))
+
+
+def test_without_the_limits_another_branch_is_refused_with_the_time():
+    unlimited = replace(CRANE, limits=())
+    jerked = unlimited.with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
+    inputs = sc.ExactInversion(jerked)
+    with pytest.raises(sc.IntegrationFailed, match=r"at t = 0\.3 s l is -0\.\d+ m, on another branch"):
+        inputs([0.0, 0.3])
+
+
+def test_times_that_are_no_numbers_are_refused():
+    with pytest.raises(sc.InvalidReference, match="time number 1 is nan"):
+        sc.ExactInversion(CRANE)([0.0, float("nan")])
