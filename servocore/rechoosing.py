@@ -8,7 +8,6 @@ there, and continued with other states from the same values.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -87,46 +86,48 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
 
 def _watch(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
-    for k in range(1, values.shape[1]):
-        J = _jacobian(array)(values[:, k], gamma[k], p)
-        if _quality(array, J) < _POOR:
-            better = choose_states(array.signature, J)
-            if better != array.states:
-                return k, better
+    J = _jacobians(array, gamma, values, p)
+    for k in np.flatnonzero(_quality(array, J) < _POOR):
+        better = choose_states(array.signature, J[k])
+        if k > 0 and better != array.states:
+            return int(k), better
     return values.shape[1] - 1, None
 
 
 def _best_states(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> States:
-    return choose_states(array.signature, _jacobian(array)(values, gamma, p))
+    return choose_states(array.signature, _jacobians(array, gamma[None], values[:, None], p)[0])
 
 
-def _quality(array: DerivativeArray, J: Array) -> float:
-    """Smallest singular value of the chosen columns relative to that of all candidates, over all levels."""
+def _quality(array: DerivativeArray, J: Array) -> Array:
+    """Smallest singular value of the chosen columns relative to that of all candidates, over all levels; shape (N,)."""
     c, d = array.signature.equation_offsets, array.signature.variable_offsets
-    scaled = J / np.maximum(np.abs(J).max(axis=1, keepdims=True), 1e-300)
-    worst = 1.0
+    scaled = J / np.maximum(np.abs(J).max(axis=2, keepdims=True), 1e-300)
+    worst = np.ones(len(J))
     for level in range(1, max(d) + 1):
         rows = [i for i in range(len(c)) if c[i] >= level]
         candidates = [j for j in range(len(d)) if d[j] >= level]
         chosen = [j for j in candidates if (j, d[j] - level) not in array.states]
         if rows and len(chosen) < len(candidates):
-            own, best = (np.linalg.svd(scaled[np.ix_(rows, k)], compute_uv=False)[-1] for k in (chosen, candidates))
-            worst = min(worst, float(own / best) if best > 0.0 else 0.0)
+            own, best = (np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates))
+            worst = np.minimum(worst, np.divide(own, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst
 
 
+def _jacobians(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> Array:
+    """Return the system Jacobian (N, size, size) for jets (N, orders, m) and unknowns (unknowns, N)."""
+    count = len(gamma)
+    (found,) = _mapped(array, count)(values, side_by_side(gamma), np.tile(p[:, None], count))
+    size = len(array.names)
+    return found.reshape(size, count, size).transpose(1, 0, 2)
+
+
 @lru_cache(maxsize=32)
-def _jacobian(array: DerivativeArray) -> Callable[[Array, Array, Array], Array]:
-    """Return (unknowns, gamma (orders, m), p) -> system Jacobian."""
+def _mapped(array: DerivativeArray, count: int) -> Call:
+    """Return (unknowns, gamma, p) -> system Jacobian, for `count` instants side by side."""
     reference = array.system.gamma[:, : array.reference_order + 1]
     J = ca.substitute(system_jacobian(array.signature), array.signature.equations.y, array.y[:, :3])
     arguments = [array.column(array.unknowns), reference, array.system.p]
-    evaluate = Call(ca.Function("sc_J", arguments, [ca.densify(J)]))
-
-    def matrix(values: Array, gamma: Array, p: Array) -> Array:
-        return evaluate(values, gamma.T, p)[0]
-
-    return matrix
+    return Call(ca.Function("sc_J", arguments, [ca.densify(J)]).map(count))
 
 
 def _restarted(stepper: Stepper, formulation: Reduced, time: float, values: Array) -> Array:
