@@ -22,7 +22,7 @@ from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 Array = npt.NDArray[np.float64]
 
 _FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
-_FORMAT = "servocore program 1"
+_FORMAT = "servocore program 2"
 
 
 @dataclass(frozen=True)
@@ -182,12 +182,14 @@ class Program:
         """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
         if self.step.is_a("External", True):
             raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
-        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__}
+        functions = ca.StringSerializer()
+        functions.pack([getattr(self, name) for name in _FUNCTIONS])  # together: what they share is saved once
+        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__, "functions": functions.encode()}
         for attribute in self.__dataclass_fields__:
             value = getattr(self, attribute)
             if attribute in _FUNCTIONS:
-                document[attribute] = value.serialize()
-            elif attribute in ("channels", "limits"):
+                continue
+            if attribute in ("channels", "limits"):
                 document[attribute] = [asdict(each) for each in value]
             else:
                 document[attribute] = value
@@ -201,8 +203,8 @@ class Program:
             if document.pop("format") != _FORMAT:
                 raise ServocoreError("the saved program has another format")
             document.pop("casadi")  # for humans
-            for attribute in _FUNCTIONS:
-                document[attribute] = ca.Function.deserialize(document[attribute])
+            functions = ca.StringDeserializer(document.pop("functions")).unpack()
+            document |= zip(_FUNCTIONS, functions, strict=True)
             document["channels"] = tuple(Channel(**each) for each in document["channels"])
             document["limits"] = tuple(LimitText(**each) for each in document["limits"])
             for attribute in ("nodes", "start_instants", "parameters", "equations"):

@@ -70,7 +70,7 @@ def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(steppe
 def test_serialising_twice_gives_the_same_text(stepper):
     text = stepper.program.to_json()
     assert text == stepper.program.to_json()
-    assert json.loads(text)["format"] == "servocore program 1"
+    assert json.loads(text)["format"] == "servocore program 2"
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_serialising_twice_gives_the_same_text(stepper):
         "no json",
         "[]",
         "{}",
-        '{"format": "servocore program 1"}',
-        '{"format": "servocore program 1", "casadi": "3"}',
+        '{"format": "servocore program 2"}',
+        '{"format": "servocore program 2", "casadi": "3"}',
     ],
 )
 def test_what_is_no_program_is_refused(text):
@@ -97,7 +97,7 @@ def test_another_format_is_refused_by_name(stepper):
 
 def test_a_damaged_function_is_refused(stepper):
     document = json.loads(stepper.program.to_json())
-    document["step"] = document["step"][: len(document["step"]) // 2]
+    document["functions"] = document["functions"][: len(document["functions"]) // 2]
     with pytest.raises(sc.ServocoreError, match="the saved program cannot be read"):
         Program.from_json(json.dumps(document))
 
