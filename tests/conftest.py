@@ -2,10 +2,28 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+import tempfile
+
 import pytest
 from hypothesis import HealthCheck, settings
 
 pytest.register_assert_rewrite("problems", "suite")
+
+BUILT = "SERVOCORE_TEST_FMUS"
+"""Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
+
+
+def pytest_configure(config):
+    if not hasattr(config, "workerinput"):  # the process that starts the others
+        os.environ[BUILT] = tempfile.mkdtemp(prefix="fmus of a test run ")
+
+
+def pytest_unconfigure(config):
+    if not hasattr(config, "workerinput"):
+        shutil.rmtree(os.environ.pop(BUILT), ignore_errors=True)
+
 
 # The same examples every time, and no stop-watch: compilation makes first examples slow.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -1,4 +1,4 @@
-"""A small FMI 2.0 master for the tests: one FMU built per run, instances driven call by call through fmpy."""
+"""A small FMI 2.0 master for the tests: each FMU built once per run, instances driven call by call through fmpy."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -36,7 +39,30 @@ def scratch() -> Path:
 
 @cache
 def fmu_file(name: str = "RotaryCrane") -> Path:
-    return build_fmu(scratch() / "built", kind=KINDS[name])
+    """Return an FMU that the first process to ask for it has built; the others wait."""
+    folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
+    folder.mkdir(exist_ok=True)
+    file = folder / f"{name}.fmu"
+    with only_one(folder / f"{name}.busy"):
+        return file if file.is_file() else build_fmu(folder, kind=KINDS[name])
+
+
+@contextmanager
+def only_one(sign: Path, seconds: float = 300.0) -> Iterator[None]:
+    """Wait until no other process holds the sign; making a folder either succeeds or finds it made."""
+    until = time.monotonic() + seconds
+    while True:
+        try:
+            sign.mkdir()
+            break
+        except FileExistsError:
+            if time.monotonic() > until:
+                raise TimeoutError(f"{sign} has been held for {seconds:g} s") from None
+            time.sleep(0.05)
+    try:
+        yield
+    finally:
+        sign.rmdir()
 
 
 @cache

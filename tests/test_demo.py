@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fmu_host import fmu_file
 from typer.testing import CliRunner
 
 import crane_fmu.demo
 import servocore as sc
-from crane_fmu.build import build_fmu
 from crane_fmu.cli import app
 from crane_fmu.demo import demo, example_cycle, examples_folder
 from crane_fmu.kinds import KINDS
@@ -27,8 +27,8 @@ FIGURES = ("crane", "reference_function", "motion", "inputs", "initial_posture",
 
 
 @pytest.fixture(scope="module")
-def fmu(tmp_path_factory):
-    return build_fmu(tmp_path_factory.mktemp("fmu"))
+def fmu():
+    return fmu_file()
 
 
 @pytest.fixture(scope="module")
