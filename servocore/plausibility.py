@@ -8,6 +8,7 @@ is compared with what the path implies.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
@@ -88,20 +89,31 @@ def follow_angles(stepper: Stepper, t: Array, states: Array, values: Array) -> N
     wrapping = tuple(k for k, channel in enumerate(channels) if channel.wraps)
     if stepper.index > 0 or stepper.scene.follow_branch or not wrapping:
         return
-    read = _angles_and_rates(stepper.system, tuple(channels[k].name for k in wrapping))
-    if read is None:
+    angular = _angles_and_rates(stepper.system, tuple(channels[k].name for k in wrapping))
+    if angular is None:
         return
-    count = len(t)
-    angles, rates = (
-        each.reshape(-1, count, order="F")
-        for each in _mapped(read, count)(states, np.tile(stepper.parameters[:, None], count))
-    )
+    angles, rates = angular(states, stepper.parameters)
     for row, k in enumerate(wrapping):
         turns, unclear = _turns(np.diff(t), angles[row], rates[row])
         for i in np.flatnonzero(unclear):
-            turns[i] = _bisected(stepper, read, row, t[i : i + 2], states[:, i : i + 2].T)
+            turns[i] = _bisected(stepper, angular, row, t[i : i + 2], states[:, i : i + 2].T)
         followed = angles[row, 0] + np.concatenate([[0.0], np.cumsum(turns)])
         values[:, k] += 2 * np.pi * np.round((followed - values[:, k]) / (2 * np.pi))
+
+
+@dataclass(frozen=True, eq=False)
+class _Angular:
+    """Angles and their rates as a function of the entries `used` of a state, and of p."""
+
+    function: ca.Function
+    used: tuple[int, ...]
+
+    def __call__(self, states: Array, p: Array) -> tuple[Array, Array]:
+        """Return angles and rates, shape (angles, N) each, of states (size, N)."""
+        count = states.shape[1]
+        found = _mapped(self.function, count)(states[self.used, :], np.tile(p[:, None], count))
+        angles, rates = (each.reshape(-1, count, order="F") for each in found)
+        return angles, rates
 
 
 def _turns(steps: Array, angle: Array, rate: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -111,12 +123,12 @@ def _turns(steps: Array, angle: Array, rate: Array) -> tuple[Array, npt.NDArray[
     return shortest, ~(np.maximum(np.abs(shortest), predicted) < _QUARTER_TURN)
 
 
-def _bisected(stepper: Stepper, read: ca.Function, row: int, t: Array, states: Array) -> float:
+def _bisected(stepper: Stepper, angular: _Angular, row: int, t: Array, states: Array) -> float:
     """Return by how much an angle turns between two instants, from exact inversions in between."""
 
     def at(time: float, state: Array) -> tuple[float, float, float, Array]:
-        angle, rate = _mapped(read, 1)(state, stepper.parameters)
-        return time, float(angle[row]), float(rate[row]), state
+        angle, rate = angular(state[:, None], stepper.parameters)
+        return time, float(angle[row, 0]), float(rate[row, 0]), state
 
     done, left, waiting = 0.0, at(t[0], states[0]), [at(t[1], states[1])]
     while waiting:
@@ -138,8 +150,8 @@ def _bisected(stepper: Stepper, read: ca.Function, row: int, t: Array, states: A
 
 
 @lru_cache(maxsize=32)
-def _angles_and_rates(system: MechanicalSystem, names: tuple[str, ...]) -> ca.Function | None:
-    """Return (state of an exact inversion, p) -> (angles, rates), or None if they are no functions of q."""
+def _angles_and_rates(system: MechanicalSystem, names: tuple[str, ...]) -> _Angular | None:
+    """Return angles and rates as functions of the state of an exact inversion, or None if they are none of q."""
     known = {each.name: system.q[k] for k, each in enumerate(system.coordinates.quantities)}
     known |= {each.name: expression for each, expression in system.observables.items()}
     angles = ca.vertcat(*[known[name] for name in names if name in known])
@@ -152,7 +164,10 @@ def _angles_and_rates(system: MechanicalSystem, names: tuple[str, ...]) -> ca.Fu
     moved = state[[places[each] for each in wanted]]
     rates = ca.jtimes(angles, system.q, system.v)
     found = ca.substitute([angles, rates], [ca.vertcat(system.q, system.v)], [moved])
-    return ca.Function("sc_angles", [state, system.p], [ca.densify(each) for each in found])
+    used = sorted(set(ca.jacobian_sparsity(ca.vertcat(*found), state).get_col()))
+    # A state holds all derivatives of all unknowns, an angle needs a few of them.
+    function = ca.Function("sc_angles", [state[used], system.p], [ca.densify(each) for each in found])
+    return _Angular(function, tuple(used))
 
 
 @lru_cache(maxsize=64)
