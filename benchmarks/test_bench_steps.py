@@ -19,7 +19,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import servocore as sc
-from benchmarks.chart.c_cost import in_c, loop_of
+from benchmarks.chart.c_cost import functions_of, in_c
 from benchmarks.conftest import BARE, CLOSED_FORM
 from servocore.calls import Call
 from servocore.levels import compiled_run
@@ -90,16 +90,24 @@ def test_exact_inversion_loop(benchmark, record: Record, model: str):
     record(f"compiled loop, exact inversion, {model}", STEPS)
 
 
+@pytest.mark.parametrize("model", list(CRANE.models))
+def test_exact_inversion_of_inputs(benchmark, record: Record, model: str):
+    """Inputs alone, prepared once, with the derivatives of the path."""
+    inversion, t = sc.ExactInversion(CRANE, model), np.linspace(0.0, CRANE.reference.duration, STEPS)
+    assert np.isfinite(benchmark(inversion, t)).all()
+    record(f"ExactInversion, {model}", STEPS)
+
+
 def test_exact_inversion_in_c(benchmark, record: Record):
-    """The same loop, generated as C by CasADi and compiled by gcc -O3."""
-    loop, arguments = loop_of(CRANE, "points", STEPS)
+    """The functions of the former alone, generated as C by CasADi and compiled by gcc -O3."""
+    loop, arguments = functions_of(CRANE, "points", STEPS)
     with tempfile.TemporaryDirectory() as folder:
         external = in_c(loop, Path(folder))
         if external is None:
             pytest.skip("there is no gcc")
         call = Call(external)
         np.testing.assert_allclose(benchmark(call, *arguments)[0], Call(loop)(*arguments)[0], rtol=1e-9, atol=1e-9)
-    record("C of the same, exact inversion, points", STEPS)
+    record("C of its functions, exact inversion, points", STEPS)
 
 
 @pytest.mark.parametrize("formulation", [sc.Projected(), sc.Reduced()], ids=lambda each: each.name)

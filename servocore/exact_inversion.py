@@ -72,7 +72,7 @@ class ExactInversion:
             )
         require_feasible(scene.reference, system, scene.limits, self._parameters)
         self._reference, self._order, self._name = scene.reference, array.reference_order, system.name
-        self._functions = _functions(array, native)
+        self._functions = compile_inputs(array, native)
         self._signs = [quantity for quantity in system.observables if quantity.positive]
         self.inputs = tuple(each.name for each in system.inputs)
 
@@ -129,8 +129,11 @@ class ExactInversion:
 
 
 @lru_cache(maxsize=32)
-def _functions(array: DerivativeArray, native: bool) -> tuple[ca.Function, ca.Function]:
-    """Return (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks."""
+def compile_inputs(array: DerivativeArray, native: bool = False) -> tuple[ca.Function, ca.Function]:
+    """Compile (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks.
+
+    gamma has shape (m, reference_order + 1).
+    """
     system = array.system
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     y = ca.SX.sym("y", len(array.unknowns))

@@ -1,4 +1,4 @@
-"""What the exact inversion costs beside C: the same compiled loop, evaluated by CasADi and generated as C by it."""
+"""What the exact inversion costs beside C: the same functions, evaluated by CasADi and generated as C by it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
 from servocore.calls import Call
+from servocore.derivative_array import derivative_array
+from servocore.exact_inversion import compile_inputs
+from servocore.feasibility import side_by_side
+from servocore.redundancy import prepared
 
 _INSIDE = ("solve_at_constant_step", "run")  # looked into, rather than named
 _SMALLEST_SHARE = 0.02
@@ -28,11 +32,11 @@ FLAGS = ("-O3", "-fPIC", "-shared")
 
 @dataclass(frozen=True)
 class Cost:
-    """Microseconds an instant of one model: of `solve`, of the loop alone, of the loop in C (None without gcc)."""
+    """Microseconds an instant of one model: `solve`, `ExactInversion`, its functions in C (None without gcc)."""
 
     model: str
     solve: float
-    loop: float
+    inversion: float
     compiled: float | None
     seconds_to_compile: float = 0.0
 
@@ -45,34 +49,33 @@ def measure_costs(problem_scene: sc.Scene, models: Sequence[str], repeats: int =
         runs: dict[tuple[str, str], Callable[[], object]] = {}
         compiling = {}
         for model in models:
-            loop, arguments = loop_of(problem_scene, model)
+            functions, arguments = functions_of(problem_scene, model)
             step = problem_scene.reference.duration / OUTPUT_INTERVALS
+            inversion, t = sc.ExactInversion(problem_scene, model), np.arange(1, OUTPUT_INTERVALS + 1) * step
             runs[model, "solve"] = partial(sc.solve, problem_scene, sc.Reduced(), step=step, model=model)
-            runs[model, "loop"] = partial(Call(loop), *arguments)
+            runs[model, "inversion"] = partial(inversion, t + problem_scene.reference.start_time)
             begin = processor_time()
-            external = in_c(loop, Path(folder))
+            external = in_c(functions, Path(folder))
             compiling[model] = processor_time() - begin
             if external is not None:
                 runs[model, "c"] = partial(Call(external), *arguments)
-                require_same(runs[model, "loop"], runs[model, "c"])
+                require_same(partial(Call(functions), *arguments), runs[model, "c"])
         medians = _medians(runs, repeats)
     return [
-        Cost(model, medians[model, "solve"], medians[model, "loop"], medians.get((model, "c")), compiling[model])
+        Cost(model, medians[model, "solve"], medians[model, "inversion"], medians.get((model, "c")), compiling[model])
         for model in models
     ]
 
 
-def loop_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> tuple[ca.Function, tuple[object, ...]]:
-    """Return the compiled loop of the exact inversion and its arguments: everything else is computed before."""
-    reference = scene.reference
-    stepper = sc.Stepper(scene, sc.Reduced(), sc.BackwardEuler(), reference.duration / steps, model)
-    program = stepper.program
-    past = reference.start_time + stepper.step * np.array(program.start_instants)
-    state, _ = stepper.start(reference.jet(past, program.start_order))
-    t = np.linspace(reference.start_time, reference.end_time, steps + 1)[1:]
-    gamma = reference.jet(t, program.order).transpose(2, 0, 1).reshape(reference.dimension, -1)
-    loop = program.step.mapaccum(f"sc_{model}_loop", steps)
-    return loop, (state, gamma, np.full(steps, stepper.step), np.tile(stepper.parameters[:, None], steps))
+def functions_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> tuple[ca.Function, tuple[Array, Array]]:
+    """Return the functions of the exact inversion for all instants, and their arguments."""
+    base = scene.model(model)
+    p = base.parameters.values(scene.parameters)
+    array = derivative_array(prepared(base, p)[0])
+    t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)[1:]
+    jets = scene.reference.jet(t, array.reference_order)
+    functions = compile_inputs(array)[0].map(f"sc_{model}_inputs", "serial", steps, [], [])
+    return functions, (side_by_side(jets), np.tile(p[:, None], steps))
 
 
 def in_c(function: ca.Function, folder: Path) -> ca.Function | None:
@@ -89,10 +92,10 @@ def in_c(function: ca.Function, folder: Path) -> ca.Function | None:
 
 
 def require_same(one: Callable[[], object], other: Callable[[], object]) -> None:
-    """Raise ArithmeticError if two loops give different states."""
+    """Raise ArithmeticError if two evaluations differ."""
     a, b = (np.asarray(_first(run())) for run in (one, other))
     if not np.allclose(a, b, rtol=1e-9, atol=1e-9):
-        raise ArithmeticError("the loop in C gives other states")
+        raise ArithmeticError("C gives other inputs")
 
 
 def _first(results: object) -> Array:

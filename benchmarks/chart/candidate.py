@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -58,13 +58,21 @@ class Problem:
         return found
 
 
-def on_output_grid(problem: Problem, values: Array) -> Array:
+def on_output_grid(values: Array) -> Array:
     """Return trajectories (m, N) on the output grid: as they are, or by a spline through a coarser grid's."""
     intervals = values.shape[1] - 1
     if intervals >= OUTPUT_INTERVALS:
         return values
-    found: Array = make_interp_spline(problem.grid(intervals), values, k=SPLINE_DEGREE, axis=1)(problem.grid())
+    found: Array = values @ _spline(intervals)
     return found
+
+
+@cache
+def _spline(intervals: int) -> Array:
+    """Return the matrix from values on an even grid to those of the spline through them on the output grid."""
+    nodes, t = np.linspace(0.0, 1.0, intervals + 1), np.linspace(0.0, 1.0, OUTPUT_INTERVALS + 1)
+    matrix: Array = make_interp_spline(nodes, np.eye(intervals + 1), k=SPLINE_DEGREE)(t).T
+    return matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.chart.own import CLOSED_FORM, NAME
+from benchmarks.chart.own import CLOSED_FORM, IN_MACHINE_CODE, INVERTED, NAME, SOLVED
 from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
@@ -71,7 +71,8 @@ def _two_forms(rows: Sequence[Row], spread: Spread, scene: str, what: str) -> Fi
     solvers = list(dict.fromkeys([NAME, *(row.solver for row in rows if row.solver != CLOSED_FORM)]))
     for form, axis in zip(FORM_TITLES, axes, strict=True):
         for k, solver in enumerate(solvers):
-            own = [row for row in rows if row.solver == solver and row.formulation == form]
+            own = [row for row in rows if (row.solver, row.formulation) == (solver, form)]
+            own = [row for row in own if row.method != IN_MACHINE_CODE and getattr(row, what) is not None]
             _line(axis, front(own), spread, what, solver, k)
         _closed_form(axis, rows, what)
         axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]", title=FORM_TITLES[form])
@@ -137,9 +138,11 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
         label = method if min(row.error for row in points) < top else f"{method} (above the scale)"
         axis.plot([row.seconds for row in points], [max(row.error, OLDEST) for row in points], label=label,
                   **_family(method))  # fmt: skip
-    exact = [row for row in own if (row.model, row.method) == (model, "exact inversion")]
-    axis.plot([row.seconds for row in exact], [row.error for row in exact], "*:", color="black", markersize=13,
-              label="exact inversion (reduced form)\nof 40, 100 and 200 instants")  # fmt: skip
+    for method, marker, words in ((SOLVED, "*", "exact inversion by solve"), (INVERTED, "P", "ExactInversion"),
+                                  (IN_MACHINE_CODE, "X", "ExactInversion, machine code")):  # fmt: skip
+        exact = [row for row in own if (row.model, row.method) == (model, method)]
+        axis.plot([row.seconds for row in exact], [row.error for row in exact], marker + ":", color="black",
+                  markersize=9, label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
              ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),
              title=f"{scene.replace('_', ' ')}, model {model}: methods of servocore on the projected form")  # fmt: skip

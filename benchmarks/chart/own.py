@@ -21,6 +21,9 @@ from benchmarks.chart.candidate import (
 
 NAME, CLOSED_FORM = "servocore", "closed-form"
 
+SOLVED, INVERTED, IN_MACHINE_CODE = "exact inversion", "ExactInversion", "ExactInversion, machine code"
+"""The exact inversion by `solve`, with motion and checks; inputs alone, prepared once; the same as machine code."""
+
 METHODS: tuple[sc.Method, ...] = (
     sc.BackwardEuler(), *(sc.BDF(order) for order in range(2, 7)), *(sc.RadauIIA(stages) for stages in range(2, 8)),
     sc.Trapezoidal(), sc.Gauss(1), sc.Gauss(2), sc.GeneralizedAlpha(),
@@ -74,12 +77,30 @@ def _reduced(problem: Problem, model: str | None, methods: Sequence[sc.Method] =
     """List the reduced form: one solve an instant, or an integration of the internal dynamics."""
     index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
     if index == 0:
-        return [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), steps, "exact inversion")
-                for steps in (*COARSE, OUTPUT_INTERVALS)]  # fmt: skip
+        grids = (*COARSE, OUTPUT_INTERVALS)
+        solved = [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), steps, SOLVED) for steps in grids]
+        return solved + [_inverted(problem, model, steps, native) for native in (False, True) for steps in grids]
     return [
         *_fixed(problem, model, sc.Reduced(), methods, INTERNAL_DIVISIONS),
         *_fixed(problem, model, sc.Reduced(), [each for each in methods if each in FEW_METHODS], FEW_DIVISIONS[-1:]),
     ]
+
+
+def _inverted(problem: Problem, model: str | None, intervals: int, native: bool) -> Candidate:
+    """Return the inputs alone, prepared once, by the interpreter or as machine code."""
+
+    def prepare() -> Prepared:
+        inversion = sc.ExactInversion(problem.scene, model, native=native)
+        t = problem.grid(intervals)
+
+        def read(found: Array) -> Answer:
+            return Answer(dict(zip(problem.inputs, found, strict=True)), float("nan"))
+
+        return Prepared(lambda: on_output_grid(inversion(t).T), read)
+
+    method = IN_MACHINE_CODE if native else INVERTED
+    return Candidate(problem, NAME, model or problem.scene.default_model, sc.Reduced().name, method,
+                     f"{intervals} instants", prepare)  # fmt: skip
 
 
 def _fixed(
@@ -134,7 +155,7 @@ def _prepare(
 
     def run() -> tuple[sc.Solution, Array]:
         solution = sc.solve(problem.scene, formulation, method, step=step, model=model)
-        return solution, on_output_grid(problem, solution.values[:, : len(problem.inputs)].T)
+        return solution, on_output_grid(solution.values[:, : len(problem.inputs)].T)
 
     first, _ = run()
     if first.names[: len(problem.inputs)] != problem.inputs:

@@ -78,10 +78,10 @@ def _orders(record: Record) -> Iterator[Requirement]:
 
 
 def _beside_c(cost: dict[str, Any]) -> Requirement:
-    what = f"an instant of exact inversion within `solve`, beside C, {cost['model']}"
+    what = f"an instant of `ExactInversion` beside its functions in C, {cost['model']}"
     if cost["compiled"] is None:
         return Requirement(what, f"at most {MOST_OF_C:g} times", "no gcc", None)
-    ratio = cost["solve"] / cost["compiled"]
+    ratio = cost["inversion"] / cost["compiled"]
     return Requirement(what, f"at most {MOST_OF_C:g} times", f"{ratio:.1f} times", ratio <= MOST_OF_C)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.chart.own import CLOSED_FORM, NAME
+from benchmarks.chart.own import CLOSED_FORM, IN_MACHINE_CODE, NAME
 from benchmarks.chart.rows import Row
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -15,6 +15,11 @@ ACCURACIES = (1e-3, 1e-6, 1e-9)
 def is_own(row: Row) -> bool:
     """Whether the row is the library's."""
     return row.solver == NAME
+
+
+def is_interpreted(row: Row) -> bool:
+    """Whether the row is the library's, evaluated by the interpreter that the peers' functions are evaluated by."""
+    return is_own(row) and row.method != IN_MACHINE_CODE
 
 
 def is_peer(row: Row) -> bool:
@@ -44,7 +49,7 @@ class Comparison:
     Attributes
     ----------
     own : Row or None
-        Our fastest route, whatever its form.
+        Our fastest route, whatever its form, but for machine code.
     projected, reduced : Row or None
         The fastest peers on the two forms.
     """
@@ -65,7 +70,7 @@ def compare(rows: Sequence[Row], scene: str) -> list[Comparison]:
     return [
         Comparison(
             accuracy,
-            fastest(here, accuracy, is_own),
+            fastest(here, accuracy, is_interpreted),
             fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "projected"),
             fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "reduced"),
         )

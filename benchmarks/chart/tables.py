@@ -92,11 +92,11 @@ def costs(found: Sequence[dict[str, Any]]) -> str:
     rows = []
     for each in found:
         cells = ("no gcc", "-", "-", "-") if each["compiled"] is None else (
-            f"{each['compiled']:.2f}", f"{each['loop'] / each['compiled']:.1f}",
+            f"{each['compiled']:.2f}", f"{each['inversion'] / each['compiled']:.1f}",
             f"{each['solve'] / each['compiled']:.1f}", f"{each['seconds_to_compile']:.1f}")  # fmt: skip
-        rows.append((each["model"], f"{each['solve']:.1f}", f"{each['loop']:.1f}", *cells))
-    head = ("model", "`solve`, µs", "compiled loop alone, µs", "the loop in C, µs", "loop / C", "`solve` / C",
-            "C compiles in, s")  # fmt: skip
+        rows.append((each["model"], f"{each['solve']:.1f}", f"{each['inversion']:.2f}", *cells))
+    head = ("model", "`solve`, µs", "`ExactInversion`, µs", "its functions in C, µs", "`ExactInversion` / C",
+            "`solve` / C", "C compiles in, s")  # fmt: skip
     return markdown(head, rows)
 
 

@@ -87,7 +87,7 @@ def reader(
     violation = Lean(ca.Function("violation", arguments, [ca.densify(form.violation)], {"cse": True}).map(count))
 
     def inputs(t: Array, y: Array, yp: Array) -> Array:
-        return on_output_grid(form.problem, outputs(t, y.ravel(order="F"), yp.ravel(order="F"))[0])
+        return on_output_grid(outputs(t, y.ravel(order="F"), yp.ravel(order="F"))[0])
 
     def answer(t: Array, y: Array, yp: Array) -> Answer:
         found = dict(zip(form.problem.inputs, inputs(t, y, yp).copy(), strict=True))
