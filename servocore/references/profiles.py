@@ -244,9 +244,13 @@ def polynomial(degree: int) -> PolynomialProfile:
 def _smoothstep(T: FloatArray, R: FloatArray, k: int) -> FloatArray:
     """I_T(k+1, k+1) for T + R = 1, about the nearer end."""
     small, large = np.minimum(T, R), np.maximum(T, R)
-    weights = tuple(float(comb(k + i, i)) for i in range(k + 1))
-    near: FloatArray = small ** (k + 1) * _horner(weights, large)
+    near: FloatArray = small ** (k + 1) * _horner(_smoothstep_weights(k), large)
     return np.where(T <= R, near, 1.0 - near)
+
+
+@cache
+def _smoothstep_weights(k: int) -> tuple[float, ...]:
+    return tuple(float(comb(k + i, i)) for i in range(k + 1))
 
 
 @cache
@@ -272,9 +276,10 @@ def _slope(coefficients: list[Fraction]) -> list[Fraction]:
 
 def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
     """Value of a polynomial, lowest coefficient first; the empty one is zero."""
-    value = np.zeros_like(x)
-    for coefficient in reversed(coefficients):
-        value = value * x + coefficient
+    value = np.full_like(x, coefficients[-1] if coefficients else 0.0)
+    for coefficient in coefficients[-2::-1]:
+        value *= x
+        value += coefficient
     return value
 
 
