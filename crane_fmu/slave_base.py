@@ -276,7 +276,8 @@ class TableSlave(GuardedSlave):
 
     @guarded(lambda: {})
     def _get_fmu_state(self) -> dict[str, Any]:
-        snapshot = self._snapshot
+        # while initialising, what was computed before a setting changed is obsolete, and may not fit the settings
+        snapshot = None if self._stale and self._phase == _INITIALISING else self._snapshot
         return {
             "format": _STATE_FORMAT,
             "guid": self.guid,

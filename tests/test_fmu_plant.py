@@ -216,6 +216,23 @@ def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name, tmp_path):
     assert json.loads(done.stdout) == wanted, done.stderr
 
 
+@pytest.mark.parametrize("name", KINDS)
+def test_a_state_of_an_initialisation_that_will_fail_is_restored_all_the_same(name):
+    setting = next(each.name for each in interface(name).of("parameter") if each.is_text)
+    output = interface(name).of("output")[0].name
+    with Host(fmu_file(name)) as host, Host(fmu_file(name)) as other:
+        for each in (host, other):
+            each.fmu.setupExperiment()
+            each.fmu.enterInitializationMode()
+            assert math.isfinite(each[output])
+        host.set(**{setting: "none such"})
+        other.fmu.setFMUState(host.fmu.getFMUState())
+        assert other.messages == []
+        assert other.fmu.getString([other.references[setting]]) == [b"none such"]
+        assert math.isnan(other[output])
+        assert "'none such' is unknown" in other.messages[0]
+
+
 # The trajectory ----------------------------------------------------------------------------------------------------
 
 
