@@ -33,7 +33,7 @@ METHODS: tuple[sc.Method, ...] = (
 FEW_METHODS: tuple[sc.Method, ...] = (sc.BackwardEuler(), sc.BDF(4), sc.RadauIIA(5))
 """On the other models, which give the same errors at another price, and on the original form."""
 
-DIVISIONS = (1, 2, 4, 8, 16, 32)  # of each output interval
+DIVISIONS = (1, 2, 4, 8, 16)  # of each output interval
 FEW_DIVISIONS = (1, 4, 16)
 INTERNAL_DIVISIONS = (1, 4)  # on a reduced form with internal dynamics, which needs no small steps
 TOLERANCES = (1e-3, 1e-6, 1e-9)

@@ -28,10 +28,10 @@ NAME, DISTRIBUTION = "pyomo.dae", "pyomo"
 UNITS = 1e3
 """Units of the model's time in an element: pyomo.dae rounds instants to six decimals, which costs index 3 dearly."""
 
-POINTS = {200: (1, 3), 100: (3, 5), 40: (5, 7)}
+POINTS = {200: (1, 3), 100: (5,), 40: (7,)}
 """Points of collocation in each element, by number of elements."""
 OPTIONS = {
-    "ipopt.tol": 1e-10, "ipopt.constr_viol_tol": 1e-10, "ipopt.max_iter": 200, "ipopt.max_cpu_time": 30.0,
+    "ipopt.tol": 1e-10, "ipopt.constr_viol_tol": 1e-10, "ipopt.max_iter": 200, "ipopt.max_cpu_time": 10.0,
     "ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": False,
 }  # fmt: skip
 
@@ -47,7 +47,7 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
         for elements, points in list(POINTS.items())[: 1 if effort.smoke else None]:
             found += [
                 Candidate(problem, NAME, model, formulation, named(f"collocation, radau {count}", form),
-                          f"{elements} elements", partial(prepare, form, count, elements), limit=40.0)
+                          f"{elements} elements", partial(prepare, form, count, elements), limit=12.0)
                 for count in inside(points if form.differential.any() else (1,), effort.smoke)
             ]  # fmt: skip
     return found
