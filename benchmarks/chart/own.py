@@ -1,4 +1,4 @@
-"""The library's own routes, and the vectorised closed form as the limit: lists of settings, made into candidates."""
+"""The library's own routes, and the vectorised closed form: lists of settings, made into candidates."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def _remark(answer: tuple[sc.Solution, Array]) -> str:
 
 
 def closed_form(problem: Problem) -> list[Candidate]:
-    """Return the formula of the exact answer by vectorised NumPy on the output grid: nothing can be faster."""
+    """Return the formula of the exact answer by vectorised NumPy on the output grid."""
     scene = problem.scene
     if scene.closed_form is None:
         return []
