@@ -29,8 +29,8 @@ from benchmarks.chart.timing import measure  # noqa: E402
 DOCS = ROOT / "docs" / "speed-accuracy"
 SECTIONS = ("Scene", "Models", "Formulations", "Methods", "Peers", "Machine and versions", "Figures", "Table",
             "What to pick")  # fmt: skip
-KNOWN_GAPS: set[str] = set()
-"""What the page says is not met; remove it when it is mended."""
+KNOWN_GAPS = {"an instant of `ExactInversion` beside its functions in C, generalized"}
+"""What the page says is not met, and why; remove it when it is mended."""
 SCENES = ["rotary_crane", "overhead_crane", "three_cars", "mass_on_car", "arm"]
 
 
@@ -95,7 +95,6 @@ def test_what_must_hold_is_judged_by_what_was_measured(smoke):
 # The page that is committed ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.xfail(reason="the study has not been carried out yet: make chart", strict=True)
 def test_the_page_is_there():
     assert (DOCS / PAGE).exists(), "docs/speed-accuracy is missing: make chart"
 
@@ -136,6 +135,12 @@ def test_every_figure_of_the_page_is_there():
 def test_what_must_hold_holds_in_the_committed_study():
     missed = {each.what for each in requirements(read_record(DOCS)) if each.met is False}
     assert missed == KNOWN_GAPS
+
+
+@committed
+def test_what_takes_longer_than_it_should_beside_c_is_explained():
+    text = (DOCS / PAGE).read_text(encoding="utf-8")
+    assert "In generalised coordinates that factor is all: some thousands of operations" in text
 
 
 # Parts ---------------------------------------------------------------------------------------------------------------
