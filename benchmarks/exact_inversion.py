@@ -26,13 +26,13 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore.calls import Call
-from servocore.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
-from servocore.feasibility import side_by_side
-from servocore.inversion import compile_inversion
-from servocore.levels import ROUTES, Spread, compiled_run, timed_in_turn
-from servocore.levels_text import machine
-from servocore.newton import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.numerics.calls import Call
+from servocore.structure.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
+from servocore.checks.limits import side_by_side
+from servocore.structure.inversion import compile_inversion
+from servocore.cli.levels import ROUTES, Spread, compiled_run, timed_in_turn
+from servocore.cli.levels_text import machine
+from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
 
 CRANE = sc.scenes.rotary_crane()
 CARS = range(2, 9)

@@ -29,7 +29,7 @@ from rich.table import Table
 
 import servocore as sc
 from servocore.methods import Discretisation
-from servocore.newton import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
 
 REPEATS = 15
 SCENE = sc.scenes.rotary_crane()

@@ -6,9 +6,9 @@
 """
 
 from servocore import scenes
-from servocore.accuracy import Adaptive, Fixed
+from servocore.solvers.accuracy import Adaptive, Fixed
 from servocore.analysis import StructureReport, analyse
-from servocore.boundary_value import BoundaryValue
+from servocore.solvers.boundary_value import BoundaryValue
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -18,12 +18,12 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
-from servocore.exact_inversion import ExactInversion
+from servocore.solvers.exact_inversion import ExactInversion
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
-from servocore.parameters_file import read_parameters
-from servocore.plant import Plant, compile_plant
-from servocore.program import Program, StepReport
+from servocore.model.parameter_files import read_parameters
+from servocore.stepping.plant import Plant, compile_plant
+from servocore.stepping.program import Program, StepReport
 from servocore.references import (
     DEGREE3,
     DEGREE5,
@@ -41,13 +41,13 @@ from servocore.references import (
     through,
     waypoints_from_csv,
 )
-from servocore.scene import Limit, Scene
-from servocore.simulate import simulate
+from servocore.model.scene import Limit, Scene
+from servocore.solvers.simulate import simulate
 from servocore.solution import Solution, Statistics
-from servocore.solve import solve
-from servocore.stepper import Stepper
-from servocore.symbols import Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MechanicalSystem, generalise
+from servocore.solvers.solve import solve
+from servocore.stepping.stepper import Stepper
+from servocore.model.symbols import Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MechanicalSystem, generalise
 
 __version__ = "0.1.0"
 

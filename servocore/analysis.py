@@ -9,18 +9,18 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from servocore.calls import Call
-from servocore.derivative_array import DerivativeArray, derivative_array
+from servocore.numerics.calls import Call
+from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.feasibility import require_feasible
-from servocore.internal_dynamics import DAMPED, internal_eigenvalues
-from servocore.inversion import compile_inversion
-from servocore.rank_loss import rank_losses
-from servocore.redundancy import prepared
-from servocore.scene import Scene
-from servocore.structure import equilibrated, system_jacobian
-from servocore.symbols import Array
-from servocore.system import MechanicalSystem
+from servocore.checks.limits import require_feasible
+from servocore.structure.zero_dynamics import DAMPED, internal_eigenvalues
+from servocore.structure.inversion import compile_inversion
+from servocore.checks.branches import rank_losses
+from servocore.problem import prepared
+from servocore.model.scene import Scene
+from servocore.structure.structural_analysis import equilibrated, system_jacobian
+from servocore.model.symbols import Array
+from servocore.model.system import MechanicalSystem
 
 FLAT = "flat"
 MINIMUM_PHASE = "minimum phase"

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from servocore.program import Channel
-from servocore.symbols import Array
-from servocore.writing import write_together
+from servocore.stepping.program import Channel
+from servocore.model.symbols import Array
+from servocore.files import write_together
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,16 @@ from hypothesis.extra.numpy import arrays
 from problems import METHODS, SCENES, exact, jets_near_home, largest_errors, observed_orders, scene, solved
 
 from servocore.dae import Dae, Equation, Unknown
-from servocore.derivative_array import derivative_array
+from servocore.structure.derivative_array import derivative_array
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.inversion import compile_inversion
+from servocore.structure.inversion import compile_inversion
 from servocore.methods import BackwardEuler
-from servocore.newton import compile_solver
-from servocore.program import Program
-from servocore.projection import project
+from servocore.numerics.square_systems import compile_solver
+from servocore.stepping.program import Program
+from servocore.structure.projection import project
 from servocore.references import DEGREE3, rest_to_rest
-from servocore.stepper import compile_program
-from servocore.structure import analyse_structure
+from servocore.stepping.stepper import compile_program
+from servocore.structure.structural_analysis import analyse_structure
 
 ORDERS = 7  # of random reference jets: more than any scene needs
 

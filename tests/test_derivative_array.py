@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 from problems import MODELS, actuated_chain, car_chain, car_chain_exact, driven_pendulum, mass_on_car, scene
 from suite import inverted
 
-from servocore.derivative_array import derivative_array
-from servocore.inversion import compile_inversion
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_inversion
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from problems import scene
 
 import servocore as sc
-from servocore.derivative_array import derivative_array
-from servocore.inversion import compile_flat_inversion
-from servocore.redundancy import prepared
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_flat_inversion
+from servocore.problem import prepared
 
 CRANE = scene("rotary_crane")
 POINTWISE = [

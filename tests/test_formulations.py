@@ -26,8 +26,8 @@ from problems import (
 from suite import FormulationSuite
 
 import servocore as sc
-from servocore.projection import project
-from servocore.system import DERIVED
+from servocore.structure.projection import project
+from servocore.model.system import DERIVED
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
-from servocore.system import DERIVED, generalise, gyroscopic_forces
+from servocore.model.system import DERIVED, generalise, gyroscopic_forces
 
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 

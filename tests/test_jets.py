@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.jets import Jet, atan2, components, sin_cos, sqrt
+from servocore.scenes.jets import Jet, atan2, components, sin_cos, sqrt
 from servocore.references import rest_to_rest
 
 ORDER = 6

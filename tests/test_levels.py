@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore.levels import Cost, Level, Spread, compiled_run, measure_levels, timed_in_turn
-from servocore.levels_text import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.cli.levels import Cost, Level, Spread, compiled_run, measure_levels, timed_in_turn
+from servocore.cli.levels_text import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
 
 INSTANTS = 50
 pytestmark = pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # of M_b, wrong at so few steps

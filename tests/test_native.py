@@ -5,7 +5,7 @@ import pytest
 
 import servocore as sc
 from servocore import native
-from servocore.native import in_machine_code
+from servocore.numerics.machine_code import in_machine_code
 
 CRANE = sc.scenes.overhead_crane()
 

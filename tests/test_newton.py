@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import servocore as sc
-from servocore.newton import MAX_ITERATIONS, STEP_TOLERANCE, SquareSystem, compile_solver
+from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE, SquareSystem, compile_solver
 
 
 def solve(

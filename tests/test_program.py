@@ -13,7 +13,7 @@ import pytest
 from problems import METHODS, scene
 
 import servocore as sc
-from servocore.program import LimitText, Program, require_margins
+from servocore.stepping.program import LimitText, Program, require_margins
 
 CRANE = scene("rotary_crane")
 
@@ -46,7 +46,7 @@ def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(steppe
         sys.meta_path.insert(0, Refuse())
         from pathlib import Path
         import numpy as np
-        from servocore.program import Program
+        from servocore.stepping.program import Program
         program = Program.from_json(Path("program.json").read_text())
         jets, p = np.load("jets.npy"), np.load("p.npy")
         state, _ = program.begin(jets[0], p, 0.1)

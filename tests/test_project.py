@@ -18,7 +18,7 @@ import servocore as sc
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PACKAGES = ("servocore", "crane_fmu")
-SHARED_MODULES = {"servocore.console", "servocore.writing"}
+SHARED_MODULES = {"servocore.cli.console", "servocore.files"}
 """What programs around the library share with its own command line."""
 LONGEST_FUNCTION, LONGEST_FILE = 60, 400
 CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)

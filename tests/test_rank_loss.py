@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import servocore as sc
 from servocore import rank_loss
-from servocore.rank_loss import changes_branch, configurations, rank_losses, require_one_branch
+from servocore.checks.branches import changes_branch, configurations, rank_losses, require_one_branch
 
 CRANK, BASE, MASS, GRAVITY = 0.5, 1.1, 2.0, 9.81
 NAMES = ("x1", "y1", "x2", "y2")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from servocore.ranks import ROUND_OFF, ConstraintRank, assembled, constraint_rank, scaled_rows
+from servocore.numerics.constraint_ranks import ROUND_OFF, ConstraintRank, assembled, constraint_rank, scaled_rows
 
 Q = ca.SX.sym("q", 3)
 X, Y, Z = Q[0], Q[1], Q[2]

@@ -389,7 +389,7 @@ package = types.ModuleType("servocore")
 package.__path__ = [sys.argv[1]]
 sys.modules["servocore"], sys.modules["scipy"] = package, None
 from servocore.references import rest_to_rest
-import servocore.jets
+import servocore.scenes.jets
 rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
     room = Path(__file__).resolve().parents[1] / "servocore"

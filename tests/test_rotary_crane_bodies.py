@@ -8,15 +8,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servocore.derivative_array import derivative_array
+from servocore.structure.derivative_array import derivative_array
 from servocore.formulations import Projected
-from servocore.inversion import compile_inversion
+from servocore.structure.inversion import compile_inversion
 from servocore.methods import BackwardEuler
 from servocore.references import rest_to_rest
 from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
 from servocore.scenes.rotary_crane_bodies import bodies
-from servocore.solve import solve
-from servocore.structure import second_order_equations, signature
+from servocore.solvers.solve import solve
+from servocore.structure.structural_analysis import second_order_equations, signature
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
 REFERENCE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)

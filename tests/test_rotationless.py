@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.derivative_array import derivative_array
+from servocore.structure.derivative_array import derivative_array
 from servocore.errors import InvalidModel
-from servocore.inversion import compile_inversion
-from servocore.redundancy import redundant_constraints, without_constraints
-from servocore.rotationless import (
+from servocore.structure.inversion import compile_inversion
+from servocore.problem import redundant_constraints, without_constraints
+from servocore.model.rotationless import (
     GROUND,
     Assembly,
     PointMass,
@@ -34,8 +34,8 @@ from servocore.rotationless import (
     spherical,
     turned,
 )
-from servocore.structure import second_order_equations, signature
-from servocore.symbols import Parameter, Parameters, Quantity
+from servocore.structure.structural_analysis import second_order_equations, signature
+from servocore.model.symbols import Parameter, Parameters, Quantity
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto" / "assemble-a-mechanism.md"
 NONE = Parameters()

@@ -13,7 +13,7 @@ from command_lines import CommandLine, write
 
 import servocore as sc
 from servocore import cli
-from servocore.cli import app, described
+from servocore.cli.commands import app, described
 
 ROOT = Path(__file__).resolve().parents[1]
 run = CommandLine(app, "servocore")
@@ -52,7 +52,7 @@ class TestScenes:
         assert len(needs) > 40
 
     def test_without_docstrings_the_table_is_still_there(self):
-        code = "from servocore.cli import app; app(['scenes'])"
+        code = "from servocore.cli.commands import app; app(['scenes'])"
         command = [sys.executable, "-OO", "-c", code]
         found = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}

@@ -12,7 +12,7 @@ import pytest
 from problems import problem, scene, solved
 
 import servocore as sc
-from servocore.program import Channel
+from servocore.stepping.program import Channel
 
 CRANE = scene("rotary_crane")
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from problems import as_scene, car_chain, polynomial_path, problem, scene, solved
 
 import servocore as sc
-from servocore.loop import CHUNK
+from servocore.solvers.fixed_step import CHUNK
 
 CRANE = scene("rotary_crane")
 

@@ -16,7 +16,7 @@ from problems import (
 )
 
 import servocore as sc
-from servocore.structure import (
+from servocore.structure.structural_analysis import (
     ABSENT,
     analyse_structure,
     second_order_equations,

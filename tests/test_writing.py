@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import servocore as sc
-from servocore.writing import require_places, write_together
+from servocore.files import require_places, write_together
 
 
 def test_text_and_bytes_are_written_whole(tmp_path):

@@ -26,10 +26,10 @@ from benchmarks.atlas.linkages import (
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import march, quietly, relative_error, slope
 from benchmarks.atlas.style import BAD, GOOD, OTHER, label, panels
-from servocore.ranks import assembled, scaled_rows, unit_rows
-from servocore.redundancy import redundant_constraints, without_constraints
-from servocore.rotationless import turned
-from servocore.stepper import compile_program
+from servocore.numerics.constraint_ranks import assembled, scaled_rows, unit_rows
+from servocore.problem import redundant_constraints, without_constraints
+from servocore.model.rotationless import turned
+from servocore.stepping.stepper import compile_program
 
 NAME = "redundant-constraints"
 SHORT_OF = (0.6, 0.2, 0.05, 0.01)

@@ -12,7 +12,7 @@ from benchmarks.atlas.runs import Array, amplified, error_at, slope
 from benchmarks.atlas.style import label, looks, panels
 from servocore.references.profiles import polynomial
 from servocore.scenes.elastic_bar import dalembert, wave_time
-from servocore.space_marching import march_bar
+from servocore.scenes.bar_marching import march_bar
 
 NAME = "elastic-bar"
 DURATION = 0.6
@@ -135,7 +135,7 @@ ROW = Row(
     name=NAME,
     title="Elastic bodies: the index grows with the mesh",
     avoid="chains of masses (or finite elements) stepped in time, for paths that are fast compared with a wave",
-    do="`servocore.space_marching.march_bar`: solve in space over the whole horizon",
+    do="`servocore.scenes.bar_marching.march_bar`: solve in space over the whole horizon",
     theory="A chain of N masses tracked at its free end has index 2 N + 1: stepping in time divides round-off by h²ᴺ."
     " Worse, its input holds derivatives of the path at one instant, so it cannot begin before the path does, while the"
     " bar needs its force L/c earlier: the time of a wave.",

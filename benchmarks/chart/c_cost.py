@@ -18,11 +18,11 @@ import numpy as np
 import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
-from servocore.calls import Call
-from servocore.derivative_array import derivative_array
-from servocore.exact_inversion import compile_inputs
-from servocore.feasibility import side_by_side
-from servocore.redundancy import prepared
+from servocore.numerics.calls import Call
+from servocore.structure.derivative_array import derivative_array
+from servocore.solvers.exact_inversion import compile_inputs
+from servocore.checks.limits import side_by_side
+from servocore.problem import prepared
 
 _INSIDE = ("solve_at_constant_step", "run")  # looked into, rather than named
 _SMALLEST_SHARE = 0.02

@@ -21,7 +21,7 @@ from scipy.interpolate import make_interp_spline
 import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
 from benchmarks.peers.base import Effort, Lean, inside
-from servocore.system import MechanicalSystem
+from servocore.model.system import MechanicalSystem
 
 NAME, DISTRIBUTION = "exudyn", "exudyn"
 

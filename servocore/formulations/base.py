@@ -7,7 +7,7 @@ from typing import Protocol
 import casadi as ca
 
 from servocore.dae import Dae, Unknown
-from servocore.system import MechanicalSystem
+from servocore.model.system import MechanicalSystem
 
 
 class Formulation(Protocol):

@@ -8,7 +8,7 @@ import casadi as ca
 
 from servocore.dae import Dae, Equation
 from servocore.formulations.base import mechanical_unknowns, physical_variables
-from servocore.system import MechanicalSystem
+from servocore.model.system import MechanicalSystem
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ import casadi as ca
 
 from servocore.dae import Dae, Equation
 from servocore.formulations.base import mechanical_unknowns, physical_variables
-from servocore.projection import project
-from servocore.system import MechanicalSystem
+from servocore.structure.projection import project
+from servocore.model.system import MechanicalSystem
 
 
 @dataclass(frozen=True)

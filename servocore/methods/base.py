@@ -8,7 +8,7 @@ from typing import Protocol
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.newton import SquareSystem
+from servocore.numerics.square_systems import SquareSystem
 
 
 @dataclass(frozen=True)

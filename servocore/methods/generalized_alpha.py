@@ -17,7 +17,7 @@ from servocore.methods.base import (
     scales,
     start_symbols,
 )
-from servocore.newton import SquareSystem
+from servocore.numerics.square_systems import SquareSystem
 
 
 @dataclass(frozen=True)

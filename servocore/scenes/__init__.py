@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from servocore.scene import Limit, Scene
+from servocore.model.scene import Limit, Scene
 from servocore.scenes.cars import cars
 from servocore.scenes.elastic_bar import elastic_bar
 from servocore.scenes.gantry_crane import gantry_crane

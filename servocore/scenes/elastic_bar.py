@@ -31,13 +31,13 @@ from functools import cache, partial
 import casadi as ca
 import numpy as np
 
-from servocore import jets
+from servocore.scenes import jets
 from servocore.references import Reference, rest_to_rest
 from servocore.references.profiles import polynomial
-from servocore.scene import Scene
+from servocore.model.scene import Scene
 from servocore.scenes.cars import follow_chain, require_masses
-from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 
 PARAMETERS = Parameters(
     Parameter("length", 1.0, "m", 1e-3, 1e6, "L"),

@@ -22,12 +22,12 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from servocore import jets
+from servocore.scenes import jets
 from servocore.references import rest_to_rest
-from servocore.scene import Scene
+from servocore.model.scene import Scene
 from servocore.scenes import hanging_load
-from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 PARAMETERS = Parameters(
     Parameter("bridge_mass", 40.0, "kg", 0.0, 1e9, "m_b, moves along x only"),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from servocore.scene import Limit
-from servocore.symbols import Parameters
+from servocore.model.scene import Limit
+from servocore.model.symbols import Parameters
 
 
 def swing_angle(rope: ca.SX) -> ca.SX:

@@ -37,10 +37,10 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.references import Reference, rest_to_rest
-from servocore.scene import Scene
+from servocore.model.scene import Scene
 from servocore.scenes.internal_dynamics import backward, forward
-from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 PARAMETERS = Parameters(
     Parameter("car_mass", 1.0, "kg", 1e-3, 1e9, "m_1"),

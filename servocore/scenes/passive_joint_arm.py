@@ -39,10 +39,10 @@ import casadi as ca
 import numpy as np
 
 from servocore.references import Reference, rest_to_rest
-from servocore.scene import Limit, Scene
+from servocore.model.scene import Limit, Scene
 from servocore.scenes.internal_dynamics import forward, two_sided
-from servocore.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from servocore.rotationless import (
+from servocore.model.rotationless import (
     GROUND,
     Assembly,
     PointMass,
@@ -45,10 +45,10 @@ from servocore.rotationless import (
     turned,
 )
 from servocore.scenes import hanging_load
-from servocore.symbols import Parameters, Quantity
+from servocore.model.symbols import Parameters, Quantity
 
 if TYPE_CHECKING:
-    from servocore.system import MechanicalSystem
+    from servocore.model.system import MechanicalSystem
 
 BRIDGE_MASS = 60.0
 """kg. Rests on the slewing axis, so it enters no equation of motion."""

@@ -1,0 +1,293 @@
+"""Where along a motion the constraints lose rank: two motions meet there, and either may go on.
+
+A parallelogram stretched out can go on as a parallelogram or cross over; a crank in its dead centre can let its
+rocker go either way. At such an instant the Jacobian S = [G; C] of holonomic and servo constraints loses rank, and its
+Gram determinant det(S S^T), smooth and never negative, touches zero. It is watched at the instants of a motion; where a
+parabola through three of them comes down to zero, the instant is looked for by the smallest singular value.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.calls import Call
+from servocore.errors import IntegrationFailed, ServocoreWarning
+from servocore.numerics.constraint_ranks import Rows, assembled
+from servocore.references import Reference
+from servocore.solution import Solution
+from servocore.model.symbols import Array
+from servocore.model.system import MechanicalSystem
+
+CONDITION_LIMIT = 1e5
+"""Of the scaled Jacobian of all constraints: beyond it they count as dependent."""
+
+_WATCHED = 201  # most instants of a motion that are looked at
+_TOUCHES = 0.1  # of the determinants beside it: a parabola's minimum below this is looked into
+_SUBSTEPS = 12  # before the instant, to go through it as the motion would go on
+_ASTRAY = 0.1  # of how far the motion moves meanwhile: further from where it would have gone on is another branch
+_JUMP = 10.0  # of the third differences beside it: one across the instant that is larger is a change of branch
+_BESIDE = 4  # third differences on either side
+
+
+@dataclass(frozen=True)
+class RankLoss:
+    """An instant at which constraints lose rank.
+
+    Attributes
+    ----------
+    time : float
+        In s.
+    condition : float
+        Condition number found there, beyond `CONDITION_LIMIT`.
+    holonomic : bool
+        Whether the holonomic constraints lose rank by themselves, and not only together with the servo constraints.
+    """
+
+    time: float
+    condition: float
+    holonomic: bool
+
+    def __str__(self) -> str:
+        which = "the holonomic constraints" if self.holonomic else "the holonomic and servo constraints together"
+        return (
+            f"at t = {self.time:.6g} s {which} lose rank (condition {self.condition:.2g}, the limit is"
+            f" {CONDITION_LIMIT:.0e}) and two motions go on from there"
+        )
+
+
+def rank_losses(system: MechanicalSystem, reference: Reference, p: Array, t: Array, q: Array) -> list[RankLoss]:
+    """Find where along a motion the constraints lose rank.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        Without redundant constraints.
+    reference : Reference
+        What the servo outputs follow.
+    p : ndarray
+        Parameter values.
+    t : ndarray, shape (N,)
+        Instants of the motion, in rising order.
+    q : ndarray, shape (N, n)
+        Configurations there.
+    """
+    if not system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
+        return []
+    jacobians = _jacobians(system, p, q)
+    scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
+    jacobians = jacobians / scale
+    signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
+    largest = float(np.max(logarithms))
+    if not np.isfinite(largest):
+        return []
+    determinant = np.where(signs > 0.0, np.exp(logarithms - largest), 0.0)
+    motion = _Motion(system, reference, p, t, q, scale.ravel())
+    found = [_closest(motion, int(k)) for k in np.flatnonzero(_touching(t, determinant))]
+    return [each for each in found if each is not None and each.condition > CONDITION_LIMIT]
+
+
+def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
+    """Mark local minima at which a parabola through them and their neighbours comes down to zero, about."""
+    left, here, right = determinant[:-2], determinant[1:-1], determinant[2:]
+    before, after = t[1:-1] - t[:-2], t[2:] - t[1:-1]
+    rise, fall = (right - here) / after, (here - left) / before
+    curvature = (rise - fall) / (before + after)
+    slope = (rise * before + fall * after) / (before + after)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        minimum = here - slope**2 / (4.0 * curvature)
+    found = np.zeros(len(t), dtype=bool)
+    # Of two equal neighbours one is enough.
+    found[1:-1] = (here < left) & (here <= right) & (minimum <= _TOUCHES * np.maximum(left, right))
+    found[[0, -1]] = determinant[[0, -1]] < CONDITION_LIMIT**-2
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """A motion between its instants: configurations that satisfy all constraints, from interpolated ones."""
+
+    system: MechanicalSystem
+    reference: Reference
+    p: Array
+    t: Array
+    q: Array
+    row_scale: Array
+
+    def configuration(self, time: float, start: Array) -> Array | None:
+        """Return q / nominal near `start` where all constraints hold at a time; None if there is none."""
+        return assembled(self._rows(time), start)
+
+    def jacobian(self, time: float) -> Array | None:
+        """Return the scaled Jacobian at a time; None if no configuration is found."""
+        found = self.configuration(time, self.interpolated(time))
+        return None if found is None else self._rows(time)(found)[1]
+
+    def interpolated(self, time: float) -> Array:
+        """Return q / nominal between the instants."""
+        return np.array([np.interp(time, self.t, column) for column in self.q.T]) / self.nominal
+
+    @property
+    def nominal(self) -> Array:
+        """Typical magnitudes of the coordinates."""
+        return np.array(self.system.coordinates.nominal)
+
+    def _rows(self, time: float) -> Rows:
+        gamma, evaluate = self.reference.jet(time, 0)[0], _rows(self.system)
+
+        def rows(x: Array) -> tuple[Array, Array]:
+            residual, jacobian = evaluate(x * self.nominal, gamma, self.p)
+            return residual.ravel() / self.row_scale, jacobian * self.nominal / self.row_scale[:, None]
+
+        return rows
+
+
+def _closest(motion: _Motion, k: int) -> RankLoss | None:
+    """Look for the loss of rank between the instants beside instant `k`."""
+    import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    def badness(time: float) -> float:
+        jacobian = motion.jacobian(time)
+        return 1.0 if jacobian is None else _condition(jacobian) ** -2
+
+    first, last = motion.t[max(0, k - 1)], motion.t[min(len(motion.t) - 1, k + 1)]
+    search = scipy.optimize.minimize_scalar(
+        badness, bounds=(first, last), method="bounded", options={"xatol": 1e-9 * (last - first)}
+    )
+    times = [float(search.x), float(motion.t[k])]
+    time = min(times, key=badness)
+    jacobian = motion.jacobian(time)
+    if jacobian is None:
+        return None
+    holonomic = _condition(jacobian[: motion.system.lam.numel()]) > CONDITION_LIMIT
+    return RankLoss(time, _condition(jacobian), holonomic)
+
+
+def _condition(jacobian: Array) -> float:
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return float(values[0] / max(values[-1], 1e-300))
+
+
+def _jacobians(system: MechanicalSystem, p: Array, q: Array) -> Array:
+    """Return S at every configuration, its columns scaled by the nominal magnitudes, shape (N, m_h + m, n)."""
+    count, n = q.shape
+    (flat,) = _mapped(system, count)(q.T, np.tile(p[:, None], count))
+    found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(system.coordinates.nominal)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _mapped(system: MechanicalSystem, count: int) -> Call:
+    S = ca.densify(ca.vertcat(system.G, system.C))
+    return Call(ca.Function("sc_S", [system.q, system.p], [S]).map(count))
+
+
+@lru_cache(maxsize=64)
+def _rows(system: MechanicalSystem) -> Call:
+    gamma = system.gamma[:, 0]
+    residual = ca.densify(ca.vertcat(system.constraints, system.output - gamma))
+    S = ca.densify(ca.vertcat(system.G, system.C))
+    return Call(ca.Function("sc_S_rows", [system.q, gamma, system.p], [residual, S]))
+
+
+def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array, solution: Solution) -> None:
+    """Warn where the constraints of a solution lose rank, and refuse a solution that changes branch there.
+
+    Raises
+    ------
+    IntegrationFailed
+        If the configurations do not go on as they came.
+    """
+    q = configurations(system, solution) if system.lam.numel() else None
+    if q is None:
+        return
+    every = -(-len(q) // _WATCHED)
+    watched = np.unique([*range(0, len(q), every), len(q) - 1])
+    for loss in rank_losses(system, reference, p, solution.t[watched], q[watched]):
+        if changes_branch(system, reference, p, solution.t, q, loss.time):
+            raise IntegrationFailed(
+                f"{solution.route}: {loss}; this one changes over from one to the other: a scene with follow_branch and"
+                " a smaller step goes on smoothly in the form Reduced()"
+            )
+        ends = min(loss.time - solution.t[0], solution.t[-1] - loss.time) < 1e-6 * np.ptp(solution.t)
+        how = "this one begins or ends there" if ends else "this one goes on smoothly"
+        warnings.warn(f"{solution.route}: {loss}; {how}", ServocoreWarning, stacklevel=3)
+
+
+def configurations(system: MechanicalSystem, solution: Solution) -> Array | None:
+    """Return the coordinates of a solution, shape (N, n); None if something else is reported under a name of one."""
+    places = _columns(system, solution.names)
+    return None if places is None else solution.values[:, places]
+
+
+@lru_cache(maxsize=64)
+def _columns(system: MechanicalSystem, names: tuple[str, ...]) -> list[int] | None:
+    """Places of the coordinates among reported names; None if something else is reported under a name of one."""
+    reported = {each.name: system.output[k] for k, each in enumerate(system.outputs)}
+    reported |= {each.name: expression for each, expression in system.observables.items()}
+    reported |= {each.name: system.u[k] for k, each in enumerate(system.inputs)}
+    for k, name in enumerate(system.coordinates.names):
+        if not ca.is_equal(reported.get(name, system.q[k]), system.q[k]):
+            return None
+    return [names.index(name) for name in system.coordinates.names]
+
+
+def changes_branch(system: MechanicalSystem, reference: Reference, p: Array, t: Array, q: Array, time: float) -> bool:
+    """Whether a motion q, shape (N, n), at the instants `t` does not go on smoothly at a time when rank is lost.
+
+    Where the constraints determine the configuration, the smooth motion is followed through that time in small steps
+    and compared. Elsewhere a third difference across it must not stand out, which takes small steps to tell.
+    """
+    apart = np.abs(t - time) > 0.25 * np.diff(t).max()
+    before, after = np.flatnonzero(apart & (t < time)), np.flatnonzero(apart & (t > time))
+    if not len(before) or not len(after):
+        return False  # it starts or ends there
+    if len(system.coordinates) == system.lam.numel() + len(system.outputs):
+        motion = _Motion(system, reference, p, t, q, np.ones(len(system.coordinates)))
+        first, last = (q[k] / motion.nominal for k in (before[-1], after[0]))
+        smooth = _followed(motion, float(t[before[-1]]), time, float(t[after[0]]), first)
+        if smooth is not None:
+            return bool(np.abs(last - smooth).max() > _ASTRAY * np.abs(smooth - first).max())
+    return _has_kink(t, q / np.array(system.coordinates.nominal), time)
+
+
+def _followed(motion: _Motion, begin: float, through: float, end: float, first: Array) -> Array | None:
+    """Follow a motion from `begin` to `end` in small steps, of which one has the time `through` in its middle."""
+    step = (through - begin) / (_SUBSTEPS + 0.5)
+    times = [begin, *np.arange(begin + step, end - 0.25 * step, step), end]
+    found = [first]
+    for k in range(1, len(times)):
+        known = slice(max(0, k - 3), k)
+        ahead = _extrapolated(times[known], found[known], times[k])
+        x = motion.configuration(times[k], ahead)
+        if x is None:
+            return None
+        found.append(x)
+    return found[-1]
+
+
+def _extrapolated(times: Sequence[float], values: Sequence[Array], time: float) -> Array:
+    """Evaluate the polynomial through some values, by Lagrange's formula."""
+    total = np.zeros_like(values[0])
+    for i, (own, value) in enumerate(zip(times, values, strict=True)):
+        others = [other for j, other in enumerate(times) if j != i]
+        total += value * float(np.prod([(time - other) / (own - other) for other in others]))
+    return total
+
+
+def _has_kink(t: Array, x: Array, time: float) -> bool:
+    steps = np.diff(t)
+    if len(t) < 2 * _BESIDE or np.ptp(steps) > 1e-6 * steps.max():
+        return False
+    third = np.abs(np.diff(x, 3, axis=0)).max(axis=1)
+    after = int(np.searchsorted(t, time))
+    first = max(0, after - 3)  # differences over t[k] to t[k + 3] from here on hold the time inside
+    beside = [*third[max(0, first - _BESIDE) : first], *third[after : after + _BESIDE]]
+    across = third[first:after]
+    return bool(len(across) and beside and across.max() > _JUMP * max(*beside, 1e-9))

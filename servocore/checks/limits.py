@@ -1,0 +1,135 @@
+"""Whether a reference keeps the limits of its scene at all times, also between the instants of a grid."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.calls import Call
+from servocore.stepping.program import LimitText, require_margins
+from servocore.references import Reference
+from servocore.model.scene import Limit
+from servocore.model.symbols import Array
+from servocore.model.system import MechanicalSystem
+
+_FEWEST_SURVEYED, _MOST_SURVEYED = 400, 20_000
+_SURVEYED_EACH = 16  # instants on a stretch of the path
+_VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
+_CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
+_REFINED_POINTS = 21
+_REFINEMENTS = 4
+
+
+def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
+    """Return what to say of each limit, without its expression."""
+    return tuple(LimitText(each.quantity, each.unit, each.reason, each.bound) for each in limits)
+
+
+def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
+    """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
+    gamma = system.gamma[:, : order + 1]
+    margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
+    return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])
+
+
+def require_feasible(
+    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None = None
+) -> None:
+    """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
+
+    The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
+    the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
+    """
+    _require_at(reference, system, tuple(each for each in limits if each.at_instants_only), p, t)
+    limits = tuple(each for each in limits if not each.at_instants_only)
+    if not limits:
+        return
+    texts = limit_texts(limits)
+    survey = _survey(reference)
+    margins = _margins(reference, system, limits, p, survey)
+    _require_kept(texts, margins, survey)
+    if not _may_fall_to_zero(margins):
+        return
+    rows, places = _valleys(margins)
+    below, above = survey[np.maximum(places - 1, 0)], survey[np.minimum(places + 1, len(survey) - 1)]
+    lanes = np.arange(len(rows))
+    for _ in range(_REFINEMENTS):  # all valleys of all limits at once
+        grid = np.linspace(below, above, _REFINED_POINTS)
+        margins = _margins(reference, system, limits, p, grid.ravel()).reshape(len(limits), *grid.shape)
+        lows = margins[rows, :, lanes]
+        deepest = np.nan_to_num(lows, nan=-np.inf).argmin(axis=1)
+        for lane in lanes[~(lows[lanes, deepest] > 0.0)]:
+            require_margins((texts[rows[lane]],), lows[lane, deepest[[lane]]], float(grid[deepest[lane], lane]))
+        below = grid[np.maximum(deepest - 1, 0), lanes]
+        above = grid[np.minimum(deepest + 1, _REFINED_POINTS - 1), lanes]
+
+
+def _survey(reference: Reference) -> Array:
+    """Instants evenly on every stretch of the path, in all not too few and not too many."""
+    ends = reference.stretches
+    pieces = len(ends) - 1
+    each = max(_SURVEYED_EACH, -(-_FEWEST_SURVEYED // pieces))
+    each = max(1, min(each, _MOST_SURVEYED // pieces))
+    fractions = np.arange(each) / each
+    return np.append((ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel(), ends[-1])
+
+
+def _require_kept(texts: tuple[LimitText, ...], margins: Array, t: Array) -> None:
+    for text, margin in zip(texts, margins, strict=True):
+        broken = ~(margin > 0.0)
+        if broken.any():
+            first = int(broken.argmax())
+            require_margins((text,), margin[[first]], float(t[first]))
+
+
+def _may_fall_to_zero(margins: Array) -> bool:
+    """Whether a margin (limits, N) may reach zero between instants, to judge by its second differences nearby."""
+    bends = np.abs(np.diff(margins, 2, axis=1))
+    nearby = np.pad(bends, ((0, 0), (2, 2)), mode="edge")
+    largest = np.maximum(np.maximum(nearby[:, :-2], nearby[:, 1:-1]), nearby[:, 2:])
+    return bool((margins <= _CAUTION * largest).any())
+
+
+def _valleys(margins: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+    """Return rows and columns of the lowest local minima of every row, as many of each row (it saves compiling)."""
+    padded = np.pad(margins, ((0, 0), (1, 1)), constant_values=np.inf)
+    is_valley = (margins <= padded[:, :-2]) & (margins <= padded[:, 2:])
+    places = np.argsort(np.where(is_valley, margins, np.inf), axis=1, kind="stable")[:, :_VALLEYS]
+    return np.repeat(np.arange(len(margins)), places.shape[1]), places.ravel()
+
+
+def _require_at(
+    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None
+) -> None:
+    if not limits or t is None:
+        return
+    for text, margin in zip(limit_texts(limits), _margins(reference, system, limits, p, t), strict=True):
+        lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
+        require_margins((text,), margin[[lowest]], float(t[lowest]))
+
+
+def _margins(reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array) -> Array:
+    jets = reference.jet(t, limits_order(system, limits))
+    (margins,) = _mapped_margins(system, limits, len(t))(side_by_side(jets), np.tile(p[:, None], len(t)))
+    return margins.reshape(len(limits), len(t))
+
+
+@lru_cache(maxsize=64)
+def _mapped_margins(system: MechanicalSystem, limits: tuple[Limit, ...], count: int) -> Call:
+    return Call(compile_margins(system, limits, limits_order(system, limits)).map(count))
+
+
+@lru_cache(maxsize=64)
+def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
+    """Highest derivative of the reference that the limits use."""
+    margins = [each.expression(system.gamma, system.parameters) for each in limits]
+    columns = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *margins), ca.vec(system.gamma)).get_col()
+    return max((column // system.gamma.size1() for column in columns), default=0)
+
+
+def side_by_side(jets: Array) -> Array:
+    """Lay reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
+    return jets.reshape(-1, jets.shape[2]).T

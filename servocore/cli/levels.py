@@ -1,0 +1,197 @@
+"""What the models of a scene cost and how exact they are: measured, for tables and machines.
+
+Every model is run along the reference of its scene by two routes: the derivative array as `Reduced` (the exact
+inversion where there are no internal dynamics), and backward Euler on the projected equations. Times are processor
+times of warm runs, taken in turn so that disturbances meet them alike. Trust the ratios: machines are busy.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from servocore.analysis import NON_MINIMUM_PHASE, analyse
+from servocore.numerics.calls import Call
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
+from servocore.checks.limits import side_by_side
+from servocore.formulations import Formulation, Projected, Reduced
+from servocore.methods import BackwardEuler, Method, RadauIIA
+from servocore.model.scene import Scene
+from servocore.solution import Solution
+from servocore.solvers.solve import solve
+from servocore.stepping.stepper import Stepper
+from servocore.model.symbols import Array
+
+ROUTES: dict[str, tuple[Formulation, Method]] = {
+    "exact": (Reduced(), RadauIIA(3)),
+    "projected": (Projected(), BackwardEuler()),
+}
+"""What is compared; the method of the first is of use only where there are internal dynamics to integrate."""
+
+Key = TypeVar("Key")
+
+_CLOCK = time.process_time if time.get_clock_info("process_time").resolution <= 1e-6 else time.perf_counter
+"""Processor time where it is fine enough: other work on the machine then counts little."""
+
+Describe = Callable[[str], None]
+"""Called with what is going on."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and quartiles of repeated measurements."""
+
+    median: float
+    lower: float
+    upper: float
+
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Spread:
+        """Summarise at least one value."""
+        lower, median, upper = (float(each) for each in np.percentile(values, (25, 50, 75)))
+        return cls(median, lower, upper)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """One model by one route.
+
+    Attributes
+    ----------
+    unknowns : int or None
+        Of one instant.
+    microseconds : Spread or None
+        Processor time an instant, of the bare compiled loop.
+    error : float or None
+        Largest error of any input, as a fraction of that input's largest value; None without an exact answer.
+    refusal : str
+        Why the route does not work for this model; the rest is then None.
+    """
+
+    unknowns: int | None = None
+    microseconds: Spread | None = None
+    error: float | None = None
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class Level:
+    """One model of a scene: its size, its structure and what it costs by each of `ROUTES`."""
+
+    scene: str
+    model: str
+    needed: bool
+    coordinates: int
+    index: int
+    internal_degrees_of_freedom: int
+    costs: dict[str, Cost]
+
+
+def measure_levels(
+    scene: Scene, *, instants: int = 1000, repeats: int = 15, describe: Describe | None = None
+) -> tuple[Level, ...]:
+    """Measure every model of a scene, smallest first.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the reference and parameters to use.
+    instants : int
+        Steps of a run; the error of the projected route depends on it.
+    repeats : int
+        Timed runs of each route and model, after one to warm up.
+    describe : callable, optional
+        Told what is going on.
+
+    Raises
+    ------
+    InvalidSetting
+        If `instants` or `repeats` is less than one.
+    InvalidReference
+        If the problem is singular somewhere along the path.
+    """
+    if instants < 1 or repeats < 1:
+        raise InvalidSetting(f"at least one instant and one repeat are needed, not {instants} and {repeats}")
+    tell = describe or (lambda _: None)
+    levels: list[Level] = []
+    runs: dict[tuple[int, str], Callable[[], object]] = {}
+    for model in scene.models:
+        tell(f"preparing {scene.name}, {model}")
+        level, refusal = _unmeasured(scene, model)
+        for route, (formulation, method) in ROUTES.items():
+            if refusal:
+                level.costs[route] = Cost(refusal=refusal)
+                continue
+            try:
+                level.costs[route] = _size_and_error(scene, formulation, method, model, instants)
+                runs[len(levels), route] = compiled_run(scene, formulation, method, model, instants)
+            except ServocoreError as error:
+                level.costs[route] = Cost(refusal=str(error))
+        levels.append(level)
+    tell(f"measuring {scene.name}")
+    for (k, route), seconds in timed_in_turn(runs, repeats).items():
+        microseconds = Spread.of([1e6 * each / instants for each in seconds])
+        levels[k].costs[route] = replace(levels[k].costs[route], microseconds=microseconds)
+    return tuple(levels)
+
+
+def _unmeasured(scene: Scene, model: str) -> tuple[Level, str]:
+    """Return the level without its costs, and why there can be none if the analysis says so."""
+    report = analyse(scene, model=model)
+    if report.index is None or report.internal_degrees_of_freedom is None or report.reason:
+        raise InvalidReference(f"{scene.name}, {model}: {report.reason}")
+    size, needed = len(scene.model(model).coordinates), model == scene.default_model
+    level = Level(scene.name, model, needed, size, report.index, report.internal_degrees_of_freedom, {})
+    return level, report.advice if report.classification == NON_MINIMUM_PHASE else ""
+
+
+def _size_and_error(scene: Scene, formulation: Formulation, method: Method, model: str, instants: int) -> Cost:
+    step = scene.reference.duration / instants
+    solution = solve(scene, formulation, method, step=step, model=model)
+    dae = formulation.dae(Stepper(scene, formulation, method, step, model).system)
+    return Cost(unknowns=len(dae.unknowns), error=input_error(scene, solution))
+
+
+def input_error(scene: Scene, solution: Solution) -> float | None:
+    """Largest error of any input relative to its largest exact value; None for a scene without an exact answer."""
+    try:
+        exact = scene.exact(solution.t)
+    except InvalidModel:
+        return None
+    errors = []
+    for name in (each.name for each in scene.model().inputs):
+        peak = np.abs(exact[name]).max()
+        errors.append(np.abs(solution[name] - exact[name]).max() / (peak or 1.0))
+    return float(max(errors))
+
+
+def compiled_run(
+    scene: Scene, formulation: Formulation, method: Method, model: str, instants: int
+) -> Callable[[], tuple[Array, ...]]:
+    """Return a whole run as a function without arguments: the compiled loop, everything else computed before."""
+    reference = scene.reference
+    stepper = Stepper(scene, formulation, method, reference.duration / instants, model)
+    program, step = stepper.program, stepper.step
+    past = reference.start_time + step * np.array(program.start_instants)
+    state, _ = stepper.start(reference.jet(past, program.start_order))
+    ends = np.linspace(reference.start_time, reference.end_time, instants + 1)[1:]
+    gamma = np.concatenate([reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes], axis=1)
+    loop = Call(program.step.mapaccum(f"{program.step.name()}_run", instants))
+    arguments = state, side_by_side(gamma), np.full(instants, step), np.tile(stepper.parameters[:, None], instants)
+    return lambda: loop(*arguments)
+
+
+def timed_in_turn(runs: dict[Key, Callable[[], object]], repeats: int) -> dict[Key, list[float]]:
+    """Take the processor time of every run in s, `repeats` times round in turn, after a round to warm up."""
+    seconds: dict[Key, list[float]] = {key: [] for key in runs}
+    for repeat in range(repeats + 1):
+        for key, run in runs.items():
+            begin = _CLOCK()
+            run()
+            if repeat:
+                seconds[key].append(_CLOCK() - begin)
+    return seconds

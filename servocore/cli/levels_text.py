@@ -1,0 +1,144 @@
+"""Measured levels as text: CSV for machines, the page docs/model-levels.md, and cells that tables share."""
+
+from __future__ import annotations
+
+import csv
+import io
+import platform
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+import casadi as ca
+
+from servocore.cli.levels import ROUTES, Level
+
+COLUMNS = (
+    "scene", "model", "needed", "coordinates", "index", "internal_degrees_of_freedom", "route", "unknowns",
+    "microseconds", "microseconds_lower_quartile", "microseconds_upper_quartile", "error", "refusal",
+)  # fmt: skip
+
+_PAGE = """# What the models of a scene cost
+
+A scene offers models of different size of the same thing. All give the same inputs, so a user needs the first, which
+every command takes by itself. The others are there for checking, and for quantities that only they have.
+
+For every model these tables compare two routes:
+
+* *exact*: the derivative array, solved instant by instant ([theory, section 5](theory.md),
+  [decision 6](decisions/0006-exact-inversion.md)). A scene with internal dynamics has no such inversion; there the row
+  is one step of `RadauIIA(3)` on the `Reduced` form, which integrates them.
+* *projected*: one step of backward Euler on the projected equations, the method of the paper.
+
+*Unknowns* are those of one instant. Times are processor times, the median and the quartiles of {repeats} warm runs
+over {instants} instants; *of projected* is the ratio to the projected step of the same model. *Error* is the largest
+error of any input over the whole path, as a fraction of that input's largest value.
+
+This page is written by
+
+    {command}
+
+and comes from one run on {machine}.
+Other work may have shared the machine: trust the ratios.
+
+{tables}
+## Reading it
+
+* The error of exact inversion is round-off, whatever the model and the number of instants. That of the projected step
+  is of first order in the step, and the figures hold for {instants} instants.
+* With internal dynamics the exact row has the error of its integration, and of the independent solution that it is
+  compared with.
+* Fewer coordinates do not mean less work: generalised coordinates fill the mass matrix with sines, and their equations
+  do not fall apart into blocks ([decision 3](decisions/0003-block-triangular-newton.md)).
+* A route that a model does not offer says why below its table.
+* `servocore levels SCENE --csv FILE.csv` writes the figures for machines, `--parameters FILE.toml` takes other data.
+"""
+
+
+def csv_text(levels: Sequence[Level]) -> str:
+    """Return one line a model and route, times in microseconds an instant; what is unknown is empty."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for level in levels:
+        size = level.scene, level.model, int(level.needed), level.coordinates, level.index
+        for route, cost in level.costs.items():
+            spread = cost.microseconds
+            times = (spread.median, spread.lower, spread.upper) if spread else ("", "", "")
+            row = *size, level.internal_degrees_of_freedom, route, cost.unknowns, *times, cost.error, cost.refusal
+            writer.writerow("" if each is None else each for each in row)
+    return text.getvalue()
+
+
+HEADINGS = (
+    "model", "coordinates", "index", "internal states",
+    "route", "unknowns", "µs an instant", "quartiles", "of projected", "error",
+)  # fmt: skip
+"""Headings of the columns that `rows` fills."""
+
+
+def rows(level: Level) -> list[tuple[str, ...]]:
+    """Rows of a table for humans, one a route; what belongs to the model stands in the first."""
+    sizes = level.coordinates, level.index, level.internal_degrees_of_freedom
+    own = level.model, *map(str, sizes)
+    projected = level.costs["projected"].microseconds
+    found = []
+    for route, cost in level.costs.items():
+        spread, times = cost.microseconds, ("-", "-", "-")
+        if spread is not None:
+            ratio = f"{spread.median / projected.median:.2g}" if projected is not None else "-"
+            times = f"{spread.median:.3g}", f"{spread.lower:.3g} to {spread.upper:.3g}", ratio
+        error = "-" if cost.error is None else f"{cost.error:.1e}"
+        found.append((*own, route, str(cost.unknowns or "-"), *times, error))
+        own = ("",) * len(own)
+    return found
+
+
+def remarks(levels: Sequence[Level]) -> list[str]:
+    """Sentences to go below the table of one scene: what it needs, what was refused, what is integrated."""
+    name = levels[0].scene
+    needed = next(level for level in levels if level.needed)
+    found = [f"{name} needs no more than the model {needed.model}, its first; the others give the same inputs."]
+    if len(levels) == 1:
+        found = [f"{name} has one model, {needed.model}."]
+    if states := needed.internal_degrees_of_freedom:
+        found.append(
+            f"It has internal dynamics of {states} states, which no inversion gives pointwise:"
+            f" exact stands for one step of {ROUTES['exact'][1].name} on the reduced form."
+        )
+    found += [
+        f"{level.model}, {route}: {cost.refusal}."
+        for level in levels
+        for route, cost in level.costs.items()
+        if cost.refusal
+    ]
+    return found
+
+
+def markdown_page(levels: Sequence[Level], *, command: str, instants: int, repeats: int) -> str:
+    """Return the page docs/model-levels.md for the models of any number of scenes."""
+    tables = []
+    for name, group in groupby(levels, key=lambda level: level.scene):
+        listed = list(group)
+        table = [HEADINGS, ("---",) * len(HEADINGS), *(row for level in listed for row in rows(level))]
+        lines = [f"## `{name}`", "", *("| " + " | ".join(row) + " |" for row in table), "", *remarks(listed), ""]
+        tables.append("\n".join(lines))
+    return _PAGE.format(
+        repeats=repeats, instants=instants, command=command, machine=machine(), tables="\n".join(tables)
+    )
+
+
+def machine() -> str:
+    """Processor, Python and CasADi, for whoever reads measured figures."""
+    return f"{_processor()}, Python {platform.python_version()}, CasADi {ca.__version__}"
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    if models:
+        return f"{models[0]} ({len(models)} processors)"
+    return platform.processor() or platform.machine()

@@ -1,0 +1,66 @@
+"""Parameters of a scene from a TOML file: their names at top level, each optional, SI units."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from servocore.errors import InvalidModel
+from servocore.model.scene import Scene
+
+
+def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
+    """Read the parameters of a scene that a file changes.
+
+    Parameters
+    ----------
+    path : Path
+        A TOML file, such as ``load_mass = 80.0``; names, units and bounds are the scene's.
+    scene : Scene
+        Whose parameters they are.
+
+    Returns
+    -------
+    dict of str to float
+        The values in the file, for `Scene.with_parameters`; what it leaves out keeps its default.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read or is not TOML, or a key is unknown, is not a number or leaves its bounds;
+        the sentence names the file and the key.
+    """
+    declared = {each.name: each for each in scene.model().parameters.declared}
+    values: dict[str, float] = {}
+    for key, value in _read_table(path).items():
+        if key not in declared:
+            raise InvalidModel(f"{path}: no parameter is called {key!r}; there are {', '.join(declared)}")
+        values[key] = _number(path, key, value)
+        try:
+            declared[key].check(values[key])
+        except InvalidModel as error:
+            raise InvalidModel(f"{path}: {error}") from None
+    return values
+
+
+def _read_table(path: Path) -> dict[str, object]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise InvalidModel(f"{path} cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError:
+        raise InvalidModel(f"{path} is not a TOML file: it is not UTF-8 text") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidModel(f"{path} is not a TOML file: {error}") from None
+    except (ValueError, RecursionError) as error:  # dates that do not exist, tables nested too deeply
+        raise InvalidModel(f"{path} is not a TOML file that can be read: {error}") from None
+
+
+def _number(path: Path, key: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        kind = {bool: "a boolean", str: "a text", dict: "a table", list: "a list"}.get(type(value), "a date")
+        raise InvalidModel(f"{path}: parameter {key} must be a number, not {kind}")
+    try:
+        return float(value)
+    except OverflowError:
+        raise InvalidModel(f"{path}: parameter {key} is too large for a number in double precision") from None

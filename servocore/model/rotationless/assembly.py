@@ -1,0 +1,225 @@
+"""`Assembly`: a list of parts that knows their coordinates and puts mechanisms together."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from servocore.errors import InvalidModel
+from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
+from servocore.model.symbols import Coordinates, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+
+Part: TypeAlias = RigidBody | PointMass | Quantity
+"""A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
+
+Configuration: TypeAlias = Mapping[str, Any]
+"""By name of the part: (position, directors) of a body, position of a point, augmented value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Parts of a mechanism, in the order of their coordinates.
+
+    Parameters
+    ----------
+    parts : sequence of RigidBody, PointMass or Quantity
+        A `Quantity` adds an augmented coordinate: a massless angle, displacement or rope length.
+    parameters : Parameters
+        Constants that mass properties and places may use.
+    gravity : sequence of three
+        Acceleration of free fall, m/s^2: numbers or expressions of parameters.
+
+    Raises
+    ------
+    InvalidModel
+        If a name is used twice, or mass properties are impossible at the default parameters.
+    """
+
+    parts: Sequence[Part]
+    parameters: Parameters
+    gravity: Sequence[Scalar]
+    coordinates: Coordinates = field(init=False)
+
+    def __post_init__(self) -> None:
+        names = self._names
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise InvalidModel(f"parts named twice: {', '.join(repeated)}")
+        for part in self.parts:
+            if not isinstance(part, Quantity):
+                part.check(self.parameters)
+        quantities = [each for part in self.parts for each in _quantities(part)]
+        object.__setattr__(self, "coordinates", Coordinates(*quantities))
+
+    def body(self, name: str) -> Frame:
+        """Return the frame of a rigid body, the hook for its joints."""
+        return frame_of(self._coordinates_of(name, RigidBody, "body"))
+
+    def point(self, name: str) -> Place:
+        """Return the place of a point mass; its triad is that of the ground."""
+        return Frame(self._coordinates_of(name, PointMass, "point mass"), GROUND.directors).at()
+
+    def augmented(self, name: str) -> ca.SX:
+        """Return the symbol of an augmented coordinate."""
+        return self._coordinates_of(name, Quantity, "augmented coordinate")
+
+    @cached_property
+    def mass(self) -> ca.SX:
+        """Constant mass matrix, shape (n, n); zero for augmented coordinates."""
+        blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
+        return ca.sparsify(ca.diagcat(*blocks))
+
+    @cached_property
+    def potential(self) -> ca.SX:
+        """Potential of gravity, J."""
+        gravity = ca.sparsify(ca.SX(ca.vertcat(*self.gravity)))
+        total = ca.SX(0)
+        for part, q in zip(self.parts, self._slices, strict=True):
+            if not isinstance(part, Quantity):
+                total -= part.mass * ca.dot(gravity, part.weight_centre(q))
+        return total
+
+    @cached_property
+    def orthonormality(self) -> ca.SX:
+        """Six constraints of every rigid body, in the order of the parts."""
+        rows = [
+            part.internal_constraints(q)
+            for part, q in zip(self.parts, self._slices, strict=True)
+            if not isinstance(part, Quantity)
+        ]
+        return ca.vertcat(ca.SX(0, 1), *rows)
+
+    def configuration(self, values: Configuration) -> ca.SX:
+        """Return q, shape (n,), from (position, directors) of bodies, positions of points, augmented values.
+
+        Raises
+        ------
+        InvalidModel
+            If a part is missing or unknown, or a value has the wrong size.
+        """
+        if sorted(values) != sorted(self._names):
+            raise InvalidModel(
+                f"a configuration must give {', '.join(self._names)}, not {', '.join(values) or 'nothing'}"
+            )
+        columns = []
+        for part in self.parts:
+            value = values[part.name]
+            pieces = value if isinstance(part, RigidBody) else (value,)
+            column = ca.vertcat(*[ca.vec(ca.SX(_column(piece))) for piece in pieces])
+            if column.numel() != len(_quantities(part)):
+                needed = len(_quantities(part))
+                raise InvalidModel(f"the configuration of {part.name} needs {needed} values, not {column.numel()}")
+            columns.append(column)
+        return ca.densify(ca.vertcat(ca.SX(0, 1), *columns))
+
+    def system(
+        self,
+        name: str,
+        *,
+        constraints: Mapping[str, ca.SX],
+        inputs: Mapping[Quantity, ca.SX],
+        outputs: Mapping[Quantity, ca.SX],
+        guess: Callable[[ca.SX], Configuration],
+        home: tuple[float, ...] = (),
+        multipliers: Mapping[str, ca.SX] | None = None,
+        observables: Mapping[Quantity, ca.SX] | None = None,
+        force: ca.SX | None = None,
+    ) -> MechanicalSystem:
+        """Return the mechanical system of these parts and joints.
+
+        Parameters
+        ----------
+        name : str
+            What the system is called in messages.
+        constraints : mapping of str to casadi.SX
+            Rows that vanish, by name of the joint. Orthonormality of the directors is added in front of them.
+        inputs : mapping of Quantity to casadi.SX
+            For every input the scalar function e(q) that it drives: u acts as the generalised force
+            u grad e(q). A torque drives an angle, a force drives a displacement.
+        outputs : mapping of Quantity to casadi.SX
+            For every component of the servo output the function of q that follows the reference.
+        guess : callable
+            The configuration near a reference y: a function of y, shape (m,), that returns what `configuration`
+            takes. Newton's method starts there, so it decides between branches.
+        home : tuple of float, optional
+            A regular value of the servo output; ones when not given.
+        multipliers : mapping of str to casadi.SX, optional
+            What `multipliers` returned, if observables use them.
+        observables : mapping of Quantity to casadi.SX, optional
+            What else a solution reports.
+        force : casadi.SX, optional
+            Applied forces f(q, v, p), shape (n,).
+        """
+        q, m = self.coordinates.q, len(inputs)
+        lam = self.multipliers(constraints) if multipliers is None else multipliers
+        gamma = ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1)
+        driven = ca.vertcat(ca.SX(0, 1), *inputs.values())
+        return MechanicalSystem(
+            name=name,
+            coordinates=self.coordinates,
+            parameters=self.parameters,
+            inputs=tuple(inputs),
+            outputs=tuple(outputs),
+            mass=self.mass,
+            output=ca.vertcat(ca.SX(0, 1), *outputs.values()),
+            input_matrix=ca.sparsify(-ca.jacobian(driven, q)),
+            potential=self.potential,
+            force=ca.SX.zeros(q.numel()) if force is None else force,
+            constraints=ca.vertcat(self.orthonormality, *constraints.values()),
+            multipliers=ca.vertcat(lam[""], *[lam[key] for key in constraints]),
+            gamma=gamma,
+            guess=self.configuration(guess(gamma[:, 0])),
+            home=home,
+            observables=observables or {},
+            constraint_names=self._row_names(constraints),
+        )
+
+    def multipliers(self, constraints: Mapping[str, ca.SX]) -> Mapping[str, ca.SX]:
+        """Return symbols of the multipliers by name of the joint, '' for those of orthonormality."""
+        rows = {"": self.orthonormality, **constraints}
+        return {key: ca.SX.sym(f"lam_{key or 'orthonormality'}", each.numel()) for key, each in rows.items()}
+
+    def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
+        """Name every row by its joint, with a number where that has several."""
+        bodies = [part.name for part in self.parts if isinstance(part, RigidBody)]
+        directors = ("d1.d1", "d2.d2", "d3.d3", "d2.d3", "d3.d1", "d1.d2")
+        joints = [
+            name if rows.numel() == 1 else f"{name} {k + 1}"
+            for name, rows in constraints.items()
+            for k in range(rows.numel())
+        ]
+        return (*(f"{name} {pair}" for name in bodies for pair in directors), *joints)
+
+    @property
+    def _names(self) -> list[str]:
+        return [part.name for part in self.parts]
+
+    @property
+    def _slices(self) -> list[ca.SX]:
+        """Coordinates of every part."""
+        ends = [0]
+        for part in self.parts:
+            ends.append(ends[-1] + len(_quantities(part)))
+        return [self.coordinates.q[a:b] for a, b in itertools.pairwise(ends)]
+
+    def _coordinates_of(self, name: str, kind: type, what: str) -> ca.SX:
+        for part, q in zip(self.parts, self._slices, strict=True):
+            if part.name == name and isinstance(part, kind):
+                return q
+        there_are = [part.name for part in self.parts if isinstance(part, kind)]
+        raise InvalidModel(f"no {what} is called {name}; there are {', '.join(there_are) or 'none'}")
+
+
+def _quantities(part: Part) -> tuple[Quantity, ...]:
+    return (part,) if isinstance(part, Quantity) else part.quantities
+
+
+def _column(value: Any) -> Any:
+    """Let sequences of numbers and expressions pass for columns."""
+    return ca.vertcat(*value) if isinstance(value, tuple | list) else value

@@ -1,0 +1,96 @@
+"""Joints: constraints between two places, at most quadratic in the coordinates.
+
+Every function takes a place `a` on one body and a place `b` on another (or on the ground) and returns a
+column that vanishes where the joint holds. With the multipliers lam of these rows the joint exerts -G^T lam.
+
+| joint | rows | leaves |
+|---|---|---|
+| `fixed` | 6 | nothing |
+| `revolute` | 5 | the angle about the common axis |
+| `prismatic` | 5 | the displacement along the common axis |
+| `cylindrical` | 4 | both |
+| `spherical` | 3 | all rotations |
+| `on_line` | 2 | a point slides along an axis, free to turn |
+| `on_plane` | 1 | a point slides across an axis, free to turn |
+| `distance` | 1 | all but the distance: a rigid link, or a rope if the length is a coordinate |
+| `angle`, `displacement` | 1 | define an augmented coordinate |
+
+Closed loops of parallel hinges: a planar four-bar linkage of three moving bodies and four revolutes has 20
+joint rows, 3 too many, since three revolutes keep all bodies in their plane already. `analyse` names such rows
+and `solve` leaves them out, as it does in overconstrained spatial loops (Bricard). Or let the hinge that closes
+the loop be `on_line`, a point of one body on the hinge axis of the other (2 rows): then all constraints are
+independent, and all joint forces determined.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import casadi as ca
+
+if TYPE_CHECKING:
+    from servocore.model.rotationless.parts import Place, Scalar
+
+
+def spherical(a: Place, b: Place) -> ca.SX:
+    """Return the rows of a ball joint: one common point, shape (3,), m."""
+    return b.position - a.position
+
+
+def revolute(a: Place, b: Place) -> ca.SX:
+    """Return the rows of a hinge: one common point and one common axis, shape (5,)."""
+    return ca.vertcat(spherical(a, b), _parallel(a, b))
+
+
+def cylindrical(a: Place, b: Place) -> ca.SX:
+    """Return the rows of a shaft that slides and turns: one common axis, shape (4,)."""
+    return ca.vertcat(on_line(a, b), _parallel(a, b))
+
+
+def prismatic(a: Place, b: Place) -> ca.SX:
+    """Return the rows of a slider: a common axis, and no rotation about it, shape (5,)."""
+    return ca.vertcat(on_line(a, b), _parallel(a, b), ca.dot(a.binormal, b.normal))
+
+
+def fixed(a: Place, b: Place) -> ca.SX:
+    """Return the rows of a weld: a common point and a common triad, shape (6,)."""
+    return ca.vertcat(spherical(a, b), _parallel(a, b), ca.dot(a.binormal, b.normal))
+
+
+def on_line(a: Place, b: Place) -> ca.SX:
+    """Return the rows that keep the point `b` on the axis of `a`, shape (2,), m."""
+    gap = b.position - a.position
+    return ca.vertcat(ca.dot(gap, a.normal), ca.dot(gap, a.binormal))
+
+
+def on_plane(a: Place, b: Place) -> ca.SX:
+    """Return the row that keeps the point `b` in the plane through `a` across its axis, shape (1,), m."""
+    return ca.dot(b.position - a.position, a.axis)
+
+
+def distance(a: Place, b: Place, length: Scalar) -> ca.SX:
+    """Return |b - a|^2 - length^2, shape (1,), m^2: a rigid link, or a rope if `length` is a coordinate.
+
+    With its multiplier lam the tension (positive when it pulls) is 2 length lam.
+    """
+    return ca.sumsqr(b.position - a.position) - length**2
+
+
+def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
+    """Return the row that makes `coordinate` (rad) the angle from the normal of `a` to that of `b`.
+
+    It counts right-handed about the axis of `a`, across which the normal of `b` must lie. This is the only
+    row, shape (1,), that is not quadratic: it holds sine and cosine of an augmented coordinate, which may
+    exceed a full turn. It vanishes half a turn away as well, so the first guess has to tell the two apart.
+    """
+    across = ca.cos(coordinate) * a.binormal - ca.sin(coordinate) * a.normal
+    return ca.dot(across, b.normal)
+
+
+def displacement(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
+    """Return the row that makes `coordinate` (m) the position of `b` along the axis of `a`, shape (1,)."""
+    return ca.dot(b.position - a.position, a.axis) - coordinate
+
+
+def _parallel(a: Place, b: Place) -> ca.SX:
+    return ca.vertcat(ca.dot(a.normal, b.axis), ca.dot(a.binormal, b.axis))

@@ -1,0 +1,384 @@
+"""`MechanicalSystem`: equation (1) of the paper as data, with its servo output.
+
+    q_dot = v
+    M v_dot + (bias of a configuration-dependent M) + grad V + G^T lam + B^T u = force(q, v)
+    c(q, t) = Phi(q) - gamma(t) = 0            servo constraints, C = D Phi
+    g(q) = 0                                   holonomic constraints, G = D g
+
+`-B^T u` is the generalised force that the inputs exert. M may be singular (massless coordinates), M and B may
+depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
+from servocore.model.symbols import Array, Coordinates, Parameters, Quantity
+
+MAX_REFERENCE_ORDER = 24
+"""Highest derivative of the reference for which a system keeps symbols."""
+
+
+DERIVED = ca.SX()
+"""Default of the fields that `MechanicalSystem` makes itself when they are not given."""
+
+
+def _column(length: int = 0) -> ca.SX:
+    return ca.SX(length, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class MechanicalSystem:
+    """A mechanical system with holonomic constraints, inputs and a servo output, equation (1).
+
+    Parameters
+    ----------
+    name : str
+        What the system is called in messages.
+    coordinates : Coordinates
+        The n coordinates q and velocities v.
+    parameters : Parameters
+        Constants of the model.
+    inputs : tuple of Quantity
+        The m inputs u.
+    outputs : tuple of Quantity
+        The m components of the servo output Phi(q), which the reference prescribes.
+    mass : casadi.SX
+        M(q, p), shape (n, n), symmetric; may be singular.
+    output : casadi.SX
+        Phi(q, p), shape (m,).
+    input_matrix : casadi.SX
+        B(q, p), shape (m, n).
+    potential : casadi.SX
+        V(q, p), scalar.
+    force : casadi.SX
+        Applied forces f(q, v, p) on the right-hand side of the momentum equation, shape (n,).
+    constraints : casadi.SX
+        g(q, p), shape (m_h,).
+    gyroscopic : casadi.SX, optional
+        Inertia forces quadratic in v, shape (n,); derived from M when not given.
+    multipliers : casadi.SX, optional
+        Symbols lam, shape (m_h,), if observables use them; made when not given.
+    gamma : casadi.SX, optional
+        Symbols of the reference and its derivatives, shape (m, `MAX_REFERENCE_ORDER` + 1).
+    guess : casadi.SX, optional
+        A configuration q near the one that belongs to the reference, an expression of gamma[:, 0] and p.
+        Decides between branches (load below or above the girder); zeros when not given.
+    home : tuple of float, optional
+        A value of the servo output, shape (m,), at which the system is regular; ones when not given. Formulations
+        decide there which coordinates they treat as dependent.
+    observables : mapping of Quantity to casadi.SX
+        What else a solution reports: expressions of q, v, lam, u, p and gamma.
+    u : casadi.SX, optional
+        Symbols of the inputs, shape (m,), if observables use them; made when not given.
+    home_parameters : tuple of float, optional
+        Parameter values at which the structure is analysed; the defaults when not given.
+    constraint_names : tuple of str, optional
+        What messages call the rows of `constraints`; g_1, g_2, ... when not given.
+
+    Raises
+    ------
+    InvalidModel
+        If sizes do not match, M is not symmetric, an expression holds a foreign symbol, or there are more inputs than
+        degrees of freedom. Redundant constraints do not count: the rank is taken where they hold.
+    """
+
+    name: str
+    coordinates: Coordinates
+    parameters: Parameters
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    mass: ca.SX
+    output: ca.SX
+    input_matrix: ca.SX
+    potential: ca.SX = field(default_factory=lambda: ca.SX(0))
+    force: ca.SX = DERIVED
+    constraints: ca.SX = field(default_factory=_column)
+    gyroscopic: ca.SX = DERIVED
+    multipliers: ca.SX = DERIVED
+    gamma: ca.SX = DERIVED
+    guess: ca.SX = DERIVED
+    home: tuple[float, ...] = ()
+    observables: Mapping[Quantity, ca.SX] = field(default_factory=dict)
+    u: ca.SX = DERIVED
+    home_parameters: tuple[float, ...] = ()
+    constraint_names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
+        self._fill("force", ca.SX.zeros(n))
+        self._fill("multipliers", ca.SX.sym("lam", m_h))
+        self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
+        self._fill("guess", ca.SX.zeros(n))
+        object.__setattr__(self, "home", self.home or (1.0,) * m)
+        self._fill("u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
+        self._require_shapes(n, m, m_h)
+        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
+        self._require_shape("gyroscopic", (n, 1))
+        self._require_own_symbols()
+        self._require_symmetric_mass()
+        self._require_freedom(n, m, m_h)
+
+    def _fill(self, attribute: str, default: ca.SX) -> None:
+        if getattr(self, attribute) is DERIVED:
+            object.__setattr__(self, attribute, default)
+
+    def _require_shapes(self, n: int, m: int, m_h: int) -> None:
+        if len(self.outputs) != m:
+            raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
+        if len(self.constraint_names) not in (0, m_h):
+            raise InvalidModel(f"{self.name}: {len(self.constraint_names)} names for {m_h} holonomic constraints")
+        expected = {
+            "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
+            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
+            "gamma": (m, MAX_REFERENCE_ORDER + 1),
+        }  # fmt: skip
+        for attribute, shape in expected.items():
+            self._require_shape(attribute, shape)
+
+    def _require_shape(self, attribute: str, shape: tuple[int, int]) -> None:
+        found = ca.SX(getattr(self, attribute)).shape
+        if found != shape:
+            raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+
+    def _require_own_symbols(self) -> None:
+        q, v, p = self.q, self.v, self.p
+        allowed = {
+            "mass": (q, p), "output": (q, p), "input_matrix": (q, p), "potential": (q, p),
+            "force": (q, v, p), "gyroscopic": (q, v, p), "constraints": (q, p), "guess": (self.gamma, p),
+        }  # fmt: skip
+        for attribute, groups in allowed.items():
+            self._require_symbols(attribute, getattr(self, attribute), groups)
+        everything = (q, v, p, self.lam, self.u, self.gamma)
+        for quantity, expression in self.observables.items():
+            self._require_symbols(f"observable {quantity.name}", expression, everything)
+
+    def _require_symbols(self, what: str, expression: ca.SX, groups: tuple[ca.SX, ...]) -> None:
+        known = ca.vertcat(*[ca.vec(group) for group in groups])
+        leftover = ca.Function("probe", [known], [expression], {"allow_free": True}).get_free()
+        if leftover:
+            raise InvalidModel(f"{self.name}: {what} holds symbols that it must not use: {leftover}")
+
+    def _require_freedom(self, n: int, m: int, m_h: int) -> None:
+        if m <= n - m_h:
+            return  # even if all constraints were independent
+        found = self._rank_at_home
+        if not found.assembled:
+            raise InvalidModel(
+                f"{self.name}: {m} inputs are too many for {n} coordinates with {m_h} holonomic constraints, unless"
+                " these are redundant in part; no configuration that satisfies them was found from the guess at home"
+            )
+        if m > n - found.rank:
+            raise InvalidModel(
+                f"{self.name}: {m} inputs exceed the {n - found.rank} degrees of freedom"
+                f" ({n} coordinates, {found.rank} independent ones of {m_h} holonomic constraints)"
+            )
+
+    def _require_symmetric_mass(self) -> None:
+        skew = ca.Function("skew", [self.q, self.p], [self.mass - self.mass.T])
+        # An irrational-looking point: a difference that vanishes here vanishes as an expression.
+        q, p = np.sin(1.0 + np.arange(len(self.coordinates))), self.parameters.values()
+        difference = np.abs(np.asarray(skew(q, p))).max(initial=0.0)
+        if difference > 1e-9 * max(1.0, float(np.abs(p).max(initial=0.0))):
+            raise InvalidModel(f"{self.name}: the mass matrix is not symmetric (by {difference:.2g})")
+
+    @property
+    def q(self) -> ca.SX:
+        """Coordinates, shape (n,)."""
+        return self.coordinates.q
+
+    @property
+    def v(self) -> ca.SX:
+        """Velocities, shape (n,)."""
+        return self.coordinates.v
+
+    @property
+    def p(self) -> ca.SX:
+        """Parameters, shape (n_p,)."""
+        return self.parameters.p
+
+    @property
+    def lam(self) -> ca.SX:
+        """Multipliers of the holonomic constraints, shape (m_h,)."""
+        return self.multipliers
+
+    @cached_property
+    def degrees_of_freedom(self) -> int:
+        """N less the rank of the holonomic constraints, where they hold."""
+        return len(self.coordinates) - self._rank_at_home.rank
+
+    @cached_property
+    def _rank_at_home(self) -> ConstraintRank:
+        return self.constraint_rank()
+
+    def constraint_rank(self, p: Array | None = None) -> ConstraintRank:
+        """Find how many holonomic constraints are independent, and which are redundant.
+
+        Told at configurations that satisfy them near the guess at `home`, with the parameter values `p` or those of
+        home.
+        """
+        home, values = self.home_configuration()
+        starts = [home]
+        if p is not None:
+            starts, values = [self.home_configuration(p)[0], home], p
+        return constraint_rank(self.constraints, self.q, self.p, starts, values, self.coordinates.nominal)
+
+    def listed_constraints(self, rows: Sequence[int]) -> str:
+        """Return what messages call some rows of the holonomic constraints."""
+        return ", ".join(self.constraint_names[k] if self.constraint_names else f"g_{k + 1}" for k in rows)
+
+    def require_independent_constraints(self) -> None:
+        """Raise `InvalidModel`, naming rows that follow from others, if some holonomic constraints are redundant."""
+        found = self._rank_at_home
+        if found.redundant:
+            raise InvalidModel(
+                f"{self.name}: {len(found.redundant)} of the {found.rows} holonomic constraints are redundant (rank"
+                f" {found.rank}): {self.listed_constraints(found.redundant)}; solve and analyse leave them out"
+            )
+
+    @cached_property
+    def G(self) -> ca.SX:  # noqa: N802 - the paper's name
+        """Constraint Jacobian D g(q), shape (m_h, n)."""
+        return ca.jacobian(self.constraints, self.q)
+
+    @cached_property
+    def C(self) -> ca.SX:  # noqa: N802 - the paper's name
+        """Servo Jacobian D Phi(q), shape (m, n)."""
+        return ca.jacobian(self.output, self.q)
+
+    @cached_property
+    def bias(self) -> ca.SX:
+        """Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,)."""
+        return ca.gradient(self.potential, self.q) - self.force + self.gyroscopic
+
+    @cached_property
+    def constraint_forces(self) -> ca.SX:
+        """G^T lam + B^T u, shape (n,)."""
+        return ca.mtimes(self.G.T, self.lam) + ca.mtimes(self.input_matrix.T, self.u)
+
+    def momentum_balance(self, acceleration: ca.SX) -> ca.SX:
+        """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
+        return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
+
+    def home_configuration(self, p: Array | None = None) -> tuple[Array, Array]:
+        """Return (q, p): the guess at `home` with the parameter values `p`, or with `home_parameters`."""
+        p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
+        gamma = np.zeros(self.gamma.shape)
+        gamma[:, 0] = self.home
+        guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
+        return np.asarray(guess(gamma, p)).ravel(), p
+
+    def require_full_rank(self, q: Array, p: Array) -> None:
+        """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""
+        jacobians = ca.Function("jacobians", [self.q, self.p], [self.G, self.C])
+        G, C = (np.asarray(matrix) for matrix in jacobians(q, p))
+        m_h, m = len(G), len(C)
+        for matrix, rows, what in (
+            (G, m_h, f"the {m_h} holonomic constraints are"),
+            (np.vstack([G, C]), m_h + m, f"the {m} servo outputs and {m_h} holonomic constraints are"),
+        ):
+            rank = int(np.linalg.matrix_rank(matrix)) if rows else 0
+            if rank < rows:
+                raise InvalidModel(f"{self.name}: {what} dependent here (rank {rank} of {rows})")
+
+
+def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
+    """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
+    momentum = ca.mtimes(mass, v)
+    return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)
+
+
+def generalise(
+    system: MechanicalSystem,
+    coordinates: Coordinates,
+    mapping: ca.SX,
+    *,
+    guess: ca.SX = DERIVED,
+    observables: Mapping[Quantity, ca.SX] | None = None,
+    name: str | None = None,
+) -> MechanicalSystem:
+    """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
+
+    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P
+    and the velocity-dependent inertia forces are P^T M P_dot nu (equations 5 to 12).
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system in redundant coordinates q.
+    coordinates : Coordinates
+        The generalised coordinates mu; as many as `system` has degrees of freedom.
+    mapping : casadi.SX
+        F(mu, p), shape (n,).
+    guess : casadi.SX, optional
+        A configuration mu near the one that belongs to the reference, an expression of ``system.gamma`` and p.
+    observables : mapping, optional
+        Observables of the new system; those of `system` that use no multipliers and inputs when not given.
+    name : str, optional
+        Name of the new system.
+
+    Raises
+    ------
+    InvalidModel
+        If the number of coordinates is wrong or F leaves the constraint manifold.
+    """
+    if len(coordinates) != system.degrees_of_freedom:
+        raise InvalidModel(
+            f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
+            f" not {len(coordinates)} generalised coordinates"
+        )
+    if mapping.shape != (len(system.coordinates), 1):
+        raise InvalidModel(
+            f"{system.name}: the mapping has shape {mapping.shape}, expected {(len(system.coordinates), 1)}"
+        )
+    mu, nu = coordinates.q, coordinates.v
+    P = ca.jacobian(mapping, mu)
+    velocity = ca.mtimes(P, nu)
+
+    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
+        pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
+        return pulled
+
+    mass, potential, force, gyroscopic, input_matrix, output, constraints = pulled_back(
+        system.mass, system.potential, system.force, system.gyroscopic,
+        system.input_matrix, system.output, system.constraints,
+    )  # fmt: skip
+    _require_on_manifold(system, coordinates, constraints)
+    if observables is None:
+        forces = ca.vertcat(system.lam, system.u)
+        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
+        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
+    return MechanicalSystem(
+        name=name or f"{system.name}, generalised",
+        coordinates=coordinates,
+        parameters=system.parameters,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        mass=ca.mtimes([P.T, mass, P]),
+        potential=potential,
+        force=ca.mtimes(P.T, force),
+        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(velocity, mu, nu))),
+        input_matrix=ca.mtimes(input_matrix, P),
+        output=output,
+        gamma=system.gamma,
+        guess=guess,
+        home=system.home,
+        observables=observables,
+    )
+
+
+def _require_on_manifold(system: MechanicalSystem, coordinates: Coordinates, constraints: ca.SX) -> None:
+    """Evaluate g(F(mu)) at a point without symmetry: it must vanish there as it must everywhere."""
+    violation = ca.Function("violation", [coordinates.q, system.p], [constraints])
+    mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
+    worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
+    if not worst < 1e-9:
+        raise InvalidModel(f"{system.name}: the mapping leaves the constraint manifold (by {worst:.2g})")

@@ -1,0 +1,64 @@
+"""Compiled functions called on NumPy arrays in place, without CasADi's matrix conversions.
+
+The conversions cost ten times what a small function itself takes. This module travels with `servocore.stepping.program`.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+class Call:
+    """A `casadi.Function` with dense arguments and results, as a function of arrays.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        What to call.
+
+    Notes
+    -----
+    Arguments are broadcast to nothing: each must have exactly as many entries as the function declares. Matrices
+    are read and returned column by column (Fortran order), vectors are one-dimensional. A `Call` is not re-entrant.
+
+    Where CasADi gives up, as in a linear system that is singular to the last bit, it leaves results as they were. All
+    of them are then NaN.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._sizes = [function.numel_in(k) for k in range(function.n_in())]
+        self._shapes = [function.size_out(k) for k in range(function.n_out())]
+        for k in range(function.n_out()):
+            if function.nnz_out(k) != function.numel_out(k):
+                raise ValueError(f"result {k} of {function.name()} is sparse")
+        self._name = function.name()
+
+    def __call__(self, *arguments: npt.ArrayLike) -> tuple[Array, ...]:
+        """Evaluate; raises ValueError if an argument has the wrong size."""
+        held = []
+        for k, (argument, size) in enumerate(zip(arguments, self._sizes, strict=True)):
+            # ravel(order="F") copies only what does not lie column by column already
+            flat = np.asarray(argument, dtype=np.float64).ravel(order="F")
+            if flat.size != size:
+                raise ValueError(f"argument {k} of {self._name} has {flat.size} entries, expected {size}")
+            if size:
+                self._buffer.set_arg(k, flat.data)
+            held.append(flat)
+        results = [np.empty(rows * columns) for rows, columns in self._shapes]
+        for k, result in enumerate(results):
+            if result.size:
+                self._buffer.set_res(k, result.data)
+                result[-1] = np.nan  # success writes over it: a look costs less than asking CasADi every time
+        self._evaluate()
+        if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
+            for result in results:
+                result.fill(np.nan)
+        return tuple(
+            result if columns == 1 else result.reshape((rows, columns), order="F")
+            for result, (rows, columns) in zip(results, self._shapes, strict=True)
+        )

@@ -1,0 +1,175 @@
+"""How many of a set of constraints are independent, told at configurations that satisfy them.
+
+Away from its assembled configurations a linkage can have more independent rows than its motion allows: a Bricard
+linkage of six hinges has rank 30 of 30 joint rows almost everywhere and 29 where it is closed. So configurations are
+assembled first, by Levenberg and Marquardt with a damping that vanishes with the residual: that converges
+quadratically to a set of solutions of any dimension, also where rows are dependent (Yamashita and Fukushima, 2001).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.calls import Array, Call
+
+ROUND_OFF = 1e-9
+"""Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""
+
+_ASSEMBLED, _CLOSED = 1e-11, 1e-13  # residual of scaled rows: good enough, and where iteration stops
+_IMPLIED = 1e-8  # residual of the rows left out where the others hold
+_DAMPING_FLOOR = 1e-14
+_ITERATIONS = 60
+_APART, _NEIGHBOURS = 0.1, 3  # of the nominal magnitudes; a home may be special, its neighbours are not
+_LARGE_ENOUGH = 0.1  # of the largest part in a dependence: among such rows the last is left out
+
+Rows = Callable[[Array], tuple[Array, Array]]
+"""x (n,) -> (residual (m,), Jacobian (m, n))."""
+
+
+@dataclass(frozen=True)
+class ConstraintRank:
+    """What is known of the independence of constraints.
+
+    Attributes
+    ----------
+    rows, rank : int
+        How many there are, and how many of them are independent. Equal if no configuration could be assembled.
+    redundant : tuple of int
+        Rows that follow from the others, also around the configuration: rows - rank of them, or none.
+    assembled : bool
+        Whether a configuration that satisfies all rows was found.
+    """
+
+    rows: int
+    rank: int
+    redundant: tuple[int, ...] = ()
+    assembled: bool = True
+
+
+def constraint_rank(
+    constraints: ca.SX, q: ca.SX, p: ca.SX, starts: Sequence[Array], values: Array, nominal: Sequence[float]
+) -> ConstraintRank:
+    """Find the rank of the constraints, and rows that follow from the others.
+
+    Parameters
+    ----------
+    constraints, q, p : casadi.SX
+        g(q, p), shape (m,), and its symbols.
+    starts : sequence of ndarray, shape (n,)
+        Where to look for an assembled configuration; the first that leads to one counts.
+    values : ndarray
+        Of the parameters.
+    nominal : sequence of float, shape (n,)
+        Typical magnitudes of the coordinates.
+
+    Returns
+    -------
+    ConstraintRank
+        The largest rank at an assembled configuration and its neighbours: at a singular configuration alone
+        rows that are needed would seem dependent. Rows are redundant if the others imply them at neighbours.
+    """
+    count = constraints.numel()
+    if not count:
+        return ConstraintRank(0, 0)
+    scale = np.asarray(nominal, dtype=np.float64)
+    rows = scaled_rows(constraints, q, p, values, scale)
+    for start in starts:
+        found = _neighbours(rows, np.asarray(start) / scale, _APART)
+        if found:
+            break
+    else:
+        return ConstraintRank(count, count, assembled=False)
+    ranks = [_rank(rows(x)[1]) for x in found]
+    rank = max(ranks)
+    x = found[ranks.index(rank)]
+    redundant = _dependent(rows(x)[1], rank)
+    kept = [k for k in range(count) if k not in redundant]
+    if redundant and not _implied(rows, kept, x):
+        return ConstraintRank(count, count)
+    return ConstraintRank(count, rank, redundant)
+
+
+def scaled_rows(constraints: ca.SX, q: ca.SX, p: ca.SX, values: Array, scale: Array) -> Rows:
+    """Return residual and Jacobian as functions of q / scale."""
+    evaluate = Call(ca.Function("sc_rows", [q, p], [ca.densify(constraints), ca.densify(ca.jacobian(constraints, q))]))
+
+    def rows(x: Array) -> tuple[Array, Array]:
+        residual, jacobian = evaluate(x * scale, values)
+        return residual.ravel(), jacobian.reshape(residual.size, x.size) * scale
+
+    return rows
+
+
+def assembled(rows: Rows, x: Array) -> Array | None:
+    """Return a configuration near `x` at which all rows vanish, or None if none is found."""
+    residual, jacobian = rows(x)
+    if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
+        return None
+    lengths = np.linalg.norm(jacobian, axis=1)
+    lengths[lengths < ROUND_OFF] = 1.0
+    damping = 1.0
+    for _ in range(_ITERATIONS):
+        worst = float(np.abs(residual / lengths).max(initial=0.0))
+        if worst <= _CLOSED:
+            break
+        left, values, right = np.linalg.svd(jacobian / lengths[:, None], full_matrices=False)
+        size = float(np.linalg.norm(residual / lengths))
+        weights = values / (values**2 + max(damping * size**2, _DAMPING_FLOOR))
+        trial = x - right.T @ (weights * (left.T @ (residual / lengths)))
+        new, at_trial = rows(trial)
+        if np.isfinite(new).all() and np.isfinite(at_trial).all() and np.linalg.norm(new / lengths) < size:
+            x, residual, jacobian, damping = trial, new, at_trial, max(damping / 4, 1.0)
+        elif worst <= _ASSEMBLED:
+            break
+        else:
+            damping *= 10.0
+    return x if float(np.abs(residual / lengths).max(initial=0.0)) <= _ASSEMBLED else None
+
+
+def _neighbours(rows: Rows, x: Array, distance: float) -> list[Array]:
+    """Return assembled configurations near `x`: the nearest first, then from starts some `distance` off it."""
+    angles = 1.0 + np.arange(x.size)
+    starts = [x, *(x + distance * np.sin(k * angles + k) for k in range(1, _NEIGHBOURS + 1))]
+    return [found for found in (assembled(rows, start) for start in starts) if found is not None]
+
+
+def unit_rows(jacobian: Array) -> Array:
+    """Scale rows to length one; rows of zeros stay."""
+    lengths = np.linalg.norm(jacobian, axis=1, keepdims=True)
+    unit: Array = jacobian / np.where(lengths > ROUND_OFF, lengths, 1.0)
+    return unit
+
+
+def _rank(jacobian: Array) -> int:
+    values = np.linalg.svd(unit_rows(jacobian), compute_uv=False)
+    return int((values > ROUND_OFF * max(1.0, values[0])).sum())
+
+
+def _dependent(jacobian: Array, rank: int) -> tuple[int, ...]:
+    """Choose the rows to leave out: the last ones with a part in the dependences that is not small."""
+    left, _, _ = np.linalg.svd(unit_rows(jacobian))
+    null, chosen = left[:, rank:], []
+    while null.shape[1]:
+        parts = np.linalg.norm(null, axis=1)
+        row = int(np.flatnonzero(parts >= _LARGE_ENOUGH * parts.max())[-1])
+        chosen.append(row)
+        # What remains are the dependences in which the chosen row has no part.
+        without = np.linalg.svd(null[[row]])[2][1:].T
+        null = null @ without
+    return tuple(sorted(chosen))
+
+
+def _implied(rows: Rows, kept: list[int], x: Array) -> bool:
+    """Whether all rows hold at configurations near `x` that only the kept rows assemble."""
+
+    def fewer(x: Array) -> tuple[Array, Array]:
+        residual, jacobian = rows(x)
+        return residual[kept], jacobian[kept]
+
+    lengths = np.maximum(np.linalg.norm(rows(x)[1], axis=1), 1.0)
+    found = _neighbours(fewer, x, _APART / 5)
+    return all(float(np.abs(rows(each)[0] / lengths).max()) <= _IMPLIED for each in found)

@@ -1,0 +1,175 @@
+"""`ExactInversion`: the inputs of a scene at any instants, prepared once."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.calls import Call
+from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
+from servocore.checks.limits import require_feasible, side_by_side
+from servocore.structure.inversion import compile_flat_inversion, compile_inversion
+from servocore.numerics.machine_code import compiled
+from servocore.problem import prepared
+from servocore.model.scene import Scene
+from servocore.model.symbols import Array
+from servocore.model.system import MechanicalSystem
+
+
+class ExactInversion:
+    """The inputs of a scene at any instants, in any order, by exact inversion.
+
+    What can be done once is done once: the equations are differentiated and compiled, and the path is looked at. An
+    instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimisations, and
+    tables that are read as they are needed; `solve` gives the motion as well, and looks closer at the result.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without internal dynamics: its inputs depend on the path at the same instant only.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+    native : bool
+        Whether a C compiler shall turn the equations into machine code: some five times faster, seconds to compile.
+
+    Attributes
+    ----------
+    inputs : tuple of str
+        Names of the columns of what a call returns.
+
+    Raises
+    ------
+    InvalidModel
+        If the model has internal dynamics, or the scene follows a branch from instant to instant.
+    InvalidReference
+        If the path breaks a limit of the scene or lacks derivatives.
+    InvalidSetting
+        If there is no C compiler for `native`.
+
+    Examples
+    --------
+    >>> inputs = ExactInversion(crane)
+    >>> M_b, F, M_w = inputs(3.2)
+    >>> table = inputs(np.linspace(0.0, 20.0, 201))
+    """
+
+    def __init__(self, scene: Scene, model: str | None = None, *, native: bool = False) -> None:
+        base = scene.model(model)
+        self._parameters = base.parameters.values(scene.parameters)
+        system = prepared(base, self._parameters)[0]
+        array = derivative_array(system)
+        if array.states or scene.follow_branch:
+            why = "has internal dynamics" if array.states else "follows a branch"
+            raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and solve computes them")
+        if scene.reference.max_order < array.reference_order:
+            raise InvalidReference(
+                f"the path has derivatives up to order {scene.reference.max_order}, the inputs of {scene.name} need"
+                f" order {array.reference_order}"
+            )
+        require_feasible(scene.reference, system, scene.limits, self._parameters)
+        self._reference, self._order, self._name = scene.reference, array.reference_order, system.name
+        self._functions = compile_inputs(array, native)
+        self._signs = [quantity for quantity in system.observables if quantity.positive]
+        self.inputs = tuple(each.name for each in system.inputs)
+
+    def __call__(self, t: npt.ArrayLike) -> Array:
+        """Return the inputs at the times `t`.
+
+        Parameters
+        ----------
+        t : array_like, shape (N,) or ()
+            Times in s, in any order.
+
+        Returns
+        -------
+        ndarray, shape (N, inputs) or (inputs,)
+            In the units of the scene's inputs.
+
+        Raises
+        ------
+        IntegrationFailed
+            If an instant is not solved, or on another branch of the equations than the one wanted.
+        """
+        times = np.asarray(t, dtype=np.float64)
+        jets = side_by_side(self._reference.jet(times.reshape(-1), self._order))
+        found = self._evaluated(0, jets, times.size)
+        if not np.isfinite(found).all():
+            found = self._searched(found, jets, times.reshape(-1))
+        inputs, signs = found[:, : len(self.inputs)], found[:, len(self.inputs) :]
+        if not (signs > 0.0).all():
+            at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
+            quantity = self._signs[which]
+            raise IntegrationFailed(
+                f"{self._name}: at t = {times.reshape(-1)[at]:.6g} s {quantity.name} is {signs[at, which]:.4g}"
+                f" {quantity.unit}, on another branch of the equations than the one wanted"
+            )
+        return inputs.reshape(*times.shape, len(self.inputs))
+
+    def _evaluated(self, which: int, jets: Array, count: int) -> Array:
+        """Return inputs and what must be positive, shape (count, columns), by the quick function or the other."""
+        if not count:
+            return np.empty((0, len(self.inputs) + len(self._signs)))
+        (found,) = _mapped(self._functions[which], count)(jets, np.tile(self._parameters[:, None], count))
+        return found.reshape(-1, count, order="F").T
+
+    def _searched(self, found: Array, jets: Array, t: Array) -> Array:
+        """Solve by Newton's method what the quick function left open."""
+        left = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
+        found = found.copy()
+        found[left] = self._evaluated(1, jets[:, columns], len(left))
+        open_still = left[~np.isfinite(found[left]).all(axis=1)]
+        if len(open_still):
+            raise IntegrationFailed(f"{self._name}: the equations were not solved at t = {t[open_still[0]]:.6g} s")
+        return found
+
+
+@lru_cache(maxsize=32)
+def compile_inputs(array: DerivativeArray, native: bool = False) -> tuple[ca.Function, ca.Function]:
+    """Compile (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks.
+
+    gamma has shape (m, reference_order + 1).
+    """
+    system = array.system
+    gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
+    y = ca.SX.sym("y", len(array.unknowns))
+    read = ca.Function("sc_read", [y, gamma, p], [_wanted(array, y, gamma, p)], {"cse": True})
+    G, P = ca.MX.sym("gamma", *gamma.shape), ca.MX.sym("p", p.numel())
+    seeking = ca.Function("sc_inputs", [G, P], [read(compile_inversion(array)(G, P)[0], G, P)])
+    flat = compile_flat_inversion(array)
+    quick = seeking
+    if flat is not None:
+        quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)], {"cse": True})
+    if native:
+        made = compiled({"quick": quick, "seeking": seeking}, system.name)
+        quick, seeking = made["quick"], made["seeking"]
+    return quick, seeking
+
+
+def _wanted(array: DerivativeArray, y: ca.SX, gamma: ca.SX, p: ca.SX) -> ca.SX:
+    """Return the inputs and the observables that must be positive, in terms of the unknowns of the array."""
+    system = array.system
+    signs = [expression for quantity, expression in system.observables.items() if quantity.positive]
+    variables = _variables(system)
+    known = dict(zip(array.unknowns, ca.vertsplit(y), strict=True))
+    values = [known.get((j, order), ca.SX(0)) for j, order, _ in variables]
+    symbols = ca.vertcat(*[symbol for _, _, symbol in variables], ca.vec(system.gamma[:, : gamma.size2()]), system.p)
+    found = ca.substitute(ca.vertcat(system.u, *signs), symbols, ca.vertcat(*values, ca.vec(gamma), p))
+    return ca.densify(found)
+
+
+def _variables(system: MechanicalSystem) -> list[tuple[int, int, ca.SX]]:
+    """Return place, order of derivative and symbol of q, v, lam and u."""
+    n = len(system.coordinates)
+    positions = [(k, order, symbol[k]) for order, symbol in enumerate((system.q, system.v)) for k in range(n)]
+    forces = ca.vertsplit(ca.vertcat(system.lam, system.u))
+    return [*positions, *((n + k, 0, each) for k, each in enumerate(forces))]
+
+
+@lru_cache(maxsize=128)
+def _mapped(function: ca.Function, count: int) -> Call:
+    return Call(function.map(count))

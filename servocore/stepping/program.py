@@ -1,0 +1,230 @@
+"""`Program`: a servo constraint problem compiled to a few functions of plain vectors, ready to run anywhere.
+
+This module needs NumPy and CasADi only: an FMU carries it with the saved functions and nothing of the modelling
+side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialise.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.calls import Call
+from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
+
+Array = npt.NDArray[np.float64]
+
+_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
+_FORMAT = "servocore program 2"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Name and unit of one observed value.
+
+    `wraps` marks an angle known up to full turns, `positive` a value that is negative on a wrong branch.
+    """
+
+    name: str
+    unit: str
+    description: str = ""
+    wraps: bool = False
+    positive: bool = False
+
+
+@dataclass(frozen=True)
+class LimitText:
+    """What to say when a margin is not positive: the quantity, its unit and the reason."""
+
+    quantity: str
+    unit: str
+    reason: str
+    bound: float
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """How a step or a start went.
+
+    Attributes
+    ----------
+    converged : bool
+        False if Newton's method failed; the state is then NaN.
+    newton_iterations, factorisations : int
+        Iterations of the slowest block; factorisations of all blocks.
+    residual : float
+        Largest residual of all equations at the solution, scaled by the step size to the level of accelerations.
+    """
+
+    converged: bool
+    newton_iterations: int
+    factorisations: int
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Compiled functions of one problem: model, formulation and method together.
+
+    Attributes
+    ----------
+    name : str
+        Model, formulation and method, for messages.
+    start : casadi.Function
+        (gamma (m, (`start_order` + 1) * instants), h, p) -> (state, counts (2,), residual).
+    step : casadi.Function
+        (state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual).
+    observe : casadi.Function
+        (state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): the latter |c|, |c'|, |g|, |g'|.
+    margins : casadi.Function
+        (gamma (m, `start_order` + 1), p) -> how far each limit of the scene is, positive where it is kept.
+    guess_residual : casadi.Function
+        Like `step`, to the residual of every equation at the first guess, for messages.
+    rescale : casadi.Function
+        (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
+    between : casadi.Function
+        (state, fraction, h) -> the state with its own instant moved to a fraction of the last step.
+    """
+
+    name: str
+    start: ca.Function
+    step: ca.Function
+    observe: ca.Function
+    margins: ca.Function
+    guess_residual: ca.Function
+    rescale: ca.Function
+    between: ca.Function
+    index: int
+    order: int
+    start_order: int
+    nodes: tuple[float, ...]
+    start_instants: tuple[float, ...]
+    channels: tuple[Channel, ...]
+    parameters: tuple[str, ...]
+    equations: tuple[str, ...]
+    limits: tuple[LimitText, ...]
+
+    @property
+    def state_size(self) -> int:
+        """Length of the state vector."""
+        return int(self.step.size1_in(0))
+
+    @cached_property
+    def _calls(self) -> dict[str, Call]:
+        return {name: Call(getattr(self, name)) for name in _FUNCTIONS}
+
+    def begin(self, gamma: Array, p: Array, h: float = 0.0) -> tuple[Array, StepReport]:
+        """Return consistent initial values as a state.
+
+        Parameters
+        ----------
+        gamma : ndarray, shape (orders, m), or (instants, orders, m) for a method with several `start_instants`
+            Reference jets.
+        p : ndarray
+            Parameters.
+            One jet serves for all of them while the step is not known.
+        h : float
+            Step size in s; 0 while it is not known.
+        """
+        jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
+        used = jets[:, : self.start_order + 1]
+        return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
+
+    def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
+        """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
+        return _outcome(*self._calls["step"](state, self._at_nodes(gamma), h, p))
+
+    def rescaled(self, state: Array, ratio: float) -> Array:
+        """Make a state ready for steps of another size; for forms of index one and less."""
+        return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
+
+    def moved(self, state: Array, fraction: float, h: float) -> Array:
+        """Move a state's own instant to a fraction of its last step, for `values` there: dense output."""
+        return self._calls["between"](state, fraction, h)[0]
+
+    def values(self, state: Array, gamma: Array, p: Array) -> Array:
+        """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""
+        return self._calls["observe"](state, gamma[: self.start_order + 1].T, p)[0]
+
+    def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
+        """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene."""
+        if self.limits:
+            (margins,) = self._calls["margins"](gamma[: self.start_order + 1].T, p)
+            require_margins(self.limits, margins, time)
+
+    def require_branch(self, values: Array, time: float) -> None:
+        """Raise `IntegrationFailed` if observed values belong to another branch of the equations."""
+        for channel, value in zip(self.channels, values, strict=True):
+            if channel.positive and not value > 0.0:
+                raise IntegrationFailed(
+                    f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit}, on another branch"
+                    f" of the equations than the one wanted; a smaller step keeps to its own"
+                )
+
+    def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
+        """Name the equation that the first guess of a step violates most."""
+        (residual,) = self._calls["guess_residual"](state, self._at_nodes(gamma), h, p)
+        return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
+
+    def _at_nodes(self, gamma: Array) -> Array:
+        """Lay the reference jets at the nodes side by side: (m, orders * nodes)."""
+        used = gamma[:, : self.order + 1]
+        return used.reshape(-1, used.shape[2]).T
+
+    def to_json(self) -> str:
+        """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
+        if self.step.is_a("External", True):
+            raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
+        functions = ca.StringSerializer()
+        functions.pack([getattr(self, name) for name in _FUNCTIONS])  # together: what they share is saved once
+        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__, "functions": functions.encode()}
+        for attribute in self.__dataclass_fields__:
+            value = getattr(self, attribute)
+            if attribute in _FUNCTIONS:
+                continue
+            if attribute in ("channels", "limits"):
+                document[attribute] = [asdict(each) for each in value]
+            else:
+                document[attribute] = value
+        return json.dumps(document)
+
+    @classmethod
+    def from_json(cls, text: str) -> Program:
+        """Undo `to_json`; raises `ServocoreError` if the text is not a program."""
+        try:
+            document = json.loads(text)
+            if document.pop("format") != _FORMAT:
+                raise ServocoreError("the saved program has another format")
+            document.pop("casadi")  # for humans
+            functions = ca.StringDeserializer(document.pop("functions")).unpack()
+            document |= zip(_FUNCTIONS, functions, strict=True)
+            document["channels"] = tuple(Channel(**each) for each in document["channels"])
+            document["limits"] = tuple(LimitText(**each) for each in document["limits"])
+            for attribute in ("nodes", "start_instants", "parameters", "equations"):
+                document[attribute] = tuple(document[attribute])
+            return cls(**document)
+        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
+            raise ServocoreError(f"the saved program cannot be read: {error}") from error
+
+
+def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:
+    """Raise `InvalidReference` for the first margin that is not positive (NaN included)."""
+    for limit, margin in zip(limits, margins, strict=True):
+        if not margin > 0.0:
+            raise InvalidReference(
+                f"at t = {time:.6g} s {limit.reason}: {limit.quantity} is {margin + limit.bound:.4g} {limit.unit},"
+                f" it must stay above {limit.bound:g} {limit.unit}"
+            )
+
+
+def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
+    converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
+    most, total = (round(each) if np.isfinite(each) else 0 for each in counts)
+    return state, StepReport(converged, most, total, float(residual[0]))
