@@ -26,13 +26,12 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
-from servocore.checks.limits import side_by_side
-from servocore.structure.inversion import compile_inversion
 from servocore.cli.levels import ROUTES, Spread, compiled_run, timed_in_turn
 from servocore.cli.levels_text import machine
+from servocore.numerics.calls import Call, side_by_side
 from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.structure.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
+from servocore.structure.inversion import compile_inversion
 
 CRANE = sc.scenes.rotary_crane()
 CARS = range(2, 9)

@@ -23,6 +23,7 @@ from importlib import metadata
 from pathlib import Path
 
 from pythonfmu.builder import FmuBuilder
+from servocore.writing import write_together
 
 import servocore as sc
 from crane_fmu.compiled_step import compiled_steps
@@ -33,7 +34,6 @@ from crane_fmu.kinds import FORMULATIONS, KINDS, ROTARY_CRANE, Kind, Progress
 from crane_fmu.shim import add_shim
 from crane_fmu.slave_base import INTERFACE_FILE
 from crane_fmu.slave_trajectory import PATH_FILE
-from servocore.writing import write_together
 
 __all__ = ["FORMULATIONS", "build_fmu", "collect", "interface", "main", "packed"]
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import rich.box
 import rich.table
 import typer
+from servocore.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
+from servocore.writing import require_places, write_together
 
 import servocore as sc
 from crane_fmu import feedforward as ff
-from servocore.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
-from servocore.writing import require_places, write_together
 
 if TYPE_CHECKING:
     from crane_fmu.report.page import Table

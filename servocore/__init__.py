@@ -6,9 +6,8 @@
 """
 
 from servocore import scenes
-from servocore.solvers.accuracy import Adaptive, Fixed
 from servocore.analysis import StructureReport, analyse
-from servocore.solvers.boundary_value import BoundaryValue
+from servocore.dae import Dae, Equation, Unknown
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -18,12 +17,27 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
-from servocore.solvers.exact_inversion import ExactInversion
 from servocore.formulations import Formulation, Original, Projected, Reduced
-from servocore.methods import BDF, BackwardEuler, Gauss, GeneralizedAlpha, Method, Orders, RadauIIA, Trapezoidal
+from servocore.methods import (
+    BDF,
+    BackwardEuler,
+    Discretisation,
+    Gauss,
+    GeneralizedAlpha,
+    Method,
+    Orders,
+    RadauIIA,
+    Trapezoidal,
+)
+from servocore.model.generalise import generalise
 from servocore.model.parameter_files import read_parameters
-from servocore.stepping.plant import Plant, compile_plant
-from servocore.stepping.program import Program, StepReport
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Limit, Scene
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.machine_code import c_compiler
+from servocore.numerics.square_systems import SquareSystem
+from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
     DEGREE5,
@@ -41,17 +55,16 @@ from servocore.references import (
     through,
     waypoints_from_csv,
 )
-from servocore.model.scene import Limit, Scene
-from servocore.solvers.simulate import simulate
 from servocore.solution import Solution, Statistics
-from servocore.solvers.solve import solve
+from servocore.solvers import Adaptive, BoundaryValue, ExactInversion, Route, simulate, solve
+from servocore.stepping.forward_dynamics import compile_plant
+from servocore.stepping.plant import Plant
+from servocore.stepping.program import Program, StepReport
 from servocore.stepping.stepper import Stepper
-from servocore.model.symbols import Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MechanicalSystem, generalise
 
 __version__ = "0.1.0"
 
-__all__ = [
+__all__ = [  # use: to solve, look and simulate
     "BDF",
     "DEGREE3",
     "DEGREE5",
@@ -61,10 +74,7 @@ __all__ = [
     "Adaptive",
     "BackwardEuler",
     "BoundaryValue",
-    "Coordinates",
     "ExactInversion",
-    "Fixed",
-    "Formulation",
     "Gauss",
     "GeneralizedAlpha",
     "InconsistentStart",
@@ -73,17 +83,11 @@ __all__ = [
     "InvalidReference",
     "InvalidSetting",
     "Limit",
-    "MechanicalSystem",
-    "Method",
-    "Orders",
     "Original",
-    "Parameter",
-    "Parameters",
     "Plant",
     "Profile",
     "Program",
     "Projected",
-    "Quantity",
     "RadauIIA",
     "Reduced",
     "Reference",
@@ -100,7 +104,6 @@ __all__ = [
     "compile_plant",
     "figure_of_eight",
     "from_csv",
-    "generalise",
     "periodic",
     "read_parameters",
     "rest_to_rest",
@@ -111,4 +114,24 @@ __all__ = [
     "three_phase",
     "through",
     "waypoints_from_csv",
+]
+__all__ += [  # extend: for systems, formulations and methods of your own
+    "MAX_REFERENCE_ORDER",
+    "Coordinates",
+    "Dae",
+    "Discretisation",
+    "Equation",
+    "Formulation",
+    "MechanicalSystem",
+    "Method",
+    "Orders",
+    "Parameter",
+    "Parameters",
+    "Problem",
+    "Quantity",
+    "Route",
+    "SquareSystem",
+    "Unknown",
+    "c_compiler",
+    "generalise",
 ]

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import DerivativeArray, derivative_array
-from servocore.errors import InvalidModel, InvalidReference
-from servocore.checks.limits import require_feasible
-from servocore.structure.zero_dynamics import DAMPED, internal_eigenvalues
-from servocore.structure.inversion import compile_inversion
 from servocore.checks.branches import rank_losses
-from servocore.problem import prepared
+from servocore.checks.limits import require_feasible
+from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
-from servocore.structure.structural_analysis import equilibrated, system_jacobian
-from servocore.model.symbols import Array
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, Call
+from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.signature import equilibrated
+from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearisation
 
 FLAT = "flat"
 MINIMUM_PHASE = "minimum phase"
@@ -151,17 +147,9 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
     StructureReport
         Never raises for a singular problem: that is a classification, with the reason.
     """
-    if isinstance(subject, MechanicalSystem):
-        return _report(subject, np.array(subject.home_parameters), None)
-    base = subject.model(model)
-    p = base.parameters.values(subject.parameters)
-    return _report(base, p, subject)
-
-
-def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> StructureReport:
-    complete = system
-    system, dropped = prepared(system, p)
-    left_out = f"redundant constraints left out: {complete.listed_constraints(dropped)}" if dropped else ""
+    problem = Problem.of(subject, model)
+    instants = 1 if isinstance(subject, MechanicalSystem) else _SURVEY_POINTS  # a system alone rests at its home
+    system, left_out = problem.system, problem.left_out
     outline = StructureReport(
         name=system.name,
         degrees_of_freedom=system.degrees_of_freedom,
@@ -175,26 +163,29 @@ def _report(system: MechanicalSystem, p: Array, scene: Scene | None) -> Structur
         condition=np.inf,
         classification=SINGULAR,
     )
-    try:
-        array = derivative_array(system)
-    except InvalidModel as error:
-        return replace(outline, reason=str(error))
+    if isinstance(problem.resolved.outcome, InvalidModel):
+        return replace(outline, reason=str(problem.resolved.outcome))
+    outline = _with_structure(outline, problem.array, left_out)
+    condition, reason, rank_loss = _along_reference(problem, instants)
+    outline = replace(outline, condition=condition, reason=reason, rank_loss=rank_loss)
+    if reason:
+        return outline
+    dynamics = internal_dynamics(problem)
+    return replace(outline, eigenvalues=dynamics.eigenvalues, classification=dynamics.kind)
+
+
+def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: str) -> StructureReport:
     found = array.signature
-    outline = replace(
+    what_was_done = f"redundant constraints left out: {left_out}" if left_out else ""
+    return replace(
         outline,
         index=found.index,
         equation_offsets=tuple(zip(found.equations.equations, found.equation_offsets, strict=True)),
         variable_offsets=tuple(zip(array.names, found.variable_offsets, strict=True)),
         internal_degrees_of_freedom=found.degrees_of_freedom,
-        internal_states=tuple(array.names[j] + "'" * order for j, order in array.states),
-        remedy="; ".join(each for each in (left_out, found.equations.remedy) if each),
+        internal_states=tuple(name + "'" * order for name, order in array.named_states),
+        remedy="; ".join(each for each in (what_was_done, found.equations.remedy) if each),
     )
-    condition, reason, rank_loss = _along_reference(array, p, scene)
-    outline = replace(outline, condition=condition, reason=reason, rank_loss=rank_loss)
-    if reason:
-        return outline
-    eigenvalues = internal_eigenvalues(array, p)
-    return replace(outline, eigenvalues=eigenvalues, classification=_classified(eigenvalues))
 
 
 def _classified(eigenvalues: tuple[complex, ...]) -> str:
@@ -209,66 +200,67 @@ def _classified(eigenvalues: tuple[complex, ...]) -> str:
     return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
 
 
-def internal_dynamics(scene: Scene, model: str | None = None) -> tuple[str, float]:
-    """Return the classification of a scene's internal dynamics and their fastest growth rate in 1/s.
+@dataclass(frozen=True)
+class InternalDynamics:
+    """The internal dynamics of a problem, linearised at rest.
 
-    Unlike `analyse` it does not look along the reference.
+    Attributes
+    ----------
+    kind : str
+        As `StructureReport.classification`.
+    eigenvalues : tuple of complex
+        In 1/s, the fastest growing first.
     """
-    base = scene.model(model)
-    p = base.parameters.values(scene.parameters)
-    eigenvalues = _eigenvalues(prepared(base, p)[0], tuple(p))
-    return _classified(eigenvalues), max((value.real for value in eigenvalues), default=0.0)
+
+    kind: str
+    eigenvalues: tuple[complex, ...]
+
+    @property
+    def growth(self) -> float:
+        """Fastest rate of growth in 1/s."""
+        return max((value.real for value in self.eigenvalues), default=0.0)
 
 
-@lru_cache(maxsize=256)
-def _eigenvalues(system: MechanicalSystem, p: tuple[float, ...]) -> tuple[complex, ...]:
-    return internal_eigenvalues(derivative_array(system), np.array(p))
+def internal_dynamics(problem: Problem) -> InternalDynamics:
+    """Linearise the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
+    if problem.flat:
+        return InternalDynamics(FLAT, ())
+    return problem.resolved.once(_linearised, tuple(problem.p.tolist()))
 
 
-def _along_reference(array: DerivativeArray, p: Array, scene: Scene | None) -> tuple[float, str, str]:
+def _linearised(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
+    linear = resolved.once(linearisation, resolved.once(inversion))
+    eigenvalues = internal_equilibrium(linear, np.array(p), np.array(resolved.system.home)).eigenvalues
+    return InternalDynamics(_classified(eigenvalues), eigenvalues)
+
+
+def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     """Return the worst condition of the system Jacobian and, if there is one, why or where the path is singular."""
-    system = array.system
-    if scene is None:
-        times, gamma = np.zeros(1), np.zeros((1, array.reference_order + 1, len(system.outputs)))
-        gamma[0, 0] = system.home
-    else:
-        try:
-            require_feasible(scene.reference, system, scene.limits, p)
-            times = np.linspace(scene.reference.start_time, scene.reference.end_time, _SURVEY_POINTS)
-            gamma = scene.reference.jet(times, array.reference_order)
-        except InvalidReference as error:
-            return np.inf, str(error), ""
-    invert, condition = _survey_functions(array)
+    system, array, reference = problem.system, problem.array, problem.reference
+    try:
+        require_feasible(problem)
+        times = np.linspace(reference.start_time, reference.end_time, instants)
+        jets = reference.jet(times, array.reference_order)
+    except InvalidReference as error:
+        return np.inf, str(error), ""
+    invert, jacobian = problem.resolved.once(_survey_functions)
     worst, found = 0.0, []
-    for time, jet in zip(times, gamma, strict=True):
-        values, _, _ = invert(jet.T, p)
-        here = condition(values, jet, p)
+    for time, jet in zip(times, jets, strict=True):
+        values, _, _ = invert(jet.T, problem.p)
+        here = condition_number(jacobian(values, jet.T, problem.p)[0])
         if not here < _SINGULAR_CONDITION:
             reason = f"{system.name} is singular at t = {time:.6g} s: the system Jacobian has condition {here:.2g}"
             return here, reason, ""
         worst = max(worst, here)
         found.append(values)
-    if scene is None or array.states:
-        return worst, "", ""  # with internal dynamics the configurations are not those of the motion
-    places = [array.unknowns.index((k, 0)) for k in range(len(system.coordinates))]
-    losses = rank_losses(system, scene.reference, p, times, np.array(found)[:, places])
-    return worst, "", "; ".join(map(str, losses))
+    if not problem.flat:
+        return worst, "", ""  # the configurations are not those of the motion
+    places = array.places((k, 0) for k in range(len(system.coordinates)))
+    return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(found)[:, places])))
 
 
-@lru_cache(maxsize=32)
-def _survey_functions(array: DerivativeArray) -> tuple[Call, Callable[[Array, Array, Array], float]]:
-    """Return the exact inversion, and the condition of the system Jacobian as a function of its result."""
-    system, found = array.system, array.signature
-    reference = system.gamma[:, : array.reference_order + 1]
-    entries = array.column(array.unknowns)
-    J = ca.substitute(system_jacobian(found), found.equations.y, array.y[:, :3])
-    evaluate = Call(ca.Function("sc_J", [entries, reference, system.p], [ca.densify(J)]))
-
-    def condition(values: Array, jet: Array, p: Array) -> float:
-        (matrix,) = evaluate(values, jet.T, p)
-        return condition_number(matrix)
-
-    return Call(compile_inversion(array)), condition
+def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:
+    return Call(resolved.once(inversion).function), Call(resolved.once(system_jacobian))
 
 
 def condition_number(matrix: Array) -> float:

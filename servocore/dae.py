@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.numerics.expressions import highest_derivative
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Dae:
     physical : dict of str to casadi.SX
         The mechanical variables ``q``, ``v``, ``lam``, ``u`` as expressions of x, z, gamma and p.
     index : int
-        Differentiation index that the form has for the systems it is meant for.
+        Differentiation index: 0 without differential unknowns, 1 if the equations determine the algebraic ones.
     """
 
     name: str
@@ -105,6 +106,4 @@ class Dae:
     @property
     def reference_order(self) -> int:
         """Highest derivative of the reference that enters."""
-        used = ca.Function("used", [self.gamma, self.x, self.z, self.p], [ca.vertcat(self.f, self.h)])
-        columns = used.jac_sparsity(0, 0).get_col()
-        return max((column // self.gamma.size1() for column in columns), default=0)
+        return highest_derivative(ca.vertcat(self.f, self.h), self.gamma)

@@ -1,52 +1,122 @@
-"""Holonomic constraints that say what others say already: found, named and left out."""
+"""`Problem`: a servo constraint problem resolved once. Whatever solves it or looks at it starts from this value.
+
+What follows from the system alone (its structure, its derivative array, compiled functions) stands in `ResolvedSystem`
+and is shared by all problems of that system; what belongs to one path and one set of parameter values, in `Problem`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
 
-from servocore.structure.structural_analysis import specialised
-from servocore.model.symbols import Array
+from servocore.dae import Dae
+from servocore.errors import InvalidModel
+from servocore.formulations.base import Formulation
+from servocore.model.scene import Limit, Scene
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references.base import FloatArray, Reference
+from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.structure.structural_analysis import is_regular
+
+Settings = ParamSpec("Settings")
+Made = TypeVar("Made")
 
 
-@lru_cache(maxsize=256)
-def _prepared(system: MechanicalSystem, p: tuple[float, ...]) -> tuple[MechanicalSystem, tuple[int, ...]]:
-    values = np.array(p)
-    dropped = tuple(redundant_constraints(system, values))
-    kept = _without(system, dropped) if dropped else system
-    return specialised(kept, values), dropped
+@dataclass(frozen=True, eq=False)
+class ResolvedSystem:
+    """A mechanical system as it is solved: redundant constraints left out, its structure known.
 
-
-@lru_cache(maxsize=64)
-def _without(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
-    return without_constraints(system, list(dropped))
-
-
-def prepared(system: MechanicalSystem, p: Array) -> tuple[MechanicalSystem, tuple[int, ...]]:
-    """Return the system that is solved for the parameter values `p`, and the constraints left out of it.
-
-    Redundant holonomic constraints are left out, and the structure is that of these values (`specialised`).
+    Attributes
+    ----------
+    system : MechanicalSystem
+        What is solved.
+    redundant : tuple of int
+        Rows of the holonomic constraints that were left out.
+    outcome : DerivativeArray or InvalidModel
+        What the signature method leads to, or why it does not apply.
     """
-    return _prepared(system, tuple(float(value) for value in p))
+
+    system: MechanicalSystem
+    redundant: tuple[int, ...]
+    outcome: DerivativeArray | InvalidModel
+    _made: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def array(self) -> DerivativeArray:
+        """The derivative array; raises `InvalidModel` where the signature method does not apply."""
+        if isinstance(self.outcome, InvalidModel):
+            raise self.outcome
+        return self.outcome
+
+    def dae(self, formulation: Formulation) -> Dae:
+        """Return the system in a formulation."""
+        return self.once(_dae, formulation)
+
+    def once(
+        self,
+        make: Callable[Concatenate[ResolvedSystem, Settings], Made],
+        *settings: Settings.args,
+        **named: Settings.kwargs,
+    ) -> Made:
+        """Return ``make(self, *settings)``, made when first asked for: compiling takes longer than solving.
+
+        Parameters
+        ----------
+        make : callable
+            A function of this system and the settings alone.
+        *settings, **named
+            What else it takes; hashable.
+        """
+        key = (make, settings, tuple(named.items()))
+        if key not in self._made:
+            self._made[key] = make(self, *settings, **named)
+        found: Made = self._made[key]
+        return found
+
+    def suits(self, p: Array) -> bool:
+        """Whether the structure found at the system's home is the structure at the parameter values `p` too."""
+        if isinstance(self.outcome, InvalidModel):
+            return False
+        signature = self.outcome.signature
+        return not signature.equations.special and is_regular(self.system, signature, p)
 
 
-def redundant_constraints(system: MechanicalSystem, p: Array) -> list[int]:
-    """Return the holonomic constraints that follow from the others, where all hold near the home configuration.
+def _dae(resolved: ResolvedSystem, formulation: Formulation) -> Dae:
+    return formulation.dae(resolved.system)
 
-    Their number is that of the constraints less their rank; which ones are left out is a choice, the last where
-    there is one (`servocore.numerics.constraint_ranks`).
+
+@lru_cache(maxsize=256)  # solves of one scene on many paths share what was compiled for its system
+def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
+    """Leave out redundant constraints and find the structure of a system at parameter values.
+
+    A parameter can decide about the index: an inclination of zero, a damper of zero. Where the structure is that of the
+    system's home, the same object is returned as there.
     """
-    return list(system.constraint_rank(p).redundant)
+    redundant = system.constraint_rank(np.array(p)).redundant
+    if p != system.home_parameters:
+        at_home = resolve(system, system.home_parameters)
+        if at_home.redundant == redundant and at_home.suits(np.array(p)):
+            return at_home
+        system = replace(system, home_parameters=p)
+    kept = without_constraints(system, redundant) if redundant else system
+    outcome: DerivativeArray | InvalidModel
+    try:
+        outcome = derivative_array(kept)
+    except InvalidModel as error:
+        outcome = error
+    return ResolvedSystem(kept, redundant, outcome)
 
 
-def without_constraints(system: MechanicalSystem, dropped: list[int]) -> MechanicalSystem:
+def without_constraints(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
     """Return the system without some of its holonomic constraints; their multipliers become zero."""
     kept = [k for k in range(system.lam.numel()) if k not in dropped]
-    gone = system.lam[dropped]
+    gone = system.lam[list(dropped)]
     observables = {k: ca.substitute(e, gone, ca.SX.zeros(len(dropped))) for k, e in system.observables.items()}
     return replace(
         system,
@@ -55,3 +125,101 @@ def without_constraints(system: MechanicalSystem, dropped: list[int]) -> Mechani
         observables=observables,
         constraint_names=tuple(system.constraint_names[k] for k in kept if system.constraint_names),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A scene and one of its models, resolved: what `analyse`, `solve`, `simulate` and the others start from.
+
+    Attributes
+    ----------
+    name : str
+        Of the scene.
+    resolved : ResolvedSystem
+        The system, its structure and what was compiled for it.
+    p : ndarray, shape (n_p,)
+        Parameter values.
+    reference : Reference
+        The path to follow; at rest at home for a system without a scene.
+    limits : tuple of Limit
+        Where the scene ends.
+    follow_branch : bool
+        Whether every instant starts from the one before, see `Scene`.
+    left_out : str
+        What messages call the redundant constraints that were left out; empty if there were none.
+
+    Examples
+    --------
+    >>> problem = Problem.of(crane)
+    >>> problem.signature.index, problem.dae(Projected()).index
+    (5, 3)
+    """
+
+    name: str
+    resolved: ResolvedSystem
+    p: Array
+    reference: Reference
+    limits: tuple[Limit, ...] = ()
+    follow_branch: bool = False
+    left_out: str = ""
+
+    @classmethod
+    def of(cls, subject: Scene | MechanicalSystem, model: str | None = None) -> Problem:
+        """Resolve a scene, or a system at its home.
+
+        Parameters
+        ----------
+        subject : Scene or MechanicalSystem
+            A scene with its own parameters and reference; a system rests at its home.
+        model : str, optional
+            Model of the scene; its smallest when not given.
+
+        Raises
+        ------
+        InvalidModel
+            If the scene has no such model.
+        """
+        if isinstance(subject, MechanicalSystem):
+            system, p = subject, np.array(subject.home_parameters)
+            scene = Scene(system.name, {}, _AtRest.at(system.home))
+        else:
+            scene, system = subject, subject.model(model)
+            p = system.parameters.values(scene.parameters)
+        resolved = resolve(system, tuple(p.tolist()))
+        left_out = system.listed_constraints(resolved.redundant)
+        return cls(scene.name, resolved, p, scene.reference, scene.limits, scene.follow_branch, left_out)
+
+    @property
+    def system(self) -> MechanicalSystem:
+        """What is solved."""
+        return self.resolved.system
+
+    @property
+    def array(self) -> DerivativeArray:
+        """Its derivative array; raises `InvalidModel` where the signature method does not apply."""
+        return self.resolved.array
+
+    @property
+    def flat(self) -> bool:
+        """Whether no internal dynamics remain: the inputs at an instant follow from the path at that instant."""
+        return not self.array.states
+
+    def dae(self, formulation: Formulation) -> Dae:
+        """Return the problem in a formulation, with the index of that form."""
+        return self.resolved.dae(formulation)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _AtRest(Reference):
+    """A path that stays where it is."""
+
+    place: tuple[float, ...]
+
+    @classmethod
+    def at(cls, place: tuple[float, ...]) -> _AtRest:
+        return cls(start_time=0.0, end_time=1.0, dimension=len(place), max_order=99, smoothness=99, place=place)
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        found = np.zeros((len(t), order + 1, self.dimension))
+        found[:, 0] = self.place
+        return found

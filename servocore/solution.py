@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from servocore.stepping.program import Channel
-from servocore.model.symbols import Array
 from servocore.files import write_together
+from servocore.model.quantity import Quantity
+from servocore.numerics.calls import Array
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Solution:
     ----------
     t : ndarray, shape (N,)
         Times in s.
-    channels : tuple of Channel
+    channels : tuple of Quantity
         Names and units of the columns of `values`.
     values : ndarray, shape (N, number of channels)
         One row a time.
@@ -80,7 +80,7 @@ class Solution:
     """
 
     t: Array
-    channels: tuple[Channel, ...]
+    channels: tuple[Quantity, ...]
     values: Array
     route: str
     statistics: Statistics = NO_STATISTICS

@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
-from servocore.scenes.jets import Jet, components
-from servocore.references.profiles import polynomial
-from servocore.stepping.stepper import Stepper
 from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
+from servocore.references.profiles import polynomial
+from servocore.scenes.jets import Jet, components
+from servocore.stepping.stepper import Stepper
 
 
 @dataclass(frozen=True)

@@ -19,15 +19,15 @@ from hypothesis.extra.numpy import arrays
 from problems import METHODS, SCENES, exact, jets_near_home, largest_errors, observed_orders, scene, solved
 
 from servocore.dae import Dae, Equation, Unknown
-from servocore.structure.derivative_array import derivative_array
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.structure.inversion import compile_inversion
 from servocore.methods import BackwardEuler
 from servocore.numerics.square_systems import compile_solver
-from servocore.stepping.program import Program
-from servocore.structure.projection import project
 from servocore.references import DEGREE3, rest_to_rest
-from servocore.stepping.stepper import compile_program
+from servocore.stepping.program import Program
+from servocore.stepping.compilation import program_of
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_inversion
+from servocore.structure.projection import project
 from servocore.structure.structural_analysis import analyse_structure
 
 ORDERS = 7  # of random reference jets: more than any scene needs
@@ -41,7 +41,7 @@ def perturbations(m: int):
 @cache
 def inversion(system):
     array = derivative_array(system)
-    return array, compile_inversion(array)
+    return array, compile_inversion(array).function
 
 
 def inverted(system, jet, p):
@@ -229,10 +229,9 @@ class FormulationSuite:
             assert len(set(described)) == len(described)
 
     def test_equal_settings_share_one_compiled_program(self, scene_name, model, of):
-        system = scene(scene_name).model(model)
         again = type(of.formulation)()
-        first = compile_program(system, of.formulation, BackwardEuler(), ())
-        assert compile_program(system, again, BackwardEuler(), ()) is first
+        first, second = (sc.Problem.of(scene(scene_name), model) for _ in range(2))
+        assert program_of(first, of.formulation, BackwardEuler()) is program_of(second, again, BackwardEuler())
 
 
 class ProblemSuite:

@@ -10,8 +10,7 @@ from problems import scene
 
 import servocore as sc
 from servocore.structure.derivative_array import derivative_array
-from servocore.structure.inversion import compile_flat_inversion
-from servocore.problem import prepared
+from servocore.structure.inversion import compile_inversion
 
 CRANE = scene("rotary_crane")
 POINTWISE = [
@@ -38,8 +37,7 @@ def test_the_inputs_are_those_of_the_closed_form(name, model):
 
 def test_all_cranes_are_among_the_scenes_with_one_expression():
     for name in ("rotary_crane", "overhead_crane", "gantry_crane"):
-        system = scene(name).model("points")
-        found = compile_flat_inversion(derivative_array(prepared(system, system.parameters.values({}))[0]))
+        found = compile_inversion(sc.Problem.of(scene(name), "points").array).expression
         assert found is not None
         assert found.n_instructions() < 1000
 
@@ -78,9 +76,9 @@ def test_a_guess_that_is_not_exact_costs_time_and_nothing_else():
     astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))
     crane = replace(CRANE, models={"points": lambda: astray})
     t = np.linspace(0.0, 20.0, 51)
-    array = derivative_array(prepared(astray, astray.parameters.values({}))[0])
+    array = sc.Problem.of(crane).array
     jet = CRANE.reference.jet(7.0, array.reference_order)
-    quick = compile_flat_inversion(array)(jet.T, astray.parameters.values({}))[0]
+    quick = compile_inversion(array).expression(jet.T, astray.parameters.values({}))[0]
     assert np.isnan(np.asarray(quick)).any()
     assert_exact(sc.ExactInversion(crane)(t), CRANE.exact(t), ("M_b", "F", "M_w"))
     assert_exact(sc.solve(crane, sc.Reduced(), step=0.4).values, CRANE.exact(t), ("M_b", "F", "M_w"))

@@ -26,8 +26,8 @@ from problems import (
 from suite import FormulationSuite
 
 import servocore as sc
-from servocore.structure.projection import project
 from servocore.model.system import DERIVED
+from servocore.structure.projection import project
 
 
 @pytest.mark.parametrize(

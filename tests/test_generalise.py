@@ -13,7 +13,8 @@ from hypothesis.extra.numpy import arrays
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
-from servocore.model.system import DERIVED, generalise, gyroscopic_forces
+from servocore.model.generalise import generalise
+from servocore.model.system import DERIVED, gyroscopic_forces
 
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 

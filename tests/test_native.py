@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore import native
-from servocore.numerics.machine_code import in_machine_code
+from servocore.numerics import machine_code
 
 CRANE = sc.scenes.overhead_crane()
 

@@ -8,14 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servocore.structure.derivative_array import derivative_array
 from servocore.formulations import Projected
-from servocore.structure.inversion import compile_inversion
 from servocore.methods import BackwardEuler
 from servocore.references import rest_to_rest
 from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
 from servocore.scenes.rotary_crane_bodies import bodies
 from servocore.solvers.solve import solve
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_inversion
 from servocore.structure.structural_analysis import second_order_equations, signature
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
@@ -30,7 +30,7 @@ def crane():
 @cache
 def inversion(model):
     array = derivative_array(model())
-    return array, compile_inversion(array)
+    return array, compile_inversion(array).function
 
 
 def inverted(model, jets, changed=None):

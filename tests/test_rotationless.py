@@ -13,10 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.structure.derivative_array import derivative_array
 from servocore.errors import InvalidModel
-from servocore.structure.inversion import compile_inversion
-from servocore.problem import redundant_constraints, without_constraints
+from servocore.model.quantity import Quantity
 from servocore.model.rotationless import (
     GROUND,
     Assembly,
@@ -34,8 +32,11 @@ from servocore.model.rotationless import (
     spherical,
     turned,
 )
+from servocore.model.symbols import Parameter, Parameters
+from servocore.problem import without_constraints
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_inversion
 from servocore.structure.structural_analysis import second_order_equations, signature
-from servocore.model.symbols import Parameter, Parameters, Quantity
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto" / "assemble-a-mechanism.md"
 NONE = Parameters()
@@ -71,7 +72,7 @@ def invert(system, *jets):
     """Inputs, shape (N, m), for (value, velocity, acceleration) of the servo outputs at N instants."""
     array = derivative_array(system)
     assert array.signature.degrees_of_freedom == 0
-    function, found = compile_inversion(array), []
+    function, found = compile_inversion(array).function, []
     for jet in jets:
         gamma = np.full((len(system.outputs), array.reference_order + 1), 7.0)  # a jerk must not matter
         gamma[:, :3] = jet
@@ -424,9 +425,9 @@ def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_r
     named = "3 of the 39 holonomic constraints are redundant \\(rank 36\\): C 3, C 4, C 5"
     with pytest.raises(InvalidModel, match=f"four hinges: {named}; solve and analyse leave them out"):
         derivative_array(system)
-    kept = without_constraints(system, redundant_constraints(system, p))
+    kept = without_constraints(system, system.constraint_rank(p).redundant)
     array = derivative_array(kept)
-    y, _, residual = compile_inversion(array)(ca.horzcat(1.0, 2.0, -3.0), p)
+    y, _, residual = compile_inversion(array).function(ca.horzcat(1.0, 2.0, -3.0), p)
     assert float(y[array.position("u.torque", 0)]) == pytest.approx(FourBar(1.0).torque(2.0, -3.0), rel=1e-9)
     assert float(residual) < 1e-12
 

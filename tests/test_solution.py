@@ -12,7 +12,6 @@ import pytest
 from problems import problem, scene, solved
 
 import servocore as sc
-from servocore.stepping.program import Channel
 
 CRANE = scene("rotary_crane")
 
@@ -108,7 +107,7 @@ def test_csv_holds_the_names_asked_for_in_their_order(solution, tmp_path):
 
 def test_csv_holds_numbers_that_are_hard_to_write(tmp_path):
     values = np.array([[np.pi], [1e-310], [-0.0], [np.nan], [np.inf], [1 / 3]])
-    sc.Solution(np.arange(6.0), (Channel("v", "m"),), values, "by hand").to_csv(tmp_path / "hard.csv")
+    sc.Solution(np.arange(6.0), (sc.Quantity("v", "m"),), values, "by hand").to_csv(tmp_path / "hard.csv")
     _, table = read(tmp_path / "hard.csv")
     np.testing.assert_array_equal(table[:, 1:], values)
     assert np.signbit(table[2, 1])

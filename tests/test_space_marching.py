@@ -7,8 +7,8 @@ import pytest
 
 import servocore as sc
 from servocore.references import periodic
-from servocore.scenes.elastic_bar import dalembert, wave_time
 from servocore.scenes.bar_marching import march_bar
+from servocore.scenes.elastic_bar import dalembert, wave_time
 
 BAR = sc.scenes.elastic_bar()
 VALUES = BAR.parameter_values()

@@ -26,9 +26,9 @@ from benchmarks.atlas.linkages import (
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import march, quietly, relative_error, slope
 from benchmarks.atlas.style import BAD, GOOD, OTHER, label, panels
-from servocore.numerics.constraint_ranks import assembled, scaled_rows, unit_rows
-from servocore.problem import redundant_constraints, without_constraints
 from servocore.model.rotationless import turned
+from servocore.numerics.constraint_ranks import assembled, scaled_rows, unit_rows
+from servocore.problem import without_constraints
 from servocore.stepping.stepper import compile_program
 
 NAME = "redundant-constraints"
@@ -84,7 +84,7 @@ def _doubled(found: Findings) -> None:
     found.add("rotary_crane, g_5 redundant", "analyse", "remedy", "5 constraints, rank 4",
               "redundant constraints left out: g_5", report.remedy, SURVIVES)  # fmt: skip
     by_hand = replace(crane, models={"less": lambda: kept})
-    kept = without_constraints(raw, redundant_constraints(raw, p))
+    kept = without_constraints(raw, raw.constraint_rank(p).redundant)
     for route, subject in (("solve", scene), ("without_constraints, then solve", by_hand)):
         error = relative_error(crane, quietly(subject))
         found.add("rotary_crane, g_5 redundant", route, "relative input error", "5 constraints, rank 4", at_most(1e-12),
@@ -104,7 +104,7 @@ def _refusal(system: sc.MechanicalSystem, form: sc.Formulation) -> str:
 def _too_many_hinges(found: Findings) -> None:
     name, value = "parallelogram, four revolutes", "39 constraints, rank 36"
     system, p = parallelogram("revolute"), np.zeros(0)
-    kept = without_constraints(system, redundant_constraints(system, p))
+    kept = without_constraints(system, system.constraint_rank(p).redundant)
     for route, subject, expected, verdict in (
         ("all rows kept", system, at_least(1e14), FAILS),
         ("redundant rows left out", kept, at_most(1e3), SURVIVES),

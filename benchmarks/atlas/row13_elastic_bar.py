@@ -11,8 +11,8 @@ from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_le
 from benchmarks.atlas.runs import Array, amplified, error_at, slope
 from benchmarks.atlas.style import label, looks, panels
 from servocore.references.profiles import polynomial
-from servocore.scenes.elastic_bar import dalembert, wave_time
 from servocore.scenes.bar_marching import march_bar
+from servocore.scenes.elastic_bar import dalembert, wave_time
 
 NAME = "elastic-bar"
 DURATION = 0.6

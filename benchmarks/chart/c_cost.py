@@ -18,11 +18,10 @@ import numpy as np
 import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import derivative_array
-from servocore.solvers.exact_inversion import compile_inputs
-from servocore.checks.limits import side_by_side
+from servocore.numerics.calls import Call, side_by_side
 from servocore.problem import prepared
+from servocore.solvers.exact_inversion import compile_inputs
+from servocore.structure.derivative_array import derivative_array
 
 _INSIDE = ("solve_at_constant_step", "run")  # looked into, rather than named
 _SMALLEST_SHARE = 0.02

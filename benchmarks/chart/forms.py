@@ -21,12 +21,12 @@ import numpy as np
 
 from benchmarks.chart.candidate import Array, Problem
 from benchmarks.chart.paths import path_jet
-from servocore.structure.derivative_array import derivative_array, first_guess
 from servocore.formulations import Projected, Reduced
-from servocore.solvers.fixed_step import run
 from servocore.methods import RadauIIA
-from servocore.stepping.stepper import Stepper
 from servocore.model.system import MechanicalSystem
+from servocore.solvers.fixed_step import run
+from servocore.stepping.stepper import Stepper
+from servocore.structure.derivative_array import derivative_array, first_guess
 
 Key = tuple[str, int]
 """A variable and which of its derivatives: ("q.s", 1)."""

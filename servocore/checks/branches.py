@@ -11,19 +11,17 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.calls import Call
 from servocore.errors import IntegrationFailed, ServocoreWarning
+from servocore.numerics.calls import Array, Call, at_instants
 from servocore.numerics.constraint_ranks import Rows, assembled
-from servocore.references import Reference
+from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
-from servocore.model.symbols import Array
-from servocore.model.system import MechanicalSystem
+from servocore.stepping.observation import observed
 
 CONDITION_LIMIT = 1e5
 """Of the scaled Jacobian of all constraints: beyond it they count as dependent."""
@@ -62,25 +60,21 @@ class RankLoss:
         )
 
 
-def rank_losses(system: MechanicalSystem, reference: Reference, p: Array, t: Array, q: Array) -> list[RankLoss]:
+def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     """Find where along a motion the constraints lose rank.
 
     Parameters
     ----------
-    system : MechanicalSystem
-        Without redundant constraints.
-    reference : Reference
-        What the servo outputs follow.
-    p : ndarray
-        Parameter values.
+    problem : Problem
+        What was solved.
     t : ndarray, shape (N,)
         Instants of the motion, in rising order.
     q : ndarray, shape (N, n)
         Configurations there.
     """
-    if not system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
+    if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
         return []
-    jacobians = _jacobians(system, p, q)
+    jacobians = _jacobians(problem, t, q)
     scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
     jacobians = jacobians / scale
     signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
@@ -88,7 +82,7 @@ def rank_losses(system: MechanicalSystem, reference: Reference, p: Array, t: Arr
     if not np.isfinite(largest):
         return []
     determinant = np.where(signs > 0.0, np.exp(logarithms - largest), 0.0)
-    motion = _Motion(system, reference, p, t, q, scale.ravel())
+    motion = _Motion(problem, t, q, scale.ravel())
     found = [_closest(motion, int(k)) for k in np.flatnonzero(_touching(t, determinant))]
     return [each for each in found if each is not None and each.condition > CONDITION_LIMIT]
 
@@ -113,9 +107,7 @@ def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
 class _Motion:
     """A motion between its instants: configurations that satisfy all constraints, from interpolated ones."""
 
-    system: MechanicalSystem
-    reference: Reference
-    p: Array
+    problem: Problem
     t: Array
     q: Array
     row_scale: Array
@@ -136,13 +128,13 @@ class _Motion:
     @property
     def nominal(self) -> Array:
         """Typical magnitudes of the coordinates."""
-        return np.array(self.system.coordinates.nominal)
+        return np.array(self.problem.system.coordinates.nominal)
 
     def _rows(self, time: float) -> Rows:
-        gamma, evaluate = self.reference.jet(time, 0)[0], _rows(self.system)
+        jet, evaluate = self.problem.reference.jet(time, 0).T, self.problem.resolved.once(_compiled_rows)[1]
 
         def rows(x: Array) -> tuple[Array, Array]:
-            residual, jacobian = evaluate(x * self.nominal, gamma, self.p)
+            residual, jacobian = evaluate(x * self.nominal, jet, self.problem.p)
             return residual.ravel() / self.row_scale, jacobian * self.nominal / self.row_scale[:, None]
 
         return rows
@@ -165,7 +157,7 @@ def _closest(motion: _Motion, k: int) -> RankLoss | None:
     jacobian = motion.jacobian(time)
     if jacobian is None:
         return None
-    holonomic = _condition(jacobian[: motion.system.lam.numel()]) > CONDITION_LIMIT
+    holonomic = _condition(jacobian[: motion.problem.system.lam.numel()]) > CONDITION_LIMIT
     return RankLoss(time, _condition(jacobian), holonomic)
 
 
@@ -174,29 +166,25 @@ def _condition(jacobian: Array) -> float:
     return float(values[0] / max(values[-1], 1e-300))
 
 
-def _jacobians(system: MechanicalSystem, p: Array, q: Array) -> Array:
+def _jacobians(problem: Problem, t: Array, q: Array) -> Array:
     """Return S at every configuration, its columns scaled by the nominal magnitudes, shape (N, m_h + m, n)."""
     count, n = q.shape
-    (flat,) = _mapped(system, count)(q.T, np.tile(p[:, None], count))
-    found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(system.coordinates.nominal)
+    function, _ = problem.resolved.once(_compiled_rows)
+    _, flat = at_instants(function, q.T, jets=problem.reference.jet(t, 0), p=problem.p)
+    found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(problem.system.coordinates.nominal)
     return found
 
 
-@lru_cache(maxsize=64)
-def _mapped(system: MechanicalSystem, count: int) -> Call:
-    S = ca.densify(ca.vertcat(system.G, system.C))
-    return Call(ca.Function("sc_S", [system.q, system.p], [S]).map(count))
-
-
-@lru_cache(maxsize=64)
-def _rows(system: MechanicalSystem) -> Call:
-    gamma = system.gamma[:, 0]
+def _compiled_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
+    """Compile (q, gamma, p) -> residual of all constraints, S = [G; C]: for many instants, and for one."""
+    system, gamma = resolved.system, resolved.system.gamma[:, 0]
     residual = ca.densify(ca.vertcat(system.constraints, system.output - gamma))
     S = ca.densify(ca.vertcat(system.G, system.C))
-    return Call(ca.Function("sc_S_rows", [system.q, gamma, system.p], [residual, S]))
+    function = ca.Function("sc_S", [system.q, gamma, system.p], [residual, S])
+    return function, Call(function)
 
 
-def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array, solution: Solution) -> None:
+def require_one_branch(problem: Problem, solution: Solution) -> None:
     """Warn where the constraints of a solution lose rank, and refuse a solution that changes branch there.
 
     Raises
@@ -204,13 +192,13 @@ def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array,
     IntegrationFailed
         If the configurations do not go on as they came.
     """
-    q = configurations(system, solution) if system.lam.numel() else None
+    q = configurations(problem, solution) if problem.system.lam.numel() else None
     if q is None:
         return
     every = -(-len(q) // _WATCHED)
     watched = np.unique([*range(0, len(q), every), len(q) - 1])
-    for loss in rank_losses(system, reference, p, solution.t[watched], q[watched]):
-        if changes_branch(system, reference, p, solution.t, q, loss.time):
+    for loss in rank_losses(problem, solution.t[watched], q[watched]):
+        if changes_branch(problem, solution.t, q, loss.time):
             raise IntegrationFailed(
                 f"{solution.route}: {loss}; this one changes over from one to the other: a scene with follow_branch and"
                 " a smaller step goes on smoothly in the form Reduced()"
@@ -220,25 +208,22 @@ def require_one_branch(system: MechanicalSystem, reference: Reference, p: Array,
         warnings.warn(f"{solution.route}: {loss}; {how}", ServocoreWarning, stacklevel=3)
 
 
-def configurations(system: MechanicalSystem, solution: Solution) -> Array | None:
+def configurations(problem: Problem, solution: Solution) -> Array | None:
     """Return the coordinates of a solution, shape (N, n); None if something else is reported under a name of one."""
-    places = _columns(system, solution.names)
+    places = problem.resolved.once(_columns, solution.names)
     return None if places is None else solution.values[:, places]
 
 
-@lru_cache(maxsize=64)
-def _columns(system: MechanicalSystem, names: tuple[str, ...]) -> list[int] | None:
+def _columns(resolved: ResolvedSystem, names: tuple[str, ...]) -> list[int] | None:
     """Places of the coordinates among reported names; None if something else is reported under a name of one."""
-    reported = {each.name: system.output[k] for k, each in enumerate(system.outputs)}
-    reported |= {each.name: expression for each, expression in system.observables.items()}
-    reported |= {each.name: system.u[k] for k, each in enumerate(system.inputs)}
-    for k, name in enumerate(system.coordinates.names):
-        if not ca.is_equal(reported.get(name, system.q[k]), system.q[k]):
-            return None
-    return [names.index(name) for name in system.coordinates.names]
+    reported = {each.name: expression for each, expression in observed(resolved.system)}
+    coordinates = resolved.system.coordinates
+    if not all(ca.is_equal(reported[name], coordinates[name]) for name in coordinates.names):
+        return None
+    return [names.index(name) for name in coordinates.names]
 
 
-def changes_branch(system: MechanicalSystem, reference: Reference, p: Array, t: Array, q: Array, time: float) -> bool:
+def changes_branch(problem: Problem, t: Array, q: Array, time: float) -> bool:
     """Whether a motion q, shape (N, n), at the instants `t` does not go on smoothly at a time when rank is lost.
 
     Where the constraints determine the configuration, the smooth motion is followed through that time in small steps
@@ -248,8 +233,9 @@ def changes_branch(system: MechanicalSystem, reference: Reference, p: Array, t: 
     before, after = np.flatnonzero(apart & (t < time)), np.flatnonzero(apart & (t > time))
     if not len(before) or not len(after):
         return False  # it starts or ends there
+    system = problem.system
     if len(system.coordinates) == system.lam.numel() + len(system.outputs):
-        motion = _Motion(system, reference, p, t, q, np.ones(len(system.coordinates)))
+        motion = _Motion(problem, t, q, np.ones(len(system.coordinates)))
         first, last = (q[k] / motion.nominal for k in (before[-1], after[0]))
         smooth = _followed(motion, float(t[before[-1]]), time, float(t[after[0]]), first)
         if smooth is not None:

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.calls import Call
-from servocore.stepping.program import LimitText, require_margins
-from servocore.references import Reference
 from servocore.model.scene import Limit
-from servocore.model.symbols import Array
-from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import Reference
+from servocore.stepping.margins import compile_margins, limit_texts, limits_order
+from servocore.stepping.program import LimitText, require_margins
 
 _FEWEST_SURVEYED, _MOST_SURVEYED = 400, 20_000
 _SURVEYED_EACH = 16  # instants on a stretch of the path
@@ -23,33 +21,19 @@ _REFINED_POINTS = 21
 _REFINEMENTS = 4
 
 
-def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
-    """Return what to say of each limit, without its expression."""
-    return tuple(LimitText(each.quantity, each.unit, each.reason, each.bound) for each in limits)
-
-
-def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
-    """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
-    gamma = system.gamma[:, : order + 1]
-    margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
-    return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])
-
-
-def require_feasible(
-    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None = None
-) -> None:
+def require_feasible(problem: Problem, t: Array | None = None) -> None:
     """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
 
     The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
     the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
     """
-    _require_at(reference, system, tuple(each for each in limits if each.at_instants_only), p, t)
-    limits = tuple(each for each in limits if not each.at_instants_only)
+    _require_at(problem, tuple(each for each in problem.limits if each.at_instants_only), t)
+    limits = tuple(each for each in problem.limits if not each.at_instants_only)
     if not limits:
         return
     texts = limit_texts(limits)
-    survey = _survey(reference)
-    margins = _margins(reference, system, limits, p, survey)
+    survey = _survey(problem.reference)
+    margins = _margins(problem, limits, survey)
     _require_kept(texts, margins, survey)
     if not _may_fall_to_zero(margins):
         return
@@ -58,7 +42,7 @@ def require_feasible(
     lanes = np.arange(len(rows))
     for _ in range(_REFINEMENTS):  # all valleys of all limits at once
         grid = np.linspace(below, above, _REFINED_POINTS)
-        margins = _margins(reference, system, limits, p, grid.ravel()).reshape(len(limits), *grid.shape)
+        margins = _margins(problem, limits, grid.ravel()).reshape(len(limits), *grid.shape)
         lows = margins[rows, :, lanes]
         deepest = np.nan_to_num(lows, nan=-np.inf).argmin(axis=1)
         for lane in lanes[~(lows[lanes, deepest] > 0.0)]:
@@ -101,35 +85,21 @@ def _valleys(margins: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]
     return np.repeat(np.arange(len(margins)), places.shape[1]), places.ravel()
 
 
-def _require_at(
-    reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array | None
-) -> None:
+def _require_at(problem: Problem, limits: tuple[Limit, ...], t: Array | None) -> None:
     if not limits or t is None:
         return
-    for text, margin in zip(limit_texts(limits), _margins(reference, system, limits, p, t), strict=True):
+    for text, margin in zip(limit_texts(limits), _margins(problem, limits, t), strict=True):
         lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
         require_margins((text,), margin[[lowest]], float(t[lowest]))
 
 
-def _margins(reference: Reference, system: MechanicalSystem, limits: tuple[Limit, ...], p: Array, t: Array) -> Array:
-    jets = reference.jet(t, limits_order(system, limits))
-    (margins,) = _mapped_margins(system, limits, len(t))(side_by_side(jets), np.tile(p[:, None], len(t)))
-    return margins.reshape(len(limits), len(t))
+def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array) -> Array:
+    """Return how far each limit is at the instants, shape (limits, N)."""
+    function, order = problem.resolved.once(_compiled_margins, limits)
+    (margins,) = at_instants(function, jets=problem.reference.jet(t, order), p=problem.p)
+    return margins
 
 
-@lru_cache(maxsize=64)
-def _mapped_margins(system: MechanicalSystem, limits: tuple[Limit, ...], count: int) -> Call:
-    return Call(compile_margins(system, limits, limits_order(system, limits)).map(count))
-
-
-@lru_cache(maxsize=64)
-def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
-    """Highest derivative of the reference that the limits use."""
-    margins = [each.expression(system.gamma, system.parameters) for each in limits]
-    columns = ca.jacobian_sparsity(ca.vertcat(ca.SX(0, 1), *margins), ca.vec(system.gamma)).get_col()
-    return max((column // system.gamma.size1() for column in columns), default=0)
-
-
-def side_by_side(jets: Array) -> Array:
-    """Lay reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
-    return jets.reshape(-1, jets.shape[2]).T
+def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...]) -> tuple[ca.Function, int]:
+    order = limits_order(resolved.system, limits)
+    return compile_margins(resolved.system, limits, order), order

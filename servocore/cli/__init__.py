@@ -1,1 +1,1 @@
-"""."""
+"""The command ``servocore``, and what the command lines of this project share."""

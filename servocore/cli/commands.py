@@ -17,13 +17,14 @@ from rich.markup import escape
 
 from servocore.analysis import analyse
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console
-from servocore.errors import InvalidSetting
-from servocore.cli.levels import Level, measure_levels
+from servocore.cli.level import Level
+from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.errors import InvalidSetting
+from servocore.files import require_places, write_together
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
 from servocore.scenes import REGISTRY
-from servocore.files import require_places, write_together
 
 NAME = "servocore"
 _INDENT = 22  # where the second column of a printed analysis begins

@@ -8,23 +8,27 @@ times of warm runs, taken in turn so that disturbances meet them alike. Trust th
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from servocore.analysis import NON_MINIMUM_PHASE, analyse
-from servocore.numerics.calls import Call
+from servocore.cli.level import Cost, Level, Spread
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
-from servocore.checks.limits import side_by_side
-from servocore.formulations import Formulation, Projected, Reduced
-from servocore.methods import BackwardEuler, Method, RadauIIA
+from servocore.formulations.base import Formulation
+from servocore.formulations.projected import Projected
+from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.methods.base import Method
+from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene
+from servocore.numerics.calls import Array, chained, side_by_side
+from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
-from servocore.stepping.stepper import Stepper
-from servocore.model.symbols import Array
+from servocore.stepping.compilation import program_of
 
 ROUTES: dict[str, tuple[Formulation, Method]] = {
     "exact": (Reduced(), RadauIIA(3)),
@@ -39,56 +43,6 @@ _CLOCK = time.process_time if time.get_clock_info("process_time").resolution <= 
 
 Describe = Callable[[str], None]
 """Called with what is going on."""
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Median and quartiles of repeated measurements."""
-
-    median: float
-    lower: float
-    upper: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
-        """Summarise at least one value."""
-        lower, median, upper = (float(each) for each in np.percentile(values, (25, 50, 75)))
-        return cls(median, lower, upper)
-
-
-@dataclass(frozen=True)
-class Cost:
-    """One model by one route.
-
-    Attributes
-    ----------
-    unknowns : int or None
-        Of one instant.
-    microseconds : Spread or None
-        Processor time an instant, of the bare compiled loop.
-    error : float or None
-        Largest error of any input, as a fraction of that input's largest value; None without an exact answer.
-    refusal : str
-        Why the route does not work for this model; the rest is then None.
-    """
-
-    unknowns: int | None = None
-    microseconds: Spread | None = None
-    error: float | None = None
-    refusal: str = ""
-
-
-@dataclass(frozen=True)
-class Level:
-    """One model of a scene: its size, its structure and what it costs by each of `ROUTES`."""
-
-    scene: str
-    model: str
-    needed: bool
-    coordinates: int
-    index: int
-    internal_degrees_of_freedom: int
-    costs: dict[str, Cost]
 
 
 def measure_levels(
@@ -152,8 +106,8 @@ def _unmeasured(scene: Scene, model: str) -> tuple[Level, str]:
 def _size_and_error(scene: Scene, formulation: Formulation, method: Method, model: str, instants: int) -> Cost:
     step = scene.reference.duration / instants
     solution = solve(scene, formulation, method, step=step, model=model)
-    dae = formulation.dae(Stepper(scene, formulation, method, step, model).system)
-    return Cost(unknowns=len(dae.unknowns), error=input_error(scene, solution))
+    dae = Problem.of(scene, model).dae(formulation)
+    return Cost(unknowns=len(dae.unknowns), error=input_error(scene, solution), method=method.name)
 
 
 def input_error(scene: Scene, solution: Solution) -> float | None:
@@ -173,15 +127,14 @@ def compiled_run(
     scene: Scene, formulation: Formulation, method: Method, model: str, instants: int
 ) -> Callable[[], tuple[Array, ...]]:
     """Return a whole run as a function without arguments: the compiled loop, everything else computed before."""
-    reference = scene.reference
-    stepper = Stepper(scene, formulation, method, reference.duration / instants, model)
-    program, step = stepper.program, stepper.step
+    problem, reference = Problem.of(scene, model), scene.reference
+    program, step, p = program_of(problem, formulation, method), reference.duration / instants, problem.p
     past = reference.start_time + step * np.array(program.start_instants)
-    state, _ = stepper.start(reference.jet(past, program.start_order))
+    state, _ = program.begin(reference.jet(past, program.start_order), p, step)
     ends = np.linspace(reference.start_time, reference.end_time, instants + 1)[1:]
     gamma = np.concatenate([reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes], axis=1)
-    loop = Call(program.step.mapaccum(f"{program.step.name()}_run", instants))
-    arguments = state, side_by_side(gamma), np.full(instants, step), np.tile(stepper.parameters[:, None], instants)
+    loop = chained(program.step, instants)
+    arguments = state, side_by_side(gamma), np.full(instants, step), np.tile(p[:, None], instants)
     return lambda: loop(*arguments)
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from servocore.cli.levels import ROUTES, Level
+from servocore.cli.level import Level
 
 COLUMNS = (
     "scene", "model", "needed", "coordinates", "index", "internal_degrees_of_freedom", "route", "unknowns",
@@ -104,7 +104,7 @@ def remarks(levels: Sequence[Level]) -> list[str]:
     if states := needed.internal_degrees_of_freedom:
         found.append(
             f"It has internal dynamics of {states} states, which no inversion gives pointwise:"
-            f" exact stands for one step of {ROUTES['exact'][1].name} on the reduced form."
+            f" exact stands for one step of {needed.costs['exact'].method} on the reduced form."
         )
     found += [
         f"{level.model}, {route}: {cost.refusal}."

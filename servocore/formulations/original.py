@@ -9,6 +9,7 @@ import casadi as ca
 from servocore.dae import Dae, Equation
 from servocore.formulations.base import mechanical_unknowns, physical_variables
 from servocore.model.system import MechanicalSystem
+from servocore.structure.derivative_array import derivative_array
 
 
 @dataclass(frozen=True)
@@ -44,5 +45,5 @@ class Original:
                 *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
             ),
             physical=physical_variables(system),
-            index=5,
+            index=derivative_array(system).signature.index,
         )

@@ -8,8 +8,10 @@ import casadi as ca
 
 from servocore.dae import Dae, Equation
 from servocore.formulations.base import mechanical_unknowns, physical_variables
-from servocore.structure.projection import project
 from servocore.model.system import MechanicalSystem
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.projection import project
+from servocore.structure.signature import Signature
 
 
 @dataclass(frozen=True)
@@ -52,5 +54,16 @@ class Projected:
                 *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
             ),
             physical=physical_variables(system),
-            index=3,
+            index=_index(derivative_array(system).signature, len(system.coordinates), len(system.outputs)),
         )
+
+
+def _index(signature: Signature, n: int, m: int) -> int:
+    """Return the differentiation index of (29) from what (1) has to be differentiated.
+
+    The second derivative of c = 0 stands among the rows of (29) already, which saves two differentiations of it. But
+    c = 0 itself has to be differentiated twice, whatever else: v_dot along C occurs nowhere else.
+    """
+    offsets = signature.equation_offsets
+    others = max((*offsets[:n], *offsets[n + m :]), default=0)
+    return max(2, max(others, max(offsets[n : n + m]) - 2) + signature.algebraic)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from servocore.dae import Dae, Equation, Unknown
-from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 from servocore.model.system import MechanicalSystem
+from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,8 @@ from servocore.methods.base import (
     scales,
     start_symbols,
 )
+from servocore.numerics.calls import Array
 from servocore.numerics.square_systems import SquareSystem
-from servocore.model.symbols import Array
 
 _MOST_STAGES = 7
 

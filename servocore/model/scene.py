@@ -8,9 +8,10 @@ from dataclasses import dataclass, field, replace
 import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.references import Reference
-from servocore.model.symbols import Array, Parameters
+from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references import Reference
 
 ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 """(reference jets (N, orders, m), parameter values) -> arrays (N,) by name."""

@@ -12,40 +12,10 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-
-Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A named scalar of a model: a coordinate, an input, an output or something observed.
-
-    Parameters
-    ----------
-    name : str
-        Identifier, unique within its model.
-    unit : str
-        SI unit as FMI spells it: ``m``, ``rad``, ``N.m``, ``m/s2``.
-    description : str
-        One line for tables and tool tips.
-    nominal : float
-        Typical magnitude in `unit`; scales Newton's stopping test.
-    wraps : bool
-        True for an angle computed by atan2: a trajectory of it is made continuous.
-    positive : bool
-        True for what the equations hold only the square of: a negative value belongs to another branch, on which a
-        step that is too large may land.
-    """
-
-    name: str
-    unit: str = "1"
-    description: str = ""
-    nominal: float = 1.0
-    wraps: bool = False
-    positive: bool = False
+from servocore.model.quantity import Quantity
+from servocore.numerics.calls import Array
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,10 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Coordinates, Parameters
+from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
-from servocore.model.symbols import Array, Coordinates, Parameters, Quantity
 
 MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
@@ -83,6 +85,17 @@ class MechanicalSystem:
     constraint_names : tuple of str, optional
         What messages call the rows of `constraints`; g_1, g_2, ... when not given.
 
+    Attributes
+    ----------
+    G : casadi.SX
+        Constraint Jacobian D g(q), shape (m_h, n).
+    C : casadi.SX
+        Servo Jacobian D Phi(q), shape (m, n).
+    bias : casadi.SX
+        Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,).
+    constraint_forces : casadi.SX
+        G^T lam + B^T u, shape (n,).
+
     Raises
     ------
     InvalidModel
@@ -110,6 +123,10 @@ class MechanicalSystem:
     u: ca.SX = DERIVED
     home_parameters: tuple[float, ...] = ()
     constraint_names: tuple[str, ...] = ()
+    G: ca.SX = field(init=False)
+    C: ca.SX = field(init=False)
+    bias: ca.SX = field(init=False)
+    constraint_forces: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
@@ -124,8 +141,16 @@ class MechanicalSystem:
         self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
         self._require_shape("gyroscopic", (n, 1))
         self._require_own_symbols()
+        self._derive()
         self._require_symmetric_mass()
         self._require_freedom(n, m, m_h)
+
+    def _derive(self) -> None:
+        derived = {"G": ca.jacobian(self.constraints, self.q), "C": ca.jacobian(self.output, self.q)}
+        derived["bias"] = ca.gradient(self.potential, self.q) - self.force + self.gyroscopic
+        derived["constraint_forces"] = ca.mtimes(derived["G"].T, self.lam) + ca.mtimes(self.input_matrix.T, self.u)
+        for attribute, expression in derived.items():
+            object.__setattr__(self, attribute, expression)
 
     def _fill(self, attribute: str, default: ca.SX) -> None:
         if getattr(self, attribute) is DERIVED:
@@ -210,12 +235,12 @@ class MechanicalSystem:
         """Multipliers of the holonomic constraints, shape (m_h,)."""
         return self.multipliers
 
-    @cached_property
+    @property
     def degrees_of_freedom(self) -> int:
         """N less the rank of the holonomic constraints, where they hold."""
         return len(self.coordinates) - self._rank_at_home.rank
 
-    @cached_property
+    @cached_property  # assembling a large mechanism takes longer than anything else here, and not every system asks
     def _rank_at_home(self) -> ConstraintRank:
         return self.constraint_rank()
 
@@ -243,26 +268,6 @@ class MechanicalSystem:
                 f"{self.name}: {len(found.redundant)} of the {found.rows} holonomic constraints are redundant (rank"
                 f" {found.rank}): {self.listed_constraints(found.redundant)}; solve and analyse leave them out"
             )
-
-    @cached_property
-    def G(self) -> ca.SX:  # noqa: N802 - the paper's name
-        """Constraint Jacobian D g(q), shape (m_h, n)."""
-        return ca.jacobian(self.constraints, self.q)
-
-    @cached_property
-    def C(self) -> ca.SX:  # noqa: N802 - the paper's name
-        """Servo Jacobian D Phi(q), shape (m, n)."""
-        return ca.jacobian(self.output, self.q)
-
-    @cached_property
-    def bias(self) -> ca.SX:
-        """Everything in the momentum equation but M v_dot, G^T lam and B^T u, shape (n,)."""
-        return ca.gradient(self.potential, self.q) - self.force + self.gyroscopic
-
-    @cached_property
-    def constraint_forces(self) -> ca.SX:
-        """G^T lam + B^T u, shape (n,)."""
-        return ca.mtimes(self.G.T, self.lam) + ca.mtimes(self.input_matrix.T, self.u)
 
     def momentum_balance(self, acceleration: ca.SX) -> ca.SX:
         """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
@@ -294,91 +299,3 @@ def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
     """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
     momentum = ca.mtimes(mass, v)
     return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)
-
-
-def generalise(
-    system: MechanicalSystem,
-    coordinates: Coordinates,
-    mapping: ca.SX,
-    *,
-    guess: ca.SX = DERIVED,
-    observables: Mapping[Quantity, ca.SX] | None = None,
-    name: str | None = None,
-) -> MechanicalSystem:
-    """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
-
-    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P
-    and the velocity-dependent inertia forces are P^T M P_dot nu (equations 5 to 12).
-
-    Parameters
-    ----------
-    system : MechanicalSystem
-        The system in redundant coordinates q.
-    coordinates : Coordinates
-        The generalised coordinates mu; as many as `system` has degrees of freedom.
-    mapping : casadi.SX
-        F(mu, p), shape (n,).
-    guess : casadi.SX, optional
-        A configuration mu near the one that belongs to the reference, an expression of ``system.gamma`` and p.
-    observables : mapping, optional
-        Observables of the new system; those of `system` that use no multipliers and inputs when not given.
-    name : str, optional
-        Name of the new system.
-
-    Raises
-    ------
-    InvalidModel
-        If the number of coordinates is wrong or F leaves the constraint manifold.
-    """
-    if len(coordinates) != system.degrees_of_freedom:
-        raise InvalidModel(
-            f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
-            f" not {len(coordinates)} generalised coordinates"
-        )
-    if mapping.shape != (len(system.coordinates), 1):
-        raise InvalidModel(
-            f"{system.name}: the mapping has shape {mapping.shape}, expected {(len(system.coordinates), 1)}"
-        )
-    mu, nu = coordinates.q, coordinates.v
-    P = ca.jacobian(mapping, mu)
-    velocity = ca.mtimes(P, nu)
-
-    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
-        pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
-        return pulled
-
-    mass, potential, force, gyroscopic, input_matrix, output, constraints = pulled_back(
-        system.mass, system.potential, system.force, system.gyroscopic,
-        system.input_matrix, system.output, system.constraints,
-    )  # fmt: skip
-    _require_on_manifold(system, coordinates, constraints)
-    if observables is None:
-        forces = ca.vertcat(system.lam, system.u)
-        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
-        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
-    return MechanicalSystem(
-        name=name or f"{system.name}, generalised",
-        coordinates=coordinates,
-        parameters=system.parameters,
-        inputs=system.inputs,
-        outputs=system.outputs,
-        mass=ca.mtimes([P.T, mass, P]),
-        potential=potential,
-        force=ca.mtimes(P.T, force),
-        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(velocity, mu, nu))),
-        input_matrix=ca.mtimes(input_matrix, P),
-        output=output,
-        gamma=system.gamma,
-        guess=guess,
-        home=system.home,
-        observables=observables,
-    )
-
-
-def _require_on_manifold(system: MechanicalSystem, coordinates: Coordinates, constraints: ca.SX) -> None:
-    """Evaluate g(F(mu)) at a point without symmetry: it must vanish there as it must everywhere."""
-    violation = ca.Function("violation", [coordinates.q, system.p], [constraints])
-    mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
-    worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
-    if not worst < 1e-9:
-        raise InvalidModel(f"{system.name}: the mapping leaves the constraint manifold (by {worst:.2g})")

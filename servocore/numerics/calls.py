@@ -1,9 +1,12 @@
 """Compiled functions called on NumPy arrays in place, without CasADi's matrix conversions.
 
-The conversions cost ten times what a small function itself takes. This module travels with `servocore.stepping.program`.
+The conversions cost ten times what a small function itself takes. This module travels with
+`servocore.stepping.program`.
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -62,3 +65,47 @@ class Call:
             result if columns == 1 else result.reshape((rows, columns), order="F")
             for result, (rows, columns) in zip(results, self._shapes, strict=True)
         )
+
+
+@lru_cache(maxsize=256)  # to build a map costs more than to evaluate it, and runs of one length follow one another
+def _repeated(function: ca.Function, count: int, chained: bool) -> Call:
+    return Call(function.mapaccum(f"{function.name()}_loop", count) if chained else function.map(count))
+
+
+def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -> tuple[Array, ...]:
+    """Evaluate a function of (*columns, gamma, p) at many instants at once.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With column vectors, a reference jet of shape (m, orders) and the parameters as arguments.
+    *columns : ndarray, shape (size, N)
+        One column an instant.
+    jets : ndarray, shape (N, orders, m)
+        Reference jets.
+    p : ndarray
+        Parameters, the same at all instants.
+
+    Returns
+    -------
+    tuple of ndarray, shape (rows, columns * N)
+        The results of the instants side by side.
+    """
+    count = len(jets)
+    found = mapped(function, count)(*columns, side_by_side(jets), np.tile(p[:, None], count))
+    return tuple(each.reshape(function.size1_out(k), -1, order="F") for k, each in enumerate(found))
+
+
+def mapped(function: ca.Function, count: int) -> Call:
+    """Return a function for `count` instants side by side."""
+    return _repeated(function, count, False)
+
+
+def chained(function: ca.Function, count: int) -> Call:
+    """Return `count` evaluations in a row, the first result of each being the first argument of the next."""
+    return _repeated(function, count, True)
+
+
+def side_by_side(jets: Array) -> Array:
+    """Lay reference jets (N, orders, m) side by side as CasADi maps them: (m, N * orders)."""
+    return jets.reshape(-1, jets.shape[2]).T

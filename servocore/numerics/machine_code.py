@@ -1,4 +1,4 @@
-"""Programs as machine code: CasADi's functions written in C and built by the compiler of this machine.
+"""Machine code: CasADi's functions written in C and built by the compiler of this machine.
 
 CasADi interprets its expressions, at some nanoseconds an operation. Machine code takes a fifth of that, and one to
 four seconds to build, once a process.
@@ -12,23 +12,19 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping
-from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 
 import casadi as ca
 
 from servocore.errors import InvalidSetting
-from servocore.stepping.program import Program
 
 COMPILERS = ("cc", "gcc", "clang")
-_COMPILED = ("start", "step", "observe")
 # No fused operations and nothing reordered: a program must not depend on who evaluates it.
 _OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
 _SECONDS = 600.0
 
 
-def compiler() -> list[str]:
+def c_compiler() -> list[str]:
     """Return the command of the C compiler: the variable CC, or the first of `COMPILERS` on the path.
 
     Raises
@@ -44,18 +40,6 @@ def compiler() -> list[str]:
         f"machine code needs a C compiler: there is none in the variable CC, and none of {', '.join(COMPILERS)} is on"
         f" the path"
     )
-
-
-@lru_cache(maxsize=32)
-def in_machine_code(program: Program) -> Program:
-    """Return the same program with start, step and observation as machine code.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no C compiler, or it does not compile.
-    """
-    return replace(program, **compiled({name: getattr(program, name) for name in _COMPILED}, program.name))
 
 
 def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca.Function]:
@@ -76,7 +60,7 @@ def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca
     generator = ca.CodeGenerator("program.c")
     for name, function in functions.items():
         generator.add(_renamed(function, f"sc_native_{name}"))
-    command = compiler()
+    command = c_compiler()
     # What is loaded stays loaded: the file may go.
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         source, library = Path(folder) / "program.c", Path(folder) / "program.so"

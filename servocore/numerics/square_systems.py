@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
+from servocore.numerics.expressions import largest
 
 STEP_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -161,13 +162,6 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     for count in assembly.iterations:
         most, total = ca.fmax(most, count), total + count
     return ca.Function(name, [givens], [*found, ca.vertcat(most, total), residual])
-
-
-def largest(values: ca.SX) -> ca.SX:
-    """Return the maximum norm, and NaN if any entry is: CasADi's own passes over NaN."""
-    if not values.numel():
-        return ca.SX(0)
-    return ca.if_else(ca.norm_1(values) < np.inf, ca.norm_inf(values), np.nan)
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:

@@ -25,13 +25,15 @@ from functools import cache, partial
 
 import casadi as ca
 
-from servocore.scenes import jets
 from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references import rest_to_rest
 from servocore.references.profiles import polynomial
-from servocore.model.scene import Scene
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.scenes import jets
 
 INPUT = Quantity("u", "N", "force on the last car, positive forwards")
 OUTPUT = Quantity("y", "m", "position of the first car")

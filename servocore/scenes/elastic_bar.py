@@ -31,13 +31,15 @@ from functools import cache, partial
 import casadi as ca
 import numpy as np
 
-from servocore.scenes import jets
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references import Reference, rest_to_rest
 from servocore.references.profiles import polynomial
-from servocore.model.scene import Scene
+from servocore.scenes import jets
 from servocore.scenes.cars import follow_chain, require_masses
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 
 PARAMETERS = Parameters(
     Parameter("length", 1.0, "m", 1e-3, 1e6, "L"),

@@ -19,12 +19,14 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from servocore.scenes import jets
-from servocore.references import rest_to_rest
+from servocore.model.generalise import generalise
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.scenes import hanging_load
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references import rest_to_rest
+from servocore.scenes import hanging_load, jets
 
 PARAMETERS = Parameters(
     Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),

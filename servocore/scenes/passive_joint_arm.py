@@ -38,11 +38,14 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from servocore.references import Reference, rest_to_rest
+from servocore.model.generalise import generalise
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references import Reference, rest_to_rest
 from servocore.scenes.internal_dynamics import forward, two_sided
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""

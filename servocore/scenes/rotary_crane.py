@@ -24,13 +24,15 @@ from functools import cache
 import casadi as ca
 import numpy as np
 
-from servocore.scenes import jets
-from servocore.references import rest_to_rest
+from servocore.model.generalise import generalise
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
-from servocore.scenes import hanging_load
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references import rest_to_rest
+from servocore.scenes import hanging_load, jets
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
 
 PARAMETERS = Parameters(
     Parameter("bridge_inertia", 480.0, "kg.m2", 1e-3, 1e9, "J_b, of bridge, trolley and winch at s = 0"),

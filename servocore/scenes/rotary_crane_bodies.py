@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from servocore.model.quantity import Quantity
 from servocore.model.rotationless import (
     GROUND,
     Assembly,
@@ -44,8 +45,8 @@ from servocore.model.rotationless import (
     revolute,
     turned,
 )
+from servocore.model.symbols import Parameters
 from servocore.scenes import hanging_load
-from servocore.model.symbols import Parameters, Quantity
 
 if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem

@@ -1,1 +1,10 @@
-"""."""
+"""Routes from a problem to its solution, and forward dynamics to try one: one file each."""
+
+from servocore.solvers.adaptive import Adaptive
+from servocore.solvers.boundary_value import BoundaryValue
+from servocore.solvers.exact_inversion import ExactInversion
+from servocore.solvers.route import Route
+from servocore.solvers.simulate import simulate
+from servocore.solvers.solve import solve
+
+__all__ = ["Adaptive", "BoundaryValue", "ExactInversion", "Route", "simulate", "solve"]

@@ -12,81 +12,116 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from servocore.solvers.accuracy import Adaptive
-from servocore.errors import IntegrationFailed
-from servocore.solvers.fixed_step import Progress, Run, begin, observe, run, statistics
-from servocore.checks.wrong_inputs import follow_angles
+from servocore.errors import IntegrationFailed, InvalidSetting
+from servocore.formulations.base import Formulation
+from servocore.methods.base import Method
+from servocore.numerics.calls import Array
+from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.stepping.stepper import Stepper
-from servocore.model.symbols import Array
+from servocore.solvers.loop import Progress, Run, begin, run, step_of
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import program_of
+from servocore.stepping.program import Program
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
 _STAGNATION = 1.3  # a halved step that improves the inputs by less has met a floor
 _MOST_HALVINGS = 14
 
 
-def solve_to_tolerance(stepper: Stepper, control: Adaptive, t: Array, progress: Progress | None) -> Solution:
-    """Solve so accurately that every reported trajectory meets the tolerance at the instants `t`.
+@dataclass(frozen=True)
+class Adaptive:
+    """The accuracy wanted of every reported trajectory; the only knob.
 
-    Raises
-    ------
-    IntegrationFailed
-        If the tolerance cannot be met, with what was reached and why.
+    An error e of a trajectory with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
+    round-off, so it needs no tolerance of its own.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative to the peak of each trajectory over the run.
+    atol : float
+        In the trajectory's own unit.
+    most_steps : int
+        A run that needs more is given up.
     """
-    if stepper.index == 0:
-        return _exact(stepper, t, progress)
-    if stepper.index == 1:
-        return _by_steps(stepper, control, t, progress)
-    return _by_runs(stepper, control, t, progress)
+
+    rtol: float = 1e-6
+    atol: float = 0.0
+    most_steps: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.rtol < 1.0 and 0.0 <= self.atol < float("inf") and self.rtol + self.atol > 0.0):
+            raise InvalidSetting(
+                f"tolerances must be finite and not negative, one of them positive, and rtol below 1;"
+                f" they are rtol = {self.rtol}, atol = {self.atol}"
+            )
+
+    def allowed(self, peaks: Array) -> Array:
+        """Return the error that is accepted of trajectories with these peaks."""
+        return self.atol + self.rtol * peaks
 
 
-def _solution(stepper: Stepper, t: Array, done: Run) -> Solution:
-    reference, program = stepper.scene.reference, stepper.program
-    values, violations = observe(program, reference, stepper.parameters, t, done.states)
-    follow_angles(stepper, t, done.states, values)
-    summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
-    return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
+@dataclass(frozen=True)
+class ToTolerance:
+    """So accurate that every reported trajectory meets a tolerance at the instants.
+
+    Parameters
+    ----------
+    formulation, method : Formulation, Method
+        What is stepped, and how.
+    control : Adaptive
+        The accuracy wanted.
+    native : bool
+        Whether as machine code.
+    """
+
+    formulation: Formulation
+    method: Method
+    control: Adaptive
+    native: bool = False
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Solve to the tolerance; see `Route`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If the tolerance cannot be met, with what was reached and why.
+        """
+        program = program_of(problem, self.formulation, self.method, self.native)
+        order = self.method.orders(program.index).forces
+        if program.index == 1:
+            return _by_steps(problem, StepControl(self.control, program, problem, order), times, progress)
+        return _by_runs(problem, program, self.control, order, times)
 
 
-def _exact(stepper: Stepper, t: Array, progress: Progress | None) -> Solution:
-    done = run(stepper.scene.reference, stepper.program, stepper.parameters, t, stepper.step, progress)
-    return _solution(stepper, t, done)
-
-
-def _by_runs(stepper: Stepper, control: Adaptive, t: Array, progress: Progress | None) -> Solution:
+def _by_runs(problem: Problem, program: Program, control: Adaptive, order: int, t: Array) -> Solution:
     """Halve the step of whole runs until the inputs at the instants `t` agree to the tolerance."""
-    inputs = len(stepper.system.inputs)
-    order = stepper.method.orders(stepper.index).forces
+    inputs = len(problem.system.inputs)
     coarse, last_change, total = None, None, 0
     for halvings in range(_MOST_HALVINGS):
         division = 2**halvings
         count = (len(t) - 1) * division
         if total + count > control.most_steps:
-            raise IntegrationFailed(f"{stepper.program.name}: {control.most_steps} steps are not enough")
+            raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        fine_t = np.interp(np.arange(count + 1) / division, np.arange(len(t)), t)
-        finer = replace(stepper, step=stepper.step / division)
-        done = run(stepper.scene.reference, finer.program, finer.parameters, fine_t, finer.step, progress)
-        at_output = replace(done, states=done.states[:, ::division])
-        fine = _solution(finer, t, at_output)
+        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t))
+        segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
+        fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
             peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
             change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
             ratio = None if last_change is None else last_change / np.maximum(change, 1e-300)
             estimate = change / (2.0 ** _observed_order(ratio, order) - 1.0)
-            unmet = estimate > control.atol + control.rtol * peaks
+            unmet = estimate > control.allowed(peaks)
             if not unmet.any():
-                summary = replace(
-                    fine.statistics,
-                    steps=total,
-                    error_estimate=float((estimate / np.maximum(peaks, 1e-300)).max()),
-                )
-                return replace(fine, statistics=summary)
+                error = float((estimate / np.maximum(peaks, 1e-300)).max())
+                return replace(fine, statistics=replace(fine.statistics, error_estimate=error))
             if ratio is not None and ratio[unmet].min() < _STAGNATION:
-                raise IntegrationFailed(_stagnation(stepper, control, estimate, peaks, count))
+                raise IntegrationFailed(_stagnation(problem, program, control, estimate / peaks, count))
             last_change = change
         coarse = fine
-    raise IntegrationFailed(f"{stepper.program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
+    raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
 
 
 def _observed_order(ratio: Array | None, order: int) -> Array | float:
@@ -97,26 +132,45 @@ def _observed_order(ratio: Array | None, order: int) -> Array | float:
     return clipped
 
 
-def _stagnation(stepper: Stepper, control: Adaptive, estimate: Array, peaks: Array, count: int) -> str:
-    worst = int((estimate / np.maximum(peaks, 1e-300)).argmax())
-    name = stepper.system.inputs[worst].name
+def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:
+    worst = int(np.nan_to_num(relative).argmax())
     return (
-        f"{stepper.program.name}: {name} stopped improving at {estimate[worst] / peaks[worst]:.2g} of its peak after"
-        f" {count} steps, {control.rtol:g} was asked for; likely causes: round-off, which grows like 1/h^2 on this"
-        f" form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
+        f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
+        f" after {count} steps, {control.rtol:g} was asked for; likely causes: round-off, which grows like 1/h^2 on"
+        f" this form, a method that does not damp errors of the inputs, or a path that is not smooth enough"
     )
 
 
-@dataclass
-class _Progression:
-    """What the stepwise control carries along."""
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """How far a run with local error control has come: a value, which an attempt to step turns into the next.
+
+    Attributes
+    ----------
+    state : ndarray
+        Of the program, at `time`.
+    time : float
+        In s.
+    spacing : float
+        Step by which the history in the state is spaced, in s.
+    peaks : ndarray
+        Largest magnitude of every trajectory so far.
+    h : float
+        Step to try next, in s.
+    last_error : float
+        Of the last accepted step, as a fraction of what is allowed.
+    steps, rejected, newton_iterations, factorisations : int
+        Totals.
+    worst_residual, largest_error : float
+        Of all accepted steps.
+    """
 
     state: Array
     time: float
-    h: float
     spacing: float
-    last_error: float
     peaks: Array
+    h: float
+    last_error: float = 1.0
     steps: int = 0
     rejected: int = 0
     newton_iterations: int = 0
@@ -125,79 +179,102 @@ class _Progression:
     largest_error: float = 0.0
 
 
-def _by_steps(stepper: Stepper, control: Adaptive, t: Array, progress: Progress | None) -> Solution:
+@dataclass(frozen=True, eq=False)
+class StepControl:
+    """Local error control of a program: what a trial step was worth, and which step comes next."""
+
+    control: Adaptive
+    program: Program
+    problem: Problem
+    order: int
+
+    def error(self, now: Reached, time: float, fine: Array, coarse: Array) -> tuple[float, Array]:
+        """Return the error of a step to `time` as a fraction of what is allowed, and the new peaks."""
+        jet = self.problem.reference.jet(time, self.program.start_order)
+        fine, coarse = (self.program.values(each, jet, self.problem.p) for each in (fine, coarse))
+        peaks = np.maximum(now.peaks, np.abs(fine))
+        # Error per unit of time: so that what all steps leave behind together meets the tolerance.
+        weight = self.control.allowed(np.maximum(peaks, 1e-3)) * (time - now.time) / self.problem.reference.duration
+        return float((np.abs(fine - coarse) / (2.0**self.order - 1.0) / weight).max()), peaks
+
+    def next_step(self, h: float, error: float, last_error: float) -> float:
+        """Return the step after one of size `h` with this error: a PI controller after success, smaller otherwise."""
+        exponent = 1.0 / self.order
+        if error <= 1.0:
+            factor = _SAFETY * max(error, 1e-10) ** (-0.7 * exponent) * last_error ** (0.4 * exponent)
+        else:
+            factor = min(1.0, _SAFETY * error**-exponent) if np.isfinite(error) else _LEAST
+        return h * float(np.clip(factor, _LEAST, _MOST))
+
+    def require_possible(self, now: Reached, h: float) -> None:
+        """Raise `IntegrationFailed` if too many steps were needed, or one too small to change the time."""
+        if now.steps + now.rejected > self.control.most_steps or h < 1e-12 * max(1.0, abs(now.time)):
+            raise IntegrationFailed(
+                f"{self.program.name}: the tolerance rtol = {self.control.rtol:g}, atol = {self.control.atol:g} asked"
+                f" for steps of {h:.2g} s at t = {now.time:.6g} s, {now.steps} steps after the start; a method of"
+                f" higher order or a larger tolerance is needed"
+            )
+
+
+def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progress | None) -> Solution:
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
-    reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
-    state, residual = begin(reference, program, p, stepper.step)
-    peaks = np.abs(program.values(state, reference.jet(float(t[0]), program.start_order), p))
-    now = _Progression(state, float(t[0]), stepper.step, stepper.step, 1.0, peaks, worst_residual=residual)
+    program, step = control.program, step_of(t)
+    state, residual = begin(problem, program, step)
+    peaks = np.abs(program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p))
+    now = Reached(state, float(t[0]), step, peaks, step, worst_residual=residual)
     columns = [state]
     for k, end in enumerate(t[1:]):
-        while end - now.time > 1e-9 * stepper.step:
-            _advance_once(stepper, control, now, float(end))
-        now.time = float(end)
+        while end - now.time > 1e-9 * step:
+            now = _attempt(control, now, float(end))
+        now = replace(now, time=float(end))
         columns.append(now.state)
         if progress is not None:
             progress(k + 1, len(t) - 1)
     done = Run(np.array(columns).T, now.newton_iterations, now.factorisations, now.worst_residual)
-    solution = _solution(stepper, t, done)
-    summary = replace(solution.statistics, steps=now.steps, rejected=now.rejected, error_estimate=now.largest_error)
-    return replace(solution, statistics=summary)
+    segments, error = [Segment(program, t, done)], now.largest_error
+    return solution_of(problem, segments, steps=now.steps, rejected=now.rejected, error_estimate=error)
 
 
-def _advance_once(stepper: Stepper, control: Adaptive, now: _Progression, end: float) -> None:
-    """Try one step; accept it, or make the next one smaller."""
-    program, p = stepper.program, stepper.parameters
+def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
+    """Try one step towards `end`; return what it reached, or the same place with a smaller step to try."""
     left = end - now.time
     # Share what is left evenly rather than leave a sliver for last.
     h = left / max(1, np.ceil(left / now.h * (1 - 1e-9)))
-    if now.steps + now.rejected > control.most_steps or h < 1e-12 * max(1.0, abs(now.time)):
-        raise IntegrationFailed(
-            f"{program.name}: the tolerance rtol = {control.rtol:g}, atol = {control.atol:g} asked for steps of"
-            f" {h:.2g} s at t = {now.time:.6g} s, {now.steps} steps after the start; a method of higher order or"
-            f" a larger tolerance is needed"
-        )
-    whole = _steps(stepper, now, h, 1)
-    halves = _steps(stepper, now, h, 2)
-    order = stepper.method.orders(1).forces
-    error = np.inf
-    if whole is not None and halves is not None:
-        jet = stepper.scene.reference.jet(now.time + h, program.start_order)
-        fine, coarse = program.values(halves[0], jet, p), program.values(whole[0], jet, p)
-        now.peaks = np.maximum(now.peaks, np.abs(fine))
-        # Error per unit of time: so that what all steps leave behind together meets the tolerance.
-        share = h / stepper.scene.reference.duration
-        weight = (control.atol + control.rtol * np.maximum(now.peaks, 1e-3)) * share
-        error = float((np.abs(fine - coarse) / (2.0**order - 1.0) / weight).max())
-    exponent = 1.0 / order
-    if error <= 1.0 and halves is not None:
-        state, iterations, factorisations, residual = halves
-        now.state, now.time, now.steps, now.spacing = state, now.time + h, now.steps + 2, h / 2
-        now.newton_iterations += iterations
-        now.factorisations += factorisations
-        now.worst_residual = max(now.worst_residual, residual)
-        now.largest_error = max(now.largest_error, error * control.rtol)
-        factor = _SAFETY * max(error, 1e-10) ** (-0.7 * exponent) * now.last_error ** (0.4 * exponent)
-        now.last_error = max(error, 1e-4)
-    else:
-        now.rejected += 1
-        factor = _SAFETY * error**-exponent if np.isfinite(error) else _LEAST
-        factor = min(1.0, factor)
-    now.h = h * float(np.clip(factor, _LEAST, _MOST))
+    control.require_possible(now, h)
+    whole, halves = (_steps(control, now, h, parts) for parts in (1, 2))
+    if whole is None or halves is None:
+        return replace(now, rejected=now.rejected + 1, h=control.next_step(h, np.inf, now.last_error))
+    error, peaks = control.error(now, now.time + h, halves.states[:, -1], whole.states[:, -1])
+    h_next = control.next_step(h, error, now.last_error)
+    if not error <= 1.0:
+        return replace(now, peaks=peaks, rejected=now.rejected + 1, h=h_next)
+    return Reached(
+        state=halves.states[:, -1],
+        time=now.time + h,
+        spacing=h / 2,
+        peaks=peaks,
+        h=h_next,
+        last_error=max(error, 1e-4),
+        steps=now.steps + 2,
+        rejected=now.rejected,
+        newton_iterations=now.newton_iterations + halves.newton_iterations,
+        factorisations=now.factorisations + halves.factorisations,
+        worst_residual=max(now.worst_residual, halves.worst_residual),
+        largest_error=max(now.largest_error, error * control.control.rtol),
+    )
 
 
-def _steps(stepper: Stepper, now: _Progression, h: float, parts: int) -> tuple[Array, int, int, float] | None:
+def _steps(control: StepControl, now: Reached, h: float, parts: int) -> Run | None:
     """Take a step in `parts` equal parts; None if one of them fails."""
-    program, reference, part = stepper.program, stepper.scene.reference, h / parts
+    program, problem, part = control.program, control.problem, h / parts
     state = program.rescaled(now.state, part / now.spacing)
     iterations, factorisations, residual = 0, 0, 0.0
     for k in range(parts):
-        begin_time = now.time + k * part
-        jets = reference.jet(begin_time + part * np.array(program.nodes), program.order)
-        state, report = program.advance(state, jets, part, stepper.parameters)
+        times = now.time + k * part + part * np.array(program.nodes)
+        state, report = program.advance(state, problem.reference.jet(times, program.order), part, problem.p)
         if not report.converged:
             return None
         iterations += report.newton_iterations
         factorisations += report.factorisations
         residual = max(residual, report.residual)
-    return state, iterations, factorisations, residual
+    return Run(state[:, None], iterations, factorisations, residual)

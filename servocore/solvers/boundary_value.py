@@ -10,28 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.calls import Call
 from servocore.dae import Dae
-from servocore.structure.derivative_array import DerivativeArray, compile_array_solver, derivative_array, first_guess
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting
-from servocore.checks.limits import side_by_side
-from servocore.formulations import Reduced
-from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium
-from servocore.solvers.fixed_step import Progress, Run, observe, statistics
-from servocore.methods import RadauIIA
+from servocore.formulations.reduced import Reduced
 from servocore.methods.base import at, reference_symbols
-from servocore.methods.collocation import tableau
-from servocore.references import Reference
+from servocore.methods.collocation import RadauIIA, tableau
+from servocore.numerics.calls import Array, mapped, side_by_side
+from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
-from servocore.stepping.stepper import compile_program
-from servocore.model.symbols import Array
-from servocore.model.system import MechanicalSystem
+from servocore.solvers.loop import Progress, Run, step_of
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import program_of
+from servocore.structure.inversion import inversion
+from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearisation
 
 Places = npt.NDArray[np.int64]
 _Triplets = tuple[Array, tuple[Places, Places]]
@@ -75,69 +71,58 @@ class BoundaryValue:
         """Name on command lines and in tables."""
         return "boundary-value"
 
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
+
+        Raises
+        ------
+        InvalidReference
+            If the reference does not start and end at rest, or lacks derivatives.
+        IntegrationFailed
+            If Newton's method fails or the mesh cannot be refined to the tolerance.
+        """
+        bounded = _pose(problem, self)
+        t = _horizon(bounded, self, step_of(times))
+        last: Solution | None = None
+        for halvings in range(_MOST_HALVINGS):
+            parts = 2**halvings
+            mesh = np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
+            states, iterations = _solve_on(bounded, mesh)
+            now = _report(bounded, t, states[:, ::parts], iterations, self)
+            if progress is not None:
+                progress(halvings + 1, _MOST_HALVINGS)
+            if last is not None:
+                inputs = len(problem.system.inputs)
+                change = np.abs(now.values - last.values)[:, :inputs].max(axis=0)
+                relative = float((change / np.maximum(np.abs(now.values[:, :inputs]).max(axis=0), 1e-300)).max())
+                if relative <= self.tolerance:
+                    summary = replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
+                    return replace(now, statistics=summary)
+            last = now
+        raise IntegrationFailed(
+            f"{problem.system.name}: the inputs still change by {relative:.2g} of their peak when the mesh is halved to"
+            f" {len(mesh) - 1} intervals, {self.tolerance:g} was asked for"
+        )
+
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _Bounded:
     """Everything that does not change while the mesh is refined."""
 
-    system: MechanicalSystem
-    array: DerivativeArray
+    problem: Problem
     dae: Dae
-    reference: Reference
-    p: Array
     left: Equilibrium
     right: Equilibrium
     stages: int
 
 
-def solve_boundary_value(
-    system: MechanicalSystem,
-    reference: Reference,
-    p: Array,
-    route: BoundaryValue,
-    step: float,
-    progress: Progress | None = None,
-) -> Solution:
-    """Compute the bounded inputs on a grid of `step` that reaches beyond both ends of the reference.
-
-    Raises
-    ------
-    InvalidReference
-        If the reference does not start and end at rest, or lacks derivatives.
-    IntegrationFailed
-        If Newton's method fails or the mesh cannot be refined to the tolerance.
-    """
-    problem = _pose(system, reference, p, route)
-    t = _horizon(problem, route, step)
-    last: Solution | None = None
-    for halvings in range(_MOST_HALVINGS):
-        parts = 2**halvings
-        mesh = np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
-        states, iterations = _solve_on(problem, mesh)
-        now = _report(problem, t, states[:, ::parts], iterations, route)
-        if progress is not None:
-            progress(halvings + 1, _MOST_HALVINGS)
-        if last is not None:
-            inputs = len(system.inputs)
-            change = np.abs(now.values - last.values)[:, :inputs].max(axis=0)
-            relative = float((change / np.maximum(np.abs(now.values[:, :inputs]).max(axis=0), 1e-300)).max())
-            if relative <= route.tolerance:
-                summary = replace(now.statistics, steps=len(mesh) - 1, error_estimate=relative)
-                return replace(now, statistics=summary)
-        last = now
-    raise IntegrationFailed(
-        f"{system.name}: the inputs still change by {relative:.2g} of their peak when the mesh is halved to"
-        f" {len(mesh) - 1} intervals, {route.tolerance:g} was asked for"
-    )
-
-
-def _pose(system: MechanicalSystem, reference: Reference, p: Array, route: BoundaryValue) -> _Problem:
-    array = derivative_array(system)
-    if not array.states:
-        raise InvalidSetting(f"{system.name} has no internal dynamics; Reduced is exact, no boundary values are needed")
+def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
+    array, reference, name = problem.array, problem.reference, problem.system.name
+    if problem.flat:
+        raise InvalidSetting(f"{name} has no internal dynamics; Reduced is exact, no boundary values are needed")
     if reference.max_order < array.reference_order:
         raise InvalidReference(
-            f"the path has derivatives up to order {reference.max_order}, {system.name} needs {array.reference_order}"
+            f"the path has derivatives up to order {reference.max_order}, {name} needs {array.reference_order}"
         )
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
     size = float(np.abs(ends[:, 0]).max()) + 1.0
@@ -146,30 +131,30 @@ def _pose(system: MechanicalSystem, reference: Reference, p: Array, route: Bound
             raise InvalidReference(
                 f"a bounded inversion needs a path at rest at its ends, but it moves at t = {time:g} s"
             )
-    left, right = (internal_equilibrium(array, p, jet[0]) for jet in ends)
-    return _Problem(system, array, Reduced().dae(system), reference, p, left, right, route.stages)
+    linear = problem.resolved.once(linearisation, problem.resolved.once(inversion))
+    left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
+    return _Bounded(problem, problem.dae(Reduced()), left, right, route.stages)
 
 
-def _horizon(problem: _Problem, route: BoundaryValue, step: float) -> Array:
+def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
     """Return a grid through the start of the reference that reaches far enough beyond both ends."""
-    needed = np.log(1.0 / route.tolerance) + 2.0
-    rates = np.array([value.real for value in problem.left.eigenvalues])
+    needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
+    rates = np.array([value.real for value in bounded.left.eigenvalues])
     growing, decaying = rates[rates > 0.0], -rates[rates < 0.0]
     pre = route.pre if route.pre is not None else (needed / growing.min() if growing.size else 0.0)
     post = route.post if route.post is not None else (needed / decaying.min() if decaying.size else 0.0)
-    before, inside, after = np.ceil(pre / step), round(problem.reference.duration / step), np.ceil(post / step)
-    grid: Array = problem.reference.start_time + step * np.arange(-before, inside + after + 1.0)
+    before, inside, after = np.ceil(pre / step), round(reference.duration / step), np.ceil(post / step)
+    grid: Array = reference.start_time + step * np.arange(-before, inside + after + 1.0)
     return grid
 
 
-@lru_cache(maxsize=16)
-def _interval(dae: Dae, stages: int) -> tuple[ca.Function, ca.Function, Places]:
+def _interval(resolved: ResolvedSystem, stages: int) -> tuple[ca.Function, ca.Function, Places]:
     """Compile the collocation equations of one mesh interval.
 
     Returns (values, gamma, h, p) -> residual, the same -> nonzeros of its Jacobian by values, and their (row, column)
     places; values are [x at the left; stages; x at the right].
     """
-    method = tableau("gauss", stages)
+    dae, method = resolved.dae(Reduced()), tableau("gauss", stages)
     size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
     left, right, stage = ca.SX.sym("left", size_x), ca.SX.sym("right", size_x), ca.SX.sym("stage", size, stages)
     h, (reference, at_nodes) = ca.SX.sym("h"), reference_symbols(dae, stages)
@@ -193,24 +178,24 @@ def _interval(dae: Dae, stages: int) -> tuple[ca.Function, ca.Function, Places]:
     )
 
 
-def _solve_on(problem: _Problem, mesh: Array) -> tuple[Array, int]:
+def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     """Solve on a mesh of equal intervals; returns [x; z] at the mesh points and the Newton iterations."""
     import scipy.sparse  # noqa: PLC0415 - kept out of the run time of an FMU
     import scipy.sparse.linalg  # noqa: PLC0415
 
-    evaluate, assemble, ends = _collocation(problem, mesh)
-    y = _quasi_static(problem, mesh)
+    evaluate, assemble, ends = _collocation(bounded, mesh)
+    y = _quasi_static(bounded, mesh)
     residual = evaluate(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         matrix = scipy.sparse.csc_array(assemble(y), shape=(len(y), len(y)))
         change = scipy.sparse.linalg.splu(matrix).solve(-residual)
         y, residual, length = _damped(evaluate, y, residual, change)
         if length == 1.0 and np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
-            return _at_mesh(problem, mesh, y[ends]), iteration
+            return _algebraic(bounded, mesh, y[ends]), iteration
         if not np.isfinite(residual).all():
             break
     raise IntegrationFailed(
-        f"{problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
+        f"{bounded.problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
         f" likely causes: a path too fast for the system, or a horizon that is too short"
     )
 
@@ -227,25 +212,25 @@ def _damped(evaluate: Callable[[Array], Array], y: Array, residual: Array, chang
 
 
 def _collocation(
-    problem: _Problem, mesh: Array
+    bounded: _Bounded, mesh: Array
 ) -> tuple[Callable[[Array], Array], Callable[[Array], _Triplets], Places]:
     """Return residual and Jacobian of the whole horizon, and the places of x at the mesh points.
 
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
-    dae, count = problem.dae, len(mesh) - 1
-    one, one_jacobian, (rows, columns) = _interval(dae, problem.stages)
+    problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
+    one, one_jacobian, (rows, columns) = problem.resolved.once(_interval, bounded.stages)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
     h = (mesh[-1] - mesh[0]) / count
-    nodes = (mesh[:-1, None] + h * tableau("gauss", problem.stages).c).ravel()
+    nodes = (mesh[:-1, None] + h * tableau("gauss", bounded.stages).c).ravel()
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
     constant = (gamma, np.full(count, h), np.tile(problem.p[:, None], count))
-    mapped, mapped_jacobian = Call(one.map(count)), Call(one_jacobian.map(count))
+    residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
     starts = width * np.arange(count)
     take = starts[:, None] + np.arange(width + size_x)
-    global_rows = (height * np.arange(count)[:, None] + rows).ravel() + len(problem.left.stable)
+    global_rows = (height * np.arange(count)[:, None] + rows).ravel() + len(bounded.left.stable)
     global_columns = (starts[:, None] + columns).ravel()
-    left, right = problem.left.stable, problem.right.unstable
+    left, right = bounded.left.stable, bounded.right.unstable
     total = width * count + size_x
     dense = [
         (left, np.arange(size_x), 0),
@@ -253,15 +238,15 @@ def _collocation(
     ]
 
     def evaluate(y: Array) -> Array:
-        (inside,) = mapped(y[take].T, *constant)
+        (inside,) = residuals(y[take].T, *constant)
         return np.concatenate([
-            left @ (y[:size_x] - problem.left.states),
+            left @ (y[:size_x] - bounded.left.states),
             inside.ravel(order="F"),
-            right @ (y[-size_x:] - problem.right.states),
+            right @ (y[-size_x:] - bounded.right.states),
         ])  # fmt: skip
 
     def assemble(y: Array) -> _Triplets:
-        (inside,) = mapped_jacobian(y[take].T, *constant)
+        (inside,) = jacobians(y[take].T, *constant)
         data, i, j = [inside.ravel(order="F")], [global_rows], [global_columns]
         for matrix, places, first in dense:
             data.append(matrix.ravel())
@@ -273,54 +258,35 @@ def _collocation(
     return evaluate, assemble, ends
 
 
-def _quasi_static(problem: _Problem, mesh: Array) -> Array:
+def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
     """Return a first guess: the internal states at rest, everything else following the reference."""
-    dae, stages, count = problem.dae, problem.stages, len(mesh) - 1
+    reference, stages, count = bounded.problem.reference, bounded.stages, len(mesh) - 1
     h = (mesh[-1] - mesh[0]) / count
     nodes = (mesh[:-1, None] + h * tableau("gauss", stages).c).ravel()
-    share = np.clip((nodes - problem.reference.start_time) / problem.reference.duration, 0.0, 1.0)
-    states = problem.left.states + share[:, None] * (problem.right.states - problem.left.states)
-    stage = _algebraic(problem, nodes, states).T.reshape(count, -1)
-    size_x = dae.x.numel()
+    share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
+    states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
+    stage = _algebraic(bounded, nodes, states).T.reshape(count, -1)
+    size_x = bounded.dae.x.numel()
     inside = np.hstack([stage[:, :size_x], stage]).ravel()
-    return np.concatenate([inside, problem.right.states])
+    return np.concatenate([inside, bounded.right.states])
 
 
-def _algebraic(problem: _Problem, t: Array, states: Array) -> Array:
+def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     """Solve for everything that the states (N, len x) and the reference determine: [x; z], shape (size, N)."""
-    array = problem.array
-    gamma = problem.reference.jet(t, array.reference_order)
-    solver, guess = _array_functions(array, len(t))
-    p = np.tile(problem.p[:, None], len(t))
-    (start,) = guess(side_by_side(gamma), p)
-    own = [array.unknowns.index(each) for each in array.states]
-    start[own] = states.T
-    found, _, _ = solver(side_by_side(gamma), p, start)
-    order = [array.unknowns.index(each) for each in (*array.states, *array.determined)]
-    values: Array = found[order]
+    problem, array = bounded.problem, bounded.problem.array
+    inverse, count = problem.resolved.once(inversion), len(t)
+    gamma = side_by_side(problem.reference.jet(t, array.reference_order))
+    p = np.tile(problem.p[:, None], count)
+    (start,) = mapped(inverse.guess, count)(gamma, p)
+    start[array.places(array.states)] = states.T
+    found, _, _ = mapped(inverse.search, count)(gamma, p, start)
+    values: Array = found[array.places((*array.states, *array.determined))]
     return values
 
 
-@lru_cache(maxsize=64)
-def _array_functions(array: DerivativeArray, count: int) -> tuple[Call, Call]:
-    return Call(compile_array_solver(array).map(count)), Call(first_guess(array).map(count))
-
-
-def _at_mesh(problem: _Problem, mesh: Array, states: Array) -> Array:
-    return _algebraic(problem, mesh, states)
-
-
-def _report(problem: _Problem, t: Array, unknowns: Array, iterations: int, route: BoundaryValue) -> Solution:
-    program = compile_program(problem.system, Reduced(), RadauIIA(1))
+def _report(bounded: _Bounded, t: Array, unknowns: Array, iterations: int, route: BoundaryValue) -> Solution:
+    program = program_of(bounded.problem, Reduced(), RadauIIA(1))
     states = np.zeros((program.state_size, len(t)))
     states[: len(unknowns)] = unknowns
-    values, violations = observe(program, problem.reference, problem.p, t, states)
-    done = Run(states, iterations, iterations, 0.0)
-    return Solution(
-        t,
-        program.channels,
-        values,
-        f"{problem.dae.name}, {route.name}",
-        statistics(done, values[:, : len(problem.system.inputs)], violations),
-        problem.reference.fit_error,
-    )
+    segment = Segment(program, t, Run(states, iterations, iterations, 0.0))
+    return solution_of(bounded.problem, [segment], f"{bounded.dae.name}, {route.name}")

@@ -1,23 +1,50 @@
-"""`ExactInversion`: the inputs of a scene at any instants, prepared once."""
+"""Exact inversion: every instant by itself, as a route of `solve` and, for inputs alone, prepared once."""
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.checks.limits import require_feasible
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
-from servocore.checks.limits import require_feasible, side_by_side
-from servocore.structure.inversion import compile_flat_inversion, compile_inversion
-from servocore.numerics.machine_code import compiled
-from servocore.problem import prepared
+from servocore.formulations.base import Formulation
+from servocore.methods.base import Method
 from servocore.model.scene import Scene
-from servocore.model.symbols import Array
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, mapped, side_by_side
+from servocore.numerics.machine_code import compiled
+from servocore.problem import Problem, ResolvedSystem
+from servocore.solution import Solution
+from servocore.solvers.loop import Progress, run
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import program_of
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import inversion
+
+
+@dataclass(frozen=True)
+class Pointwise:
+    """Every instant by itself, on a form without differential states: exact, whatever the distance of the instants.
+
+    Parameters
+    ----------
+    formulation, method : Formulation, Method
+        The form; of the method nothing is left but its name.
+    native : bool
+        Whether as machine code.
+    """
+
+    formulation: Formulation
+    method: Method
+    native: bool = False
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Invert at every instant; see `Route`."""
+        program = program_of(problem, self.formulation, self.method, self.native)
+        return solution_of(problem, [Segment(program, times, run(problem, program, times, progress))])
 
 
 class ExactInversion:
@@ -58,23 +85,21 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool = False) -> None:
-        base = scene.model(model)
-        self._parameters = base.parameters.values(scene.parameters)
-        system = prepared(base, self._parameters)[0]
-        array = derivative_array(system)
-        if array.states or scene.follow_branch:
-            why = "has internal dynamics" if array.states else "follows a branch"
+        problem = Problem.of(scene, model)
+        array = problem.array
+        if not problem.flat or scene.follow_branch:
+            why = "follows a branch" if problem.flat else "has internal dynamics"
             raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and solve computes them")
         if scene.reference.max_order < array.reference_order:
             raise InvalidReference(
                 f"the path has derivatives up to order {scene.reference.max_order}, the inputs of {scene.name} need"
                 f" order {array.reference_order}"
             )
-        require_feasible(scene.reference, system, scene.limits, self._parameters)
-        self._reference, self._order, self._name = scene.reference, array.reference_order, system.name
-        self._functions = compile_inputs(array, native)
-        self._signs = [quantity for quantity in system.observables if quantity.positive]
-        self.inputs = tuple(each.name for each in system.inputs)
+        require_feasible(problem)
+        self._problem, self._order = problem, array.reference_order
+        self._functions = problem.resolved.once(compile_inputs, native)
+        self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
+        self.inputs = tuple(each.name for each in problem.system.inputs)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
         """Return the inputs at the times `t`.
@@ -95,7 +120,7 @@ class ExactInversion:
             If an instant is not solved, or on another branch of the equations than the one wanted.
         """
         times = np.asarray(t, dtype=np.float64)
-        jets = side_by_side(self._reference.jet(times.reshape(-1), self._order))
+        jets = side_by_side(self._problem.reference.jet(times.reshape(-1), self._order))
         found = self._evaluated(0, jets, times.size)
         if not np.isfinite(found).all():
             found = self._searched(found, jets, times.reshape(-1))
@@ -104,8 +129,8 @@ class ExactInversion:
             at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
             raise IntegrationFailed(
-                f"{self._name}: at t = {times.reshape(-1)[at]:.6g} s {quantity.name} is {signs[at, which]:.4g}"
-                f" {quantity.unit}, on another branch of the equations than the one wanted"
+                f"{self._problem.system.name}: at t = {times.reshape(-1)[at]:.6g} s {quantity.name} is"
+                f" {signs[at, which]:.4g} {quantity.unit}, on another branch of the equations than the one wanted"
             )
         return inputs.reshape(*times.shape, len(self.inputs))
 
@@ -113,7 +138,7 @@ class ExactInversion:
         """Return inputs and what must be positive, shape (count, columns), by the quick function or the other."""
         if not count:
             return np.empty((0, len(self.inputs) + len(self._signs)))
-        (found,) = _mapped(self._functions[which], count)(jets, np.tile(self._parameters[:, None], count))
+        (found,) = mapped(self._functions[which], count)(jets, np.tile(self._problem.p[:, None], count))
         return found.reshape(-1, count, order="F").T
 
     def _searched(self, found: Array, jets: Array, t: Array) -> Array:
@@ -124,24 +149,23 @@ class ExactInversion:
         found[left] = self._evaluated(1, jets[:, columns], len(left))
         open_still = left[~np.isfinite(found[left]).all(axis=1)]
         if len(open_still):
-            raise IntegrationFailed(f"{self._name}: the equations were not solved at t = {t[open_still[0]]:.6g} s")
+            name, time = self._problem.system.name, t[open_still[0]]
+            raise IntegrationFailed(f"{name}: the equations were not solved at t = {time:.6g} s")
         return found
 
 
-@lru_cache(maxsize=32)
-def compile_inputs(array: DerivativeArray, native: bool = False) -> tuple[ca.Function, ca.Function]:
+def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.Function, ca.Function]:
     """Compile (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks.
 
     gamma has shape (m, reference_order + 1).
     """
-    system = array.system
+    system, array, inverse = resolved.system, resolved.array, resolved.once(inversion)
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     y = ca.SX.sym("y", len(array.unknowns))
     read = ca.Function("sc_read", [y, gamma, p], [_wanted(array, y, gamma, p)], {"cse": True})
     G, P = ca.MX.sym("gamma", *gamma.shape), ca.MX.sym("p", p.numel())
-    seeking = ca.Function("sc_inputs", [G, P], [read(compile_inversion(array)(G, P)[0], G, P)])
-    flat = compile_flat_inversion(array)
-    quick = seeking
+    seeking = ca.Function("sc_inputs", [G, P], [read(inverse.function(G, P)[0], G, P)])
+    quick, flat = seeking, inverse.expression
     if flat is not None:
         quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)], {"cse": True})
     if native:
@@ -168,8 +192,3 @@ def _variables(system: MechanicalSystem) -> list[tuple[int, int, ca.SX]]:
     positions = [(k, order, symbol[k]) for order, symbol in enumerate((system.q, system.v)) for k in range(n)]
     forces = ca.vertsplit(ca.vertcat(system.lam, system.u))
     return [*positions, *((n + k, 0, each) for k, each in enumerate(forces))]
-
-
-@lru_cache(maxsize=128)
-def _mapped(function: ca.Function, count: int) -> Call:
-    return Call(function.map(count))

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from servocore.structure.derivative_array import derivative_array
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
-from servocore.structure.inversion import compile_inversion
-from servocore.stepping.program import Channel
-from servocore.problem import prepared
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.solution import Solution, Statistics
-from servocore.model.symbols import Array, Quantity
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, Call, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.solution import Solution, Statistics
+from servocore.stepping.forward_dynamics import forward_rate
+from servocore.stepping.observation import observed, violations_of
+from servocore.structure.inversion import inversion
 
 Inputs = Callable[[float], Array]
 """Time in s -> inputs u, shape (m,)."""
-
-STABILISATION_RATE = 10.0
-"""Rate in 1/s at which violations of the holonomic constraints decay."""
 
 
 def simulate(
@@ -36,8 +34,8 @@ def simulate(
 ) -> Solution:
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
-    The holonomic constraints are differentiated twice and stabilised: g'' + 2 a g' + a^2 g = 0 with
-    a = `STABILISATION_RATE`; the resulting ordinary differential equation goes to SciPy's DOP853 with error control.
+    The holonomic constraints are differentiated twice and stabilised, see `servocore.stepping.forward_dynamics`; the
+    resulting ordinary differential equation goes to SciPy's DOP853 with error control.
 
     Parameters
     ----------
@@ -69,37 +67,31 @@ def simulate(
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    base = scene.model(model)
-    p = base.parameters.values(scene.parameters)
-    system = prepared(base, p)[0]
+    problem = Problem.of(scene, model)
     if isinstance(inputs, Solution):
         t = inputs.t if t is None else t
-        evaluate = interpolated(inputs, system)
+        evaluate = interpolated(inputs, problem.system)
     else:
         evaluate = inputs
     if t is None:
         raise InvalidSetting("inputs given as a function need the times at which to report")
-    accelerate = _accelerations(system)
-    n = len(system.coordinates)
+    call, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
 
     def rate(time: float, state: Array) -> Array:
-        acceleration, _ = accelerate(state, evaluate(time), p)
-        return np.concatenate([state[n:], np.asarray(acceleration).ravel()])
+        return call(state, evaluate(time), undisturbed, problem.p)[0]
 
-    start = _initial_state(scene, system, p, float(t[0]))
+    start = _initial_state(problem, float(t[0]))
     found = scipy.integrate.solve_ivp(
         rate, (float(t[0]), float(t[-1])), start, method="DOP853", rtol=rtol, atol=atol, dense_output=True
     )
     if found.status != 0 or found.sol is None or not np.isfinite(found.y).all():
         raise IntegrationFailed(
-            f"{system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
+            f"{problem.system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
         )
-    states = found.sol(t)
-    forces = [
-        np.asarray(accelerate(state, evaluate(time), p)[1]).ravel() for time, state in zip(t, states.T, strict=True)
-    ]
-    counts = (len(found.t) - 1, int(found.nfev))
-    return _report(scene, system, p, np.asarray(t), states, np.array(forces).reshape(len(t), -1), evaluate, counts)
+    states, u = found.sol(t), np.array([evaluate(time) for time in t])
+    forces = [call(state, now, undisturbed, problem.p)[1] for state, now in zip(states.T, u, strict=True)]
+    motion = _Motion(np.asarray(t), states, np.array(forces).reshape(len(t), -1), u)
+    return _report(problem, motion, steps=len(found.t) - 1, evaluations=int(found.nfev))
 
 
 def interpolated(solution: Solution, system: MechanicalSystem) -> Inputs:
@@ -116,97 +108,70 @@ def interpolated(solution: Solution, system: MechanicalSystem) -> Inputs:
     return evaluate
 
 
-@lru_cache(maxsize=32)
-def _accelerations(system: MechanicalSystem) -> ca.Function:
-    """Return ((q, v), u, p) -> (v_dot, lam) from the stabilised equations of index one."""
-    g_dot = ca.mtimes(system.G, system.v)
-    a = STABILISATION_RATE
-    stabilised = ca.jtimes(g_dot, system.q, system.v) + 2 * a * g_dot + a**2 * system.constraints
-    m_h = system.lam.numel()
-    matrix = ca.blockcat([[system.mass, system.G.T], [system.G, ca.SX(m_h, m_h)]])
-    right = ca.vertcat(system.bias + ca.mtimes(system.input_matrix.T, system.u), stabilised)
-    state = ca.vertcat(system.q, system.v)
-    terms = ca.Function("sc_terms", [state, system.u, system.p], [matrix, -right], {"cse": True})
-    arguments = [
-        ca.MX.sym("state", state.numel()),
-        ca.MX.sym("u", len(system.inputs)),
-        ca.MX.sym("p", system.p.numel()),
-    ]
-    found = ca.solve(*terms(*arguments), "qr")
-    n = len(system.coordinates)
-    return ca.Function("sc_accelerations", arguments, [found[:n], found[n:]])
+def _free_motion(resolved: ResolvedSystem) -> Call:
+    """Compile (state, u, d, p) -> (state_dot, lam, u): what moves under given inputs."""
+    return Call(forward_rate(resolved.system, held=False))
 
 
-@lru_cache(maxsize=32)
-def _inversion(system: MechanicalSystem) -> tuple[ca.Function, tuple[int, ...], int]:
-    """Return the exact inversion, the places of q and v among its results, and the order it needs."""
-    array = derivative_array(system)
+def _initial_state(problem: Problem, time: float) -> Array:
+    """Return (q, v) of the exact inversion at a time."""
+    array, system = problem.array, problem.system
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
-    return compile_inversion(array), tuple(places), array.reference_order
-
-
-def _initial_state(scene: Scene, system: MechanicalSystem, p: Array, time: float) -> Array:
-    inversion, places, order = _inversion(system)
-    found, _, residual = inversion(scene.reference.jet(time, order).T, p)
-    state: Array = np.asarray(found).ravel()[list(places)]
+    invert = problem.resolved.once(inversion).function
+    found, _, residual = invert(problem.reference.jet(time, array.reference_order).T, problem.p)
+    state: Array = np.asarray(found).ravel()[places]
     if not np.isfinite(state).all() or not np.isfinite(float(residual)):
         raise InconsistentStart(f"{system.name}: no consistent initial state at t = {time:.6g} s")
     return state
 
 
-def _report(
-    scene: Scene,
-    system: MechanicalSystem,
-    p: Array,
-    t: Array,
-    states: Array,
-    multipliers: Array,
-    inputs: Inputs,
-    counts: tuple[int, int],
-) -> Solution:
-    known = _observed(system)
-    gamma = scene.reference.jet(t, 1)
-    position_and_rate = ca.vertcat(system.output, ca.mtimes(system.C, system.v))
-    evaluate = ca.Function(
-        "sc_report",
-        [ca.vertcat(system.q, system.v), system.lam, system.u, system.p],
-        [
-            ca.vertcat(*known.values()),
-            position_and_rate,
-            system.constraints,
-            ca.mtimes(system.G, system.v),
-        ],
-    ).map(len(t))
-    u = np.array([inputs(time) for time in t]).T
-    values, motion, g, g_dot = (
-        np.asarray(each) for each in evaluate(states, multipliers.T, u, np.tile(p[:, None], len(t)))
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Instants, shape (N,), states (2 n, N), multipliers (N, m_h) and inputs (N, m)."""
+
+    t: Array
+    states: Array
+    multipliers: Array
+    inputs: Array
+
+
+def _report(problem: Problem, motion: _Motion, *, steps: int, evaluations: int) -> Solution:
+    known, function = problem.resolved.once(_observation)
+    jets = problem.reference.jet(motion.t, 1)
+    values, violations, deviations = at_instants(
+        function, motion.states, motion.multipliers.T, motion.inputs.T, jets=jets, p=problem.p
     )
-    m = len(system.outputs)
-    deviation = np.linalg.norm(motion[:m].T - gamma[:, 0], axis=1)
-    rate_deviation = np.linalg.norm(motion[m:].T - gamma[:, 1], axis=1)
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
             row[:] = np.unwrap(row)
-    channels = tuple(Channel(each.name, each.unit, each.description, each.wraps) for each in known)
-    tracking = Channel("tracking_error", system.outputs[0].unit, "distance of the servo output from the reference")
-    steps, evaluations = counts
+    _, _, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
+    deviation, rate_deviation = deviations
+    unit = problem.system.outputs[0].unit
+    tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
     statistics = Statistics(
-        steps, 0, evaluations, 0.0,
-        float(deviation.max()), float(rate_deviation.max()),
-        float(np.abs(g).max(initial=0.0)), float(np.abs(g_dot).max(initial=0.0)),
-    )  # fmt: skip
+        steps=steps,
+        newton_iterations=0,
+        factorisations=evaluations,
+        worst_residual=0.0,
+        servo_violation=float(deviation.max()),
+        servo_rate_violation=float(rate_deviation.max()),
+        constraint_violation=constraint,
+        constraint_rate_violation=constraint_rate,
+    )
     table = np.column_stack([values.T, deviation])
-    return Solution(t, (*channels, tracking), table, f"{system.name}, forward simulation", statistics)
+    name = f"{problem.system.name}, forward simulation"
+    return Solution(motion.t, (*known, tracking), table, name, statistics)
 
 
-def _observed(system: MechanicalSystem) -> dict[Quantity, ca.SX]:
-    """Observables that do not need the reference, outputs, and coordinates whose names are still free."""
-    known = {k: e for k, e in system.observables.items() if not ca.depends_on(e, ca.vec(system.gamma))}
-    known |= {each: system.u[k] for k, each in enumerate(system.inputs)}
-    names = {each.name for each in known}
-    for quantities, expressions in ((system.outputs, system.output), (system.coordinates.quantities, system.q)):
-        for k, each in enumerate(quantities):
-            if each.name not in names:
-                known[each] = expressions[k]
-                names.add(each.name)
-    return known
+def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
+    """Compile (state, lam, u, gamma, p) -> observed values, violations, distances from position and rate of the path.
+
+    What needs higher derivatives of the path is not observed: the motion need not follow it.
+    """
+    system, gamma = resolved.system, resolved.system.gamma[:, :2]
+    known = [(quantity, each) for quantity, each in observed(system) if not ca.depends_on(each, ca.vec(system.gamma))]
+    distances = ca.norm_2(system.output - gamma[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - gamma[:, 1])
+    results = ca.vertcat(*(each for _, each in known)), violations_of(system), ca.vertcat(*distances)
+    arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
+    function = ca.Function("sc_report", arguments, [ca.densify(each) for each in results])
+    return tuple(quantity for quantity, _ in known), function

@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 
-from servocore.solvers.accuracy import Adaptive, Fixed
 from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
-from servocore.solvers.boundary_value import BoundaryValue, solve_boundary_value
-from servocore.solvers.adaptive import solve_to_tolerance
-from servocore.structure.derivative_array import derivative_array
-from servocore.errors import InvalidSetting, ServocoreWarning
-from servocore.checks.limits import require_feasible
-from servocore.formulations import Formulation, Reduced
-from servocore.solvers.fixed_step import Progress, observe, run, statistics
-from servocore.methods import BackwardEuler, Method, RadauIIA
-from servocore.checks.wrong_inputs import angles_of, follow_angles, warn_of_wrong_inputs
+from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
-from servocore.solvers.state_selection import solve_with_states
-from servocore.problem import prepared
-from servocore.references import Reference
+from servocore.checks.limits import require_feasible
+from servocore.errors import InvalidSetting
+from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.methods.base import Method
+from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene
+from servocore.numerics.calls import Array
+from servocore.problem import Problem
+from servocore.references.base import Reference
 from servocore.solution import Solution
-from servocore.stepping.stepper import Stepper
-from servocore.model.symbols import Array
+from servocore.solvers.adaptive import Adaptive, ToTolerance
+from servocore.solvers.boundary_value import BoundaryValue
+from servocore.solvers.exact_inversion import Pointwise
+from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.loop import Progress
+from servocore.solvers.route import Route
+from servocore.solvers.state_selection import StateSelection
 
 _DEFAULT_STEPS = 200
 
@@ -35,7 +37,7 @@ def solve(
     formulation: Formulation | None = None,
     method: Method | BoundaryValue | None = None,
     *,
-    step: float | Fixed | Adaptive | None = None,
+    step: float | Adaptive | None = None,
     output_step: float | None = None,
     model: str | None = None,
     progress: Progress | None = None,
@@ -48,24 +50,20 @@ def solve(
     ----------
     scene : Scene
         The problem, with its reference and parameters.
-    formulation : Formulation, optional
-        What the analysis recommends when not given (`Reduced`, unless the internal dynamics are unstable).
-    method : Method, optional
-        `BackwardEuler` when not given; `RadauIIA` of three stages when the formulation is not given either.
-    step : float, Fixed or Adaptive, optional
-        Step size in s, which must divide the duration of the reference; a 200th of the duration when not given. Or
-        the accuracy wanted of the inputs.
+    formulation, method : Formulation, Method, optional
+        What the analysis recommends when neither is given; else `Reduced` and `BackwardEuler`.
+    step : float or Adaptive, optional
+        Step in s, which must divide the duration of the path (a 200th of it when not given), or the accuracy wanted.
     output_step : float, optional
         With `Adaptive`: time between reported instants, a 200th of the duration when not given.
     model : str, optional
         Model of the scene; its smallest when not given.
     progress : callable, optional
-        Called with (steps done, steps in all) after every chunk of steps.
+        Called with (steps done, steps in all) from time to time.
     native : bool
-        Whether a C compiler shall turn the program into machine code first, see `Stepper`: for many solves.
+        Whether a C compiler shall make machine code of the program first, see `Stepper`: for many solves.
     checks : bool
-        False leaves out what finds mistakes: the survey of the scene's limits, the warnings, and the search of the
-        result for wrong branches. For many solves on paths like one that was solved with them.
+        False leaves out the survey of the limits, the warnings, and the search for wrong branches.
 
     Returns
     -------
@@ -74,140 +72,72 @@ def solve(
 
     Raises
     ------
-    InvalidReference
-        If the path breaks a limit of the scene or lacks derivatives.
-    InvalidSetting
-        If the step is not positive, exceeds the duration or does not divide it; if there is no C compiler for `native`.
-    InconsistentStart
-        If no consistent initial values are found.
-    IntegrationFailed
-        If a step is not solved, an angle turns too far between two instants to tell which way, or the motion changes
-        branch where the constraints lose rank.
+    InvalidReference, InvalidSetting
+        If the path breaks a limit or lacks derivatives; if the step does not fit; without a compiler for `native`.
+    InconsistentStart, IntegrationFailed
+        If no initial values are found, a step is not solved, or the motion changes branch where two meet.
 
     Warns
     -----
     ServocoreWarning
-        Before the run if it cannot succeed: internal dynamics that grow, a path that is too rough, a form of an index
-        on which the inputs of the method do not converge. After it if an input is off by more than half of its peak.
+        If the run cannot succeed as it is set up, or an input turns out to be off by more than half of its peak.
     """
-    advice = ""
+    problem, advice = Problem.of(scene, model), ""
     if formulation is None and method is None:
-        formulation, method, advice = recommended(scene, model)
-    if isinstance(method, BoundaryValue):
-        return replace(_solve_bounded(scene, formulation, method, step, model, progress), advice=advice)
-    formulation = formulation or Reduced()
-    if checks:
-        warn_of_growth(scene, model)
-        warn_of_jumps(scene, model)
-    control = step if isinstance(step, Adaptive) else Fixed(step) if not isinstance(step, Fixed) else step
-    if output_step is not None and not isinstance(control, Adaptive):
+        method, advice = recommended(problem)
+    form = formulation or Reduced()
+    if output_step is not None and not isinstance(step, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
-    setting = output_step if isinstance(control, Adaptive) else control.h
-    t, h = time_grid(scene.reference, setting)
-    stepper = Stepper(scene, formulation, method or BackwardEuler(), h, model, native)
+    times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
+    route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
     if checks:
-        warn_of_index(stepper)
-        require_feasible(scene.reference, stepper.system, scene.limits, stepper.parameters, t)
-    if isinstance(control, Adaptive):
-        solution = solve_to_tolerance(stepper, control, t, progress)
-    elif isinstance(formulation, Reduced) and stepper.index == 1:
-        solution = solve_with_states(stepper, formulation, t, progress)
-    else:
-        solution = solve_at_constant_step(stepper, t, progress, checks)
+        require_feasible(problem, times)
+    solution = route.run(problem, times, progress)
     if checks:
-        require_one_branch(stepper.system, scene.reference, stepper.parameters, solution)
+        require_one_branch(problem, solution)
     return replace(solution, advice=advice)
 
 
-def solve_at_constant_step(
-    stepper: Stepper, t: Array, progress: Progress | None = None, checks: bool = True
-) -> Solution:
-    """Step through the instants `t`, one step of the stepper apart, and report every one."""
-    reference, program, p = stepper.scene.reference, stepper.program, stepper.parameters
-    done = run(reference, program, p, t, stepper.step, progress)
-    values, violations = observe(program, reference, p, t, done.states, angles_of(stepper))
-    follow_angles(stepper, t, done.states, values)
+def chosen_route(
+    problem: Problem,
+    formulation: Formulation,
+    method: Method | BoundaryValue,
+    step: float | Adaptive | None,
+    native: bool,
+    checks: bool,
+) -> Route:
+    """Return the route that fits the form: its index decides, and whether a step or a tolerance is given.
+
+    Raises
+    ------
+    InvalidSetting
+        If a bounded inversion is asked for with another form than `Reduced`, or with a tolerance for its steps.
+    """
+    if isinstance(method, BoundaryValue):
+        if formulation != Reduced():
+            raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+        if isinstance(step, Adaptive):
+            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+        return method
     if checks:
-        warn_of_wrong_inputs(stepper, t, values)
-    summary = statistics(done, values[:, : len(stepper.system.inputs)], violations)
-    return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
-
-
-def _solve_bounded(
-    scene: Scene,
-    formulation: Formulation | None,
-    route: BoundaryValue,
-    step: float | Fixed | Adaptive | None,
-    model: str | None,
-    progress: Progress | None,
-) -> Solution:
-    if formulation not in (None, Reduced()):
-        raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+        warn_before(problem, formulation, method)
+    if not problem.dae(formulation).x.numel():
+        return Pointwise(formulation, method, native)
     if isinstance(step, Adaptive):
-        raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
-    _, h = time_grid(scene.reference, step.h if isinstance(step, Fixed) else step)
-    base = scene.model(model)
-    p = base.parameters.values(scene.parameters)
-    system = prepared(base, p)[0]
-    require_feasible(scene.reference, system, scene.limits, p)
-    solution = solve_boundary_value(system, scene.reference, p, route, h, progress)
-    require_one_branch(system, scene.reference, p, solution)
-    return solution
+        return ToTolerance(formulation, method, step, native)
+    if isinstance(formulation, Reduced):
+        return StateSelection(formulation, method, native)
+    return FixedStep(formulation, method, native, checks)
 
 
-def recommended(scene: Scene, model: str | None = None) -> tuple[Formulation, Method | BoundaryValue, str]:
-    """Return the formulation and the method that the analysis recommends, and what it says."""
-    kind, _ = internal_dynamics(scene, model)
-    method = BoundaryValue() if kind == NON_MINIMUM_PHASE else RadauIIA(3)
-    return Reduced(), method, f"{kind}: {ADVICE[kind]}"
+def recommended(problem: Problem) -> tuple[Method | BoundaryValue, str]:
+    """Return the method that the analysis recommends for the reduced form, and what it says."""
+    kind = internal_dynamics(problem).kind
+    return BoundaryValue() if kind == NON_MINIMUM_PHASE else RadauIIA(3), f"{kind}: {ADVICE[kind]}"
 
 
-def warn_of_growth(scene: Scene, model: str | None = None) -> None:
-    """Warn before unstable internal dynamics are integrated forward in time."""
-    kind, rate = internal_dynamics(scene, model)
-    if kind == NON_MINIMUM_PHASE:
-        warnings.warn(
-            f"{scene.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
-            f" exp({rate:.3g} t), {np.exp(rate * scene.reference.duration):.2g}-fold by"
-            f" t = {scene.reference.end_time:g} s; the method BoundaryValue finds the bounded solution",
-            ServocoreWarning,
-            stacklevel=3,
-        )
-
-
-def warn_of_jumps(scene: Scene, model: str | None = None) -> None:
-    """Warn if the path is not smooth enough for continuous inputs."""
-    base = scene.model(model)
-    order = derivative_array(prepared(base, base.parameters.values(scene.parameters))[0]).reference_order
-    reference = scene.reference
-    if reference.smoothness < order <= reference.max_order:
-        warnings.warn(
-            f"the inputs of {scene.name} need the path's derivative of order {order}, but the path is continuous up to"
-            f" order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
-            f" {reference.end_time:g} s, the ends included, wherever that derivative does",
-            ServocoreWarning,
-            stacklevel=3,
-        )
-
-
-def warn_of_index(stepper: Stepper) -> None:
-    """Warn before a method runs on a form of an index on which its inputs do not converge."""
-    if stepper.index <= 1:
-        return
-    # What a form says of its index holds where the structural index is five.
-    index = stepper.index + max(0, derivative_array(stepper.system).signature.index - 5)
-    order = stepper.method.orders(index).forces
-    if index > 3 and order < 1:
-        warnings.warn(
-            f"{stepper.program.name}: the form has index {index}, on which the inputs of {stepper.method.name} err like"
-            f" the step to the power {order} and no step is small enough; use the form Reduced(), or BackwardEuler()",
-            ServocoreWarning,
-            stacklevel=3,
-        )
-
-
-def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:
-    """Return the instants from start to end, a whole number of equal steps, and the step.
+def time_grid(reference: Reference, step: float | None) -> Array:
+    """Return the instants from start to end, a whole number of equal steps.
 
     Raises
     ------
@@ -231,4 +161,4 @@ def time_grid(reference: Reference, step: float | None) -> tuple[Array, float]:
     # k * step rather than a running sum; the last instant is the end of the path to the last bit.
     t: Array = reference.start_time + np.arange(count + 1, dtype=np.float64) * (duration / count)
     t[-1] = reference.end_time
-    return t, duration / count
+    return t

@@ -7,75 +7,87 @@ there, and continued with other states from the same values.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import DerivativeArray, choose_states
-from servocore.checks.limits import side_by_side
-from servocore.formulations import Reduced
-from servocore.solvers.fixed_step import CHUNK, Progress, Run, advance, begin, failure, observe, statistics
-from servocore.methods import Method
-from servocore.methods.base import instantaneous
-from servocore.stepping.program import Program
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Method
+from servocore.numerics.calls import Array, at_instants, side_by_side
+from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.stepping.initial_values import compile_restart
-from servocore.stepping.stepper import Stepper
-from servocore.structure.structural_analysis import system_jacobian
-from servocore.model.symbols import Array
-from servocore.model.system import MechanicalSystem
+from servocore.solvers.loop import Progress, advance, begin, chunk_length, failure, step_of
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import compile_restart_of, program_of
+from servocore.stepping.program import Program
+from servocore.structure.derivative_array import DerivativeArray, choose_states
+from servocore.structure.inversion import system_jacobian
 
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
 
 
-@dataclass(frozen=True, eq=False)
-class _Segment:
-    """Part of a run with one choice of states: its program, the instants and what happened."""
+@dataclass(frozen=True)
+class StateSelection:
+    """Fixed steps of the reduced form, with other states wherever the chosen ones become a bad choice.
 
-    program: Program
-    t: Array
-    run: Run
-
-
-def solve_with_states(stepper: Stepper, formulation: Reduced, t: Array, progress: Progress | None = None) -> Solution:
-    """Step a reduced form with internal dynamics through the instants `t`.
-
-    Raises
-    ------
-    IntegrationFailed
-        If a step is not solved and no other choice of states helps.
+    Parameters
+    ----------
+    formulation : Reduced
+        With the states to begin with.
+    method : Method
+        How the internal dynamics are stepped.
+    native : bool
+        Whether as machine code.
     """
-    reference, p, count = stepper.scene.reference, stepper.parameters, len(t) - 1
-    state, _ = begin(reference, stepper.program, p, stepper.step)
-    length = -(-count // -(-count // CHUNK))
-    segments: list[_Segment] = []
-    at, restarted_at = 0, -1
-    while at < count:
-        program = stepper.program
-        part, complete = advance(reference, program, p, t[at : at + length + 1], stepper.step, state, length)
-        array = formulation.array(stepper.system)
-        values = _array_values(array, part.states)
-        good, better = _watch(array, reference.jet(t[at : at + values.shape[1]], array.reference_order), values, p)
-        if better is None and not complete:
-            better = _best_states(array, reference.jet(t[at + good], array.reference_order), values[:, good], p)
-            if better == array.states or restarted_at == at:
-                raise failure(reference, program, p, part.states[:, good], t[at + good], stepper.step)
-        segments.append(_Segment(program, t[at : at + good + 1], replace(part, states=part.states[:, : good + 1])))
-        at, state = at + good, part.states[:, good]
-        if better is not None and at < count:
-            restarted_at = at
-            formulation = Reduced(states=tuple((array.names[j], order) for j, order in better))
-            stepper = replace(stepper, formulation=formulation)
-            state = _restarted(stepper, formulation, float(t[at]), values[:, good])
-        if progress is not None:
-            progress(at, count)
-    return _put_together(stepper, segments, t)
+
+    formulation: Reduced
+    method: Method
+    native: bool = False
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Step a reduced form with internal dynamics through the instants; see `Route`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If a step is not solved and no other choice of states helps.
+        """
+        formulation, step, count = self.formulation, step_of(times), len(times) - 1
+        program = program_of(problem, formulation, self.method, self.native)
+        state, _ = begin(problem, program, step)
+        length, segments = chunk_length(count), list[Segment]()
+        at, restarted_at = 0, -1
+        while at < count:
+            part, complete = advance(problem, program, times[at : at + length + 1], step, state, length)
+            array = formulation.array(problem.system)
+            values = _array_values(array, part.states)
+            good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
+            if better is None and not complete:
+                better = _best_states(problem, array, times[at + good], values[:, good])
+                if better == array.states or restarted_at == at:
+                    raise failure(problem, program, part.states[:, good], times[at + good], step)
+            reached = replace(part, states=part.states[:, : good + 1])
+            segments.append(Segment(program, times[at : at + good + 1], reached))
+            at, state = at + good, part.states[:, good]
+            if better is not None and at < count:
+                restarted_at = at
+                formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
+                program = program_of(problem, formulation, self.method, self.native)
+                state = self._restarted(problem, program, formulation, float(times[at]), step, values[:, good])
+            if progress is not None:
+                progress(at, count)
+        return solution_of(problem, segments)
+
+    def _restarted(
+        self, problem: Problem, program: Program, formulation: Reduced, time: float, step: float, values: Array
+    ) -> Array:
+        """Return the state of a program at a time where all unknowns of the derivative array are known."""
+        instants = time + step * np.array(program.start_instants)
+        gamma = problem.reference.jet(instants, program.start_order)
+        restart = problem.resolved.once(compile_restart_of, formulation, self.method, program.start_order)
+        return restart(values, side_by_side(gamma), step, problem.p)[0]
 
 
 def _array_values(array: DerivativeArray, states: Array) -> Array:
@@ -84,9 +96,9 @@ def _array_values(array: DerivativeArray, states: Array) -> Array:
     return states[[entries.index(each) for each in array.unknowns]]
 
 
-def _watch(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> tuple[int, States | None]:
+def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
     """Return the first instant at which other states are much better, and these; or the last instant and None."""
-    J = _jacobians(array, gamma, values, p)
+    J = _jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
         if k > 0 and better != array.states:
@@ -94,8 +106,8 @@ def _watch(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> tup
     return values.shape[1] - 1, None
 
 
-def _best_states(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> States:
-    return choose_states(array.signature, _jacobians(array, gamma[None], values[:, None], p)[0])
+def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
+    return choose_states(array.signature, _jacobians(problem, np.array([time]), values[:, None])[0])
 
 
 def _quality(array: DerivativeArray, J: Array) -> Array:
@@ -113,59 +125,8 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
     return worst
 
 
-def _jacobians(array: DerivativeArray, gamma: Array, values: Array, p: Array) -> Array:
-    """Return the system Jacobian (N, size, size) for jets (N, orders, m) and unknowns (unknowns, N)."""
-    count = len(gamma)
-    (found,) = _mapped(array, count)(values, side_by_side(gamma), np.tile(p[:, None], count))
-    size = len(array.names)
-    return found.reshape(size, count, size).transpose(1, 0, 2)
-
-
-@lru_cache(maxsize=32)
-def _mapped(array: DerivativeArray, count: int) -> Call:
-    """Return (unknowns, gamma, p) -> system Jacobian, for `count` instants side by side."""
-    reference = array.system.gamma[:, : array.reference_order + 1]
-    J = ca.substitute(system_jacobian(array.signature), array.signature.equations.y, array.y[:, :3])
-    arguments = [array.column(array.unknowns), reference, array.system.p]
-    return Call(ca.Function("sc_J", arguments, [ca.densify(J)]).map(count))
-
-
-def _restarted(stepper: Stepper, formulation: Reduced, time: float, values: Array) -> Array:
-    """Return the state of the stepper's program at a time where all unknowns of the derivative array are known."""
-    program = stepper.program
-    instants = time + stepper.step * np.array(program.start_instants)
-    gamma = stepper.scene.reference.jet(instants, program.start_order)
-    restart = _restart(stepper.system, formulation, stepper.method, program.start_order)
-    return restart(values, side_by_side(gamma), stepper.step, stepper.parameters)[0]
-
-
-@lru_cache(maxsize=32)
-def _restart(system: MechanicalSystem, formulation: Reduced, method: Method, order: int) -> Call:
-    array, dae = formulation.array(system), formulation.dae(system)
-    discretisation = method.discretise(dae) if dae.x.numel() else instantaneous(dae)
-    return Call(compile_restart(array, dae, discretisation, order))
-
-
-def _put_together(stepper: Stepper, segments: list[_Segment], t: Array) -> Solution:
-    """Observe every segment by its own program and join them; instants in common are taken from the later one."""
-    reference, tables, violations = stepper.scene.reference, [], []
-    for segment in segments:
-        table, violation = observe(segment.program, reference, stepper.parameters, segment.t, segment.run.states)
-        last = segment is segments[-1]
-        tables.append(table if last else table[:-1])
-        violations.append(violation)
-    values = np.vstack(tables)
-    program = segments[-1].program
-    for k, channel in enumerate(program.channels):
-        if channel.wraps:
-            values[:, k] = np.unwrap(values[:, k])
-    total = Run(
-        np.empty((0, len(t))),
-        sum(segment.run.newton_iterations for segment in segments),
-        sum(segment.run.factorisations for segment in segments),
-        max(segment.run.worst_residual for segment in segments),
-    )
-    choices = 1 + sum(a.program is not b.program for a, b in itertools.pairwise(segments))
-    summary = statistics(total, values[:, : len(stepper.system.inputs)], np.hstack(violations))
-    summary = replace(summary, choices_of_states=choices)
-    return Solution(t, program.channels, values, program.name, summary, reference.fit_error)
+def _jacobians(problem: Problem, t: Array, values: Array) -> Array:
+    """Return the system Jacobian (N, size, size) for unknowns of the derivative array (unknowns, N) at instants."""
+    jets, size = problem.reference.jet(t, problem.array.reference_order), len(problem.array.names)
+    (found,) = at_instants(problem.resolved.once(system_jacobian), values, jets=jets, p=problem.p)
+    return found.reshape(size, len(t), size).transpose(1, 0, 2)

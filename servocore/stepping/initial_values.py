@@ -5,11 +5,11 @@ from __future__ import annotations
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.structure.derivative_array import DerivativeArray
-from servocore.formulations import Reduced
-from servocore.structure.inversion import compile_inversion
-from servocore.methods import Discretisation, RadauIIA
+from servocore.methods.base import Discretisation
+from servocore.methods.collocation import RadauIIA, tableau
 from servocore.numerics.square_systems import compile_solver
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import Inversion
 
 _BACKWARDS = RadauIIA(4)
 """Carries internal dynamics back before the initial time, at order seven."""
@@ -19,31 +19,32 @@ def start_instants(array: DerivativeArray, step: Discretisation) -> tuple[float,
     """Instants, in steps from the initial time, at which `compile_start` needs the reference."""
     if not array.states:
         return step.start.instants
+    nodes = tableau("radau", _BACKWARDS.stages).c
     past = len(step.start.instants) - 1
-    nodes = [-(k + c) for k in range(past) for c in _backward_nodes()]
-    return (0.0, *nodes)
+    return (0.0, *(-(k + float(c)) for k in range(past) for c in nodes))
 
 
-def _backward_nodes() -> tuple[float, ...]:
-    from servocore.methods.collocation import tableau  # noqa: PLC0415
-
-    return tuple(float(c) for c in tableau("radau", _BACKWARDS.stages).c)
-
-
-def compile_start(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
+def compile_start(
+    array: DerivativeArray, inversion: Inversion, dae: Dae, reduced: Dae, step: Discretisation, order: int
+) -> ca.Function:
     """Compile (gamma (m, (order + 1) * instants), h, p) -> (first state, counts, residual).
 
     Values at the initial time come from the exact inversion. Values before it come from the exact inversion there;
     with internal dynamics, from integrating the reduced form backwards with small steps of high order.
     """
-    restart = compile_restart(array, dae, step, order)
+    restart = compile_restart(array, inversion, dae, reduced, step, order)
     _, gamma, h, p = (ca.MX.sym("argument", *restart.size_in(k)) for k in range(4))
-    first, counts, residual = compile_inversion(array)(gamma[:, : array.reference_order + 1], p)
+    first, counts, residual = inversion.function(gamma[:, : array.reference_order + 1], p)
     return ca.Function("sc_start", [gamma, h, p], [restart(first, gamma, h, p), counts, residual])
 
 
-def compile_restart(array: DerivativeArray, dae: Dae, step: Discretisation, order: int) -> ca.Function:
-    """Compile (unknowns of the array now, gamma as for `compile_start`, h, p) -> first state."""
+def compile_restart(
+    array: DerivativeArray, inversion: Inversion, dae: Dae, reduced: Dae, step: Discretisation, order: int
+) -> ca.Function:
+    """Compile (unknowns of the array now, gamma as for `compile_start`, h, p) -> first state.
+
+    `dae` is what is stepped, `reduced` the reduced form of the same array.
+    """
     system = array.system
     first = ca.MX.sym("now", len(array.unknowns))
     gamma = ca.MX.sym("gamma", system.gamma.size1(), (order + 1) * len(start_instants(array, step)))
@@ -51,10 +52,9 @@ def compile_restart(array: DerivativeArray, dae: Dae, step: Discretisation, orde
     jets = [block[:, : array.reference_order + 1] for block in ca.horzsplit(gamma, order + 1)]
     found = [first]
     if array.states:
-        found += _backwards(array, first, jets[1:], h, p)
-    elif len(jets) > 1:
-        inversion = compile_inversion(array)
-        found += [inversion(jet, p)[0] for jet in jets[1:]]
+        found += _backwards(array, reduced, first, jets[1:], h, p)
+    else:
+        found += [inversion.function(jet, p)[0] for jet in jets[1:]]
     places = [array.position(each.variable, each.order) for each in dae.unknowns]
     values = ca.horzcat(*[each[places] for each in found])
     rates = ca.vertcat(
@@ -70,12 +70,10 @@ def _rate(array: DerivativeArray, variable: str, order: int, values: ca.MX) -> c
     return values[array.unknowns.index(entry)] if entry in array.unknowns else ca.MX(0)
 
 
-def _backwards(array: DerivativeArray, first: ca.MX, jets: list[ca.MX], h: ca.MX, p: ca.MX) -> list[ca.MX]:
+def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX], h: ca.MX, p: ca.MX) -> list[ca.MX]:
     """Integrate the reduced form from the initial time backwards, one step of the method at a time."""
     if not jets:
         return []
-    states = tuple((array.names[j], order) for j, order in array.states)
-    dae = Reduced(states=states).dae(array.system)
     step = _BACKWARDS.discretise(dae)
     solve = compile_solver("sc_backwards", step.equations, [step.next_state])
     entries = (*array.states, *array.determined)

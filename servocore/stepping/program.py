@@ -1,42 +1,25 @@
 """`Program`: a servo constraint problem compiled to a few functions of plain vectors, ready to run anywhere.
 
-This module needs NumPy and CasADi only: an FMU carries it with the saved functions and nothing of the modelling
-side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialise.
+This module and what it imports need NumPy and CasADi only: an FMU carries them with the saved functions and nothing of
+the modelling side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialise.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.numerics.calls import Call
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
-
-Array = npt.NDArray[np.float64]
+from servocore.model.quantity import Quantity
+from servocore.numerics.calls import Array, Call
 
 _FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
-_FORMAT = "servocore program 2"
-
-
-@dataclass(frozen=True)
-class Channel:
-    """Name and unit of one observed value.
-
-    `wraps` marks an angle known up to full turns, `positive` a value that is negative on a wrong branch.
-    """
-
-    name: str
-    unit: str
-    description: str = ""
-    wraps: bool = False
-    positive: bool = False
+_FORMAT = "servocore program 3"
 
 
 @dataclass(frozen=True)
@@ -106,19 +89,19 @@ class Program:
     start_order: int
     nodes: tuple[float, ...]
     start_instants: tuple[float, ...]
-    channels: tuple[Channel, ...]
+    channels: tuple[Quantity, ...]
     parameters: tuple[str, ...]
     equations: tuple[str, ...]
     limits: tuple[LimitText, ...]
+    _calls: dict[str, Call] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "_calls", {name: Call(getattr(self, name)) for name in _FUNCTIONS})
 
     @property
     def state_size(self) -> int:
         """Length of the state vector."""
         return int(self.step.size1_in(0))
-
-    @cached_property
-    def _calls(self) -> dict[str, Call]:
-        return {name: Call(getattr(self, name)) for name in _FUNCTIONS}
 
     def begin(self, gamma: Array, p: Array, h: float = 0.0) -> tuple[Array, StepReport]:
         """Return consistent initial values as a state.
@@ -185,14 +168,9 @@ class Program:
         functions = ca.StringSerializer()
         functions.pack([getattr(self, name) for name in _FUNCTIONS])  # together: what they share is saved once
         document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__, "functions": functions.encode()}
-        for attribute in self.__dataclass_fields__:
+        for attribute in (each.name for each in fields(self) if each.init and each.name not in _FUNCTIONS):
             value = getattr(self, attribute)
-            if attribute in _FUNCTIONS:
-                continue
-            if attribute in ("channels", "limits"):
-                document[attribute] = [asdict(each) for each in value]
-            else:
-                document[attribute] = value
+            document[attribute] = [asdict(each) for each in value] if attribute in ("channels", "limits") else value
         return json.dumps(document)
 
     @classmethod
@@ -205,7 +183,7 @@ class Program:
             document.pop("casadi")  # for humans
             functions = ca.StringDeserializer(document.pop("functions")).unpack()
             document |= zip(_FUNCTIONS, functions, strict=True)
-            document["channels"] = tuple(Channel(**each) for each in document["channels"])
+            document["channels"] = tuple(Quantity(**each) for each in document["channels"])
             document["limits"] = tuple(LimitText(**each) for each in document["limits"])
             for attribute in ("nodes", "start_instants", "parameters", "equations"):
                 document[attribute] = tuple(document[attribute])

@@ -2,59 +2,146 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass
+from typing import Protocol
 
 import casadi as ca
+import numpy as np
 
-from servocore.structure.derivative_array import DerivativeArray, array_system, compile_array_solver, first_guess
-from servocore.numerics.square_systems import compile_flat_solver
+from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_solver
+from servocore.structure.derivative_array import DerivativeArray, nominal
 
 _LARGEST_RESIDUAL = 1e-9
 _MOST_OPERATIONS = 2500  # beyond, evaluating takes longer than calling
+_REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 
-def compile_inversion(array: DerivativeArray, name: str = "sc_inversion") -> ca.Function:
-    """Compile (gamma, p) -> (unknowns of the array, counts, residual), by Newton from the system's guess.
+@dataclass(frozen=True, eq=False)
+class Inversion:
+    """A derivative array compiled: what gives its unknowns at an instant.
 
-    gamma has shape (m, reference_order + 1). Configurations start from ``system.guess``, multipliers and inputs from
-    the static equilibrium there (with no force in the rope the equations would be singular), the rest from zero.
-    States of the internal dynamics keep their guess.
+    gamma has shape (m, reference_order + 1). Every function returns the unknowns of the array, the counts of Newton's
+    method and the residual; states of the internal dynamics keep their guess.
 
-    Where the guess is exact the inversion is one expression, see `compile_flat_inversion`; its answer is taken if it
-    satisfies all equations, and else Newton's method goes to work.
+    Attributes
+    ----------
+    guess : casadi.Function
+        (gamma, p) -> a guess of the unknowns: the system's own configuration, with the forces that hold it at rest
+        (with no force in the rope the equations would be singular), and zero for the rest.
+    search : casadi.Function
+        (gamma, p, guess) -> the results by Newton's method from a guess.
+    expression : casadi.Function or None
+        (gamma, p) -> the results where the guess is exact, and NaN elsewhere, as one expression: a quarter of the cost
+        of calling Newton's method block by block. None where that does not pay.
+    function : casadi.Function
+        (gamma, p) -> the results: those of `expression` if they satisfy all equations, and else of `search`.
     """
-    system = array.system
-    gamma = ca.MX.sym("gamma", system.gamma.size1(), array.reference_order + 1)
-    p = ca.MX.sym("p", system.p.numel())
-    searched = ca.Function(
-        "sc_search", [gamma, p], list(compile_array_solver(array)(gamma, p, first_guess(array)(gamma, p)))
-    )
-    flat = compile_flat_inversion(array)
-    if flat is None:
+
+    guess: ca.Function
+    search: ca.Function
+    expression: ca.Function | None
+    function: ca.Function
+
+
+class Analysed(Protocol):
+    """Whatever has a derivative array, as `servocore.problem.ResolvedSystem` has."""
+
+    @property
+    def array(self) -> DerivativeArray:
+        """The derivative array."""
+
+
+def inversion(resolved: Analysed) -> Inversion:
+    """Compile the exact inversion of a system; meant for `ResolvedSystem.once`."""
+    return compile_inversion(resolved.array)
+
+
+def system_jacobian(resolved: Analysed) -> ca.Function:
+    """Compile (unknowns of the array, gamma, p) -> system Jacobian; meant for `ResolvedSystem.once`."""
+    array = resolved.array
+    reference = array.system.gamma[:, : array.reference_order + 1]
+    J = ca.substitute(array.signature.jacobian, array.signature.equations.y, array.y[:, :3])
+    return ca.Function("sc_J", [array.column(array.unknowns), reference, array.system.p], [ca.densify(J)])
+
+
+def compile_inversion(array: DerivativeArray) -> Inversion:
+    """Compile the exact inversion of a derivative array."""
+    guess, search = _compile_guess(array), _compile_search(array)
+    expression = _compile_flat(array, guess)
+    gamma, p = (ca.MX.sym(name, *guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
+    searched = ca.Function("sc_search", [gamma, p], list(search(gamma, p, guess(gamma, p))))
+    if expression is None:
         found = searched(gamma, p)
     else:
-        quick = flat(gamma, p)
+        quick = expression(gamma, p)
         given = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
         accept = ca.Function("sc_accept", given, given[:3])
-        search = ca.Function("sc_reject", given, list(searched(*given[3:])))
-        choose = ca.Function.if_else("sc_choose", accept, search)
+        reject = ca.Function("sc_reject", given, list(searched(*given[3:])))
+        choose = ca.Function.if_else("sc_choose", accept, reject)
         found = choose(quick[2] < _LARGEST_RESIDUAL, *quick, gamma, p)
-    return ca.Function(name, [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
+    function = ca.Function("sc_inversion", [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
+    return Inversion(guess, search, expression, function)
 
 
-@lru_cache(maxsize=64)
-def compile_flat_inversion(array: DerivativeArray) -> ca.Function | None:
+def _compile_flat(array: DerivativeArray, guess: ca.Function) -> ca.Function | None:
     """Compile the inversion as one expression, with NaN where the guess is not exact; None where that does not pay.
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
     if array.states:
         return None  # they are followed from step to step
-    flat = compile_flat_solver("sc_array", *array_system(array))
+    flat = compile_flat_solver("sc_array", *_equations(array))
     if flat is None:
         return None
     system = array.system
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    found = flat.call([ca.vertcat(ca.vec(gamma), p, first_guess(array)(gamma, p))])
+    found = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in found], {"cse": True})
     return function if function.n_instructions() <= _MOST_OPERATIONS else None
+
+
+def _compile_search(array: DerivativeArray) -> ca.Function:
+    """Compile (gamma, p, guess) -> (unknowns of the array, counts, residual); states keep their guess."""
+    solver = compile_solver("sc_array", *_equations(array))
+    gamma = ca.MX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
+    p, guess = ca.MX.sym("p", array.system.p.numel()), ca.MX.sym("guess", len(array.unknowns))
+    found = solver(ca.vertcat(ca.vec(gamma), p, guess))
+    return ca.Function("sc_array_solver", [gamma, p, guess], list(found))
+
+
+def _equations(array: DerivativeArray) -> tuple[SquareSystem, list[ca.SX]]:
+    """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as what is wanted."""
+    system = array.system
+    guess_symbols = ca.SX.sym("guess", len(array.unknowns))
+    guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
+    scale = np.array([nominal(system, j) for j, _ in array.determined])
+    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
+    equations = SquareSystem(
+        unknowns=array.column(array.determined),
+        givens=ca.vertcat(ca.vec(system.gamma[:, : array.reference_order + 1]), system.p, guess_symbols),
+        residual=ca.substitute(array.residual, array.column(array.states), pinned),
+        guess=ca.vertcat(*[guessed[each] for each in array.determined]),
+        unknown_scale=ca.SX(scale),
+        residual_scale=ca.SX.ones(len(array.rows)),
+    )
+    return equations, [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)]
+
+
+def _compile_guess(array: DerivativeArray) -> ca.Function:
+    """Return (gamma, p) -> guess of the unknowns: configuration at rest, with the forces that hold it.
+
+    The forces are those of least squares, from normal equations. A guess need not be exact, and as plain expressions
+    with a sparse LDL' factorisation they cost a fifth of a compiled QR factorisation.
+    """
+    system = array.system
+    n, gamma = len(system.coordinates), system.gamma[:, : array.reference_order + 1]
+    at_rest = [ca.substitute(each, system.v, ca.SX.zeros(n)) for each in (
+        ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
+    configuration = ca.SX.sym("q", n)
+    matrix, load = ca.substitute(at_rest, [system.q], [configuration])
+    normal = ca.mtimes(matrix.T, matrix) + _REGULARISATION * ca.SX.eye(matrix.size2())
+    forces = ca.ldl_solve(ca.mtimes(matrix.T, load), *ca.ldl(normal))
+    held = ca.Function("sc_statics", [configuration, system.p], [forces], {"cse": True})
+    values = ca.vertcat(system.guess, held(system.guess, system.p))
+    entries = [values[j] if order == 0 else ca.SX(0) for j, order in array.unknowns]
+    return ca.Function("sc_first_guess", [gamma, system.p], [ca.densify(ca.vertcat(*entries))], {"cse": True})

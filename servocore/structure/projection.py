@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.model.symbols import Array
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
 
 _MOST_MINORS = 2000  # beyond that many candidates the dependent coordinates are chosen greedily
 _GOOD_ENOUGH = 0.5  # of the largest minor: among such choices the last coordinates are the dependent ones
@@ -94,14 +94,10 @@ def dependent_columns(system: MechanicalSystem) -> list[int]:
 
 
 def pivot_columns(C: Array) -> list[int]:
-    """Return as many columns as there are rows, by greedy orthogonalisation (QR with column pivoting)."""
-    rest, chosen = C.copy(), []
-    for _ in range(len(C)):
-        k = int(np.linalg.norm(rest, axis=0).argmax())
-        chosen.append(k)
-        direction = rest[:, k] / max(float(np.linalg.norm(rest[:, k])), 1e-300)
-        rest -= np.outer(direction, direction @ rest)
-    return chosen
+    """Return as many columns as there are rows, far from dependent: QR with column pivoting."""
+    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    return [int(column) for column in scipy.linalg.qr(C, mode="r", pivoting=True)[1][: len(C)]]
 
 
 def mass_inverse_times(system: MechanicalSystem, right: ca.SX) -> ca.SX:

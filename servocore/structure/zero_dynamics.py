@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Call
-from servocore.structure.derivative_array import DerivativeArray, compile_array_solver, first_guess
-from servocore.model.symbols import Array
+from servocore.numerics.calls import Array, Call
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import Analysed, Inversion
 
 DAMPED = 1e-9
 """Real parts of smaller magnitude, relative to the eigenvalue, count as zero."""
@@ -41,25 +39,56 @@ class Equilibrium:
     unstable: Array
 
 
-def internal_eigenvalues(array: DerivativeArray, p: Array) -> tuple[complex, ...]:
-    """Eigenvalues of the internal dynamics, linearised at their equilibrium with the output at rest at home."""
-    if not array.states:
-        return ()
-    return internal_equilibrium(array, p, np.array(array.system.home)).eigenvalues
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """What gives the equilibrium of internal dynamics and their linearisation there.
+
+    Attributes
+    ----------
+    array : DerivativeArray
+        With states.
+    inversion : Inversion
+        Of that array.
+    terms : Call
+        (unknowns, gamma, p) -> derivatives of the residual by what is determined and by the states.
+    """
+
+    array: DerivativeArray
+    inversion: Inversion
+    terms: Call
+
+    def at(self, values: Array, gamma: Array, p: Array) -> Array:
+        """Return the derivatives of all unknowns by the states, shape (unknowns, states); NaN where singular."""
+        own, others = self.array.places(self.array.states), self.array.places(self.array.determined)
+        by_rest, by_states = (each.reshape(len(others), -1, order="F") for each in self.terms(values, gamma, p))
+        result = np.full((len(values), len(own)), np.nan)
+        result[own] = np.eye(len(own))
+        with contextlib.suppress(np.linalg.LinAlgError):
+            result[others] = -np.linalg.solve(by_rest, by_states)
+        return result
 
 
-def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equilibrium:
+def linearisation(resolved: Analysed, inverse: Inversion) -> Linearisation:
+    """Compile the linearisation of internal dynamics; meant for `ResolvedSystem.once`."""
+    array = resolved.array
+    reference = array.system.gamma[:, : array.reference_order + 1]
+    arguments = [array.column(array.unknowns), reference, array.system.p]
+    wanted = array.column(array.determined), array.column(array.states)
+    matrices = [ca.densify(ca.jacobian(array.residual, each)) for each in wanted]
+    return Linearisation(array, inverse, Call(ca.Function("sc_terms", arguments, matrices)))
+
+
+def internal_equilibrium(linear: Linearisation, p: Array, output: Array) -> Equilibrium:
     """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
+    array, inversion = linear.array, linear.inversion
     gamma = np.zeros((len(array.system.outputs), array.reference_order + 1))
     gamma[:, 0] = output
-    places = [array.unknowns.index((j, order + 1)) for j, order in array.states]
-    own = [array.unknowns.index(each) for each in array.states]
-    solver, sensitivity, guess_function = _linearisation(array)
-    guess = np.asarray(guess_function(gamma, p)).ravel()
+    rates, own = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
+    guess = np.asarray(inversion.guess(gamma, p)).ravel()
     A = np.zeros((len(own), len(own)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
-        values = np.asarray(solver(gamma, p, guess)[0]).ravel()
-        A, rate = sensitivity(values, gamma, p)[places], values[places]
+        values = np.asarray(inversion.search(gamma, p, guess)[0]).ravel()
+        A, rate = linear.at(values, gamma, p)[rates], values[rates]
         if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
         guess = values
@@ -69,9 +98,8 @@ def internal_equilibrium(array: DerivativeArray, p: Array, output: Array) -> Equ
         return Equilibrium(unknown, tuple(map(complex, unknown)), np.zeros((0, len(own))), np.zeros((0, len(own))))
     eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
     growing = sum(value.real > DAMPED * abs(value) for value in eigenvalues)
-    return Equilibrium(
-        guess[own], eigenvalues, _left_space(A, growing, stable=True), _left_space(A, growing, stable=False)
-    )
+    stable, unstable = (_left_space(A, growing, stable=each) for each in (True, False))
+    return Equilibrium(guess[own], eigenvalues, stable, unstable)
 
 
 def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
@@ -90,32 +118,3 @@ def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
 
     _, basis, count = scipy.linalg.schur(A.T, output="real", sort=wanted)
     return np.asarray(basis[:, :count].T, dtype=np.float64)
-
-
-@lru_cache(maxsize=32)
-def _linearisation(
-    array: DerivativeArray,
-) -> tuple[ca.Function, Callable[[Array, Array, Array], Array], ca.Function]:
-    return compile_array_solver(array), _sensitivity(array), first_guess(array)
-
-
-def _sensitivity(array: DerivativeArray) -> Callable[[Array, Array, Array], Array]:
-    """Return (unknowns, gamma (m, orders), p) -> derivatives of all unknowns by the states, (unknowns, states)."""
-    system = array.system
-    states, rest = array.column(array.states), array.column(array.determined)
-    reference = system.gamma[:, : array.reference_order + 1]
-    arguments = [array.column(array.unknowns), reference, system.p]
-    matrices = [ca.densify(ca.jacobian(array.residual, each)) for each in (rest, states)]
-    terms = Call(ca.Function("sc_terms", arguments, matrices))
-    own = [array.unknowns.index(each) for each in array.states]
-    others = [array.unknowns.index(each) for each in array.determined]
-
-    def sensitivity(values: Array, gamma: Array, p: Array) -> Array:
-        by_rest, by_states = (each.reshape(len(others), -1, order="F") for each in terms(values, gamma, p))
-        result = np.full((len(values), len(own)), np.nan)
-        result[own] = np.eye(len(own))
-        with contextlib.suppress(np.linalg.LinAlgError):
-            result[others] = -np.linalg.solve(by_rest, by_states)
-        return result
-
-    return sensitivity

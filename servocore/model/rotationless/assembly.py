@@ -11,8 +11,9 @@ from typing import Any, TypeAlias
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
-from servocore.model.symbols import Coordinates, Parameters, Quantity
+from servocore.model.symbols import Coordinates, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 
 Part: TypeAlias = RigidBody | PointMass | Quantity

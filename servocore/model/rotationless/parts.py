@@ -10,7 +10,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.model.symbols import Array, Parameters, Quantity
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Parameters
+from servocore.numerics.calls import Array
 
 Scalar: TypeAlias = "float | ca.SX"
 """A number, or an expression of parameters."""

@@ -1,0 +1,61 @@
+"""What can be said before a run: that it cannot succeed, or not as well as its user expects."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+
+from servocore.analysis import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.errors import ServocoreWarning
+from servocore.formulations.base import Formulation
+from servocore.methods.base import Method
+from servocore.problem import Problem
+
+_CALLER = 5  # the line that called `solve`
+
+
+def warn_before(problem: Problem, formulation: Formulation, method: Method) -> None:
+    """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge."""
+    _warn_of_growth(problem)
+    _warn_of_jumps(problem)
+    _warn_of_index(problem, formulation, method)
+
+
+def _warn_of_growth(problem: Problem) -> None:
+    """Warn before unstable internal dynamics are integrated forward in time."""
+    dynamics, reference = internal_dynamics(problem), problem.reference
+    if dynamics.kind == NON_MINIMUM_PHASE:
+        warnings.warn(
+            f"{problem.name} has unstable internal dynamics (non-minimum phase): forward in time errors grow like"
+            f" exp({dynamics.growth:.3g} t), {np.exp(dynamics.growth * reference.duration):.2g}-fold by"
+            f" t = {reference.end_time:g} s; the method BoundaryValue finds the bounded solution",
+            ServocoreWarning,
+            stacklevel=_CALLER,
+        )
+
+
+def _warn_of_jumps(problem: Problem) -> None:
+    """Warn if the path is not smooth enough for continuous inputs."""
+    order, reference = problem.array.reference_order, problem.reference
+    if reference.smoothness < order <= reference.max_order:
+        warnings.warn(
+            f"the inputs of {problem.name} need the path's derivative of order {order}, but the path is continuous up"
+            f" to order {reference.smoothness} only: the inputs jump between t = {reference.start_time:g} s and"
+            f" {reference.end_time:g} s, the ends included, wherever that derivative does",
+            ServocoreWarning,
+            stacklevel=_CALLER,
+        )
+
+
+def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -> None:
+    """Warn before a method runs on a form of an index on which its inputs do not converge."""
+    dae = problem.dae(formulation)
+    order = method.orders(dae.index).forces
+    if dae.index > 3 and order < 1:
+        warnings.warn(
+            f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
+            f" the step to the power {order} and no step is small enough; use the form Reduced(), or BackwardEuler()",
+            ServocoreWarning,
+            stacklevel=_CALLER,
+        )

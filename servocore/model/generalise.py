@@ -1,0 +1,101 @@
+"""`generalise`: the same system in generalised coordinates, section 3.1 of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Coordinates
+from servocore.model.system import DERIVED, MechanicalSystem
+
+
+def generalise(
+    system: MechanicalSystem,
+    coordinates: Coordinates,
+    mapping: ca.SX,
+    *,
+    guess: ca.SX = DERIVED,
+    observables: Mapping[Quantity, ca.SX] | None = None,
+    name: str | None = None,
+) -> MechanicalSystem:
+    """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
+
+    With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P
+    and the velocity-dependent inertia forces are P^T M P_dot nu (equations 5 to 12).
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system in redundant coordinates q.
+    coordinates : Coordinates
+        The generalised coordinates mu; as many as `system` has degrees of freedom.
+    mapping : casadi.SX
+        F(mu, p), shape (n,).
+    guess : casadi.SX, optional
+        A configuration mu near the one that belongs to the reference, an expression of ``system.gamma`` and p.
+    observables : mapping, optional
+        Observables of the new system; those of `system` that use no multipliers and inputs when not given.
+    name : str, optional
+        Name of the new system.
+
+    Raises
+    ------
+    InvalidModel
+        If the number of coordinates is wrong or F leaves the constraint manifold.
+    """
+    if len(coordinates) != system.degrees_of_freedom:
+        raise InvalidModel(
+            f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
+            f" not {len(coordinates)} generalised coordinates"
+        )
+    if mapping.shape != (len(system.coordinates), 1):
+        raise InvalidModel(
+            f"{system.name}: the mapping has shape {mapping.shape}, expected {(len(system.coordinates), 1)}"
+        )
+    mu, nu = coordinates.q, coordinates.v
+    P = ca.jacobian(mapping, mu)
+    velocity = ca.mtimes(P, nu)
+
+    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
+        pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
+        return pulled
+
+    mass, potential, force, gyroscopic, input_matrix, output, constraints = pulled_back(
+        system.mass, system.potential, system.force, system.gyroscopic,
+        system.input_matrix, system.output, system.constraints,
+    )  # fmt: skip
+    _require_on_manifold(system, coordinates, constraints)
+    if observables is None:
+        forces = ca.vertcat(system.lam, system.u)
+        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
+        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
+    return MechanicalSystem(
+        name=name or f"{system.name}, generalised",
+        coordinates=coordinates,
+        parameters=system.parameters,
+        inputs=system.inputs,
+        outputs=system.outputs,
+        mass=ca.mtimes([P.T, mass, P]),
+        potential=potential,
+        force=ca.mtimes(P.T, force),
+        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(velocity, mu, nu))),
+        input_matrix=ca.mtimes(input_matrix, P),
+        output=output,
+        gamma=system.gamma,
+        guess=guess,
+        home=system.home,
+        observables=observables,
+    )
+
+
+def _require_on_manifold(system: MechanicalSystem, coordinates: Coordinates, constraints: ca.SX) -> None:
+    """Evaluate g(F(mu)) at a point without symmetry: it must vanish there as it must everywhere."""
+    violation = ca.Function("violation", [coordinates.q, system.p], [constraints])
+    mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
+    worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
+    if not worst < 1e-9:
+        raise InvalidModel(f"{system.name}: the mapping leaves the constraint manifold (by {worst:.2g})")

@@ -1,0 +1,157 @@
+"""The loop over time at constant step: compiled chunks, and what a failed step has to say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
+from servocore.numerics.calls import Array, chained, side_by_side
+from servocore.problem import Problem
+from servocore.stepping.program import Program
+
+Progress = Callable[[int, int], None]
+"""Called with (steps done, steps in all)."""
+
+CHUNK = 512
+"""Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """States at all instants and what they took.
+
+    Attributes
+    ----------
+    states : ndarray, shape (size, N + 1)
+        The first column is the consistent start.
+    newton_iterations, factorisations : int
+        Totals.
+    worst_residual : float
+        Largest of all steps.
+    """
+
+    states: Array
+    newton_iterations: int
+    factorisations: int
+    worst_residual: float
+
+
+def begin(problem: Problem, program: Program, step: float) -> tuple[Array, float]:
+    """Return the consistent first state and its residual.
+
+    Raises
+    ------
+    InvalidReference
+        If the reference lacks derivatives.
+    InconsistentStart
+        If no consistent initial values are found.
+    """
+    reference = problem.reference
+    if reference.max_order < program.start_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {reference.max_order},"
+            f" {program.name} needs order {program.start_order}"
+        )
+    time = reference.start_time
+    past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
+    state, report = program.begin(past, problem.p, step)
+    if not report.converged:
+        raise InconsistentStart(f"{program.name}: no consistent initial values at t = {time:.6g} s")
+    return state, report.residual
+
+
+def run(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
+    """Step from the start through the instants `t`, evenly apart.
+
+    Raises
+    ------
+    InvalidReference, InconsistentStart
+        As `begin`.
+    IntegrationFailed
+        If a step is not solved.
+    """
+    count = len(t) - 1
+    step, length = step_of(t), chunk_length(count)
+    state, first_residual = begin(problem, program, step)
+    parts = [Run(state[:, None], 0, 0, first_residual)]
+    for done in range(0, count, length):
+        part, complete = advance(problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length)
+        if not complete:
+            raise failure(problem, program, part.states[:, -1], t[done + part.states.shape[1] - 1], step)
+        parts.append(replace(part, states=part.states[:, 1:]))
+        if progress is not None:
+            progress(min(done + length, count), count)
+    return joined(parts)
+
+
+def step_of(t: Array) -> float:
+    """Return the step between instants evenly apart."""
+    return float(t[-1] - t[0]) / (len(t) - 1)
+
+
+def chunk_length(count: int) -> int:
+    """Return how many of `count` steps go into one compiled loop, so that all loops are of one length."""
+    return -(-count // -(-count // CHUNK))
+
+
+def joined(parts: list[Run]) -> Run:
+    """Put runs of the same program one after the other."""
+    return Run(
+        np.hstack([part.states for part in parts]),
+        sum(part.newton_iterations for part in parts),
+        sum(part.factorisations for part in parts),
+        max(part.worst_residual for part in parts),
+    )
+
+
+def advance(problem: Problem, program: Program, t: Array, step: float, state: Array, length: int) -> tuple[Run, bool]:
+    """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
+
+    Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
+    not full is padded with the final instant; what it gives there is dropped.
+    """
+    used = len(t) - 1
+    ends = t[np.minimum(np.arange(1, length + 1), used)]
+    nodes = [problem.reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
+    found, counts, worst = chained(program.step, length)(
+        state,
+        side_by_side(np.concatenate(nodes, axis=1)),
+        np.full((1, length), step),
+        np.tile(problem.p[:, None], length),
+    )
+    found, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (found, counts))
+    worst = worst.ravel()[:used]
+    failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
+    good = int(failed.argmax()) if failed.any() else used
+    if good == 0 and length > 1:
+        # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
+        return _one_by_one(problem, program, t, step, state)
+    iterations, factorisations = counts[:, :good].sum(axis=1)
+    states = np.hstack([state[:, None], found[:, :good]])
+    return Run(states, round(iterations), round(factorisations), float(worst[:good].max(initial=0.0))), good == used
+
+
+def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state: Array) -> tuple[Run, bool]:
+    parts = [Run(state[:, None], 0, 0, 0.0)]
+    for k in range(len(t) - 1):
+        part, complete = advance(problem, program, t[k : k + 2], step, parts[-1].states[:, -1], 1)
+        parts.append(replace(part, states=part.states[:, 1:]))
+        if not complete:
+            return joined(parts), False
+    return joined(parts), True
+
+
+def failure(problem: Problem, program: Program, state: Array, time: float, step: float) -> IntegrationFailed:
+    """Return the error that says where a step failed and why that may be."""
+    nodes = np.array([time + c * step for c in program.nodes])
+    worst = program.worst_equation(state, problem.reference.jet(nodes, program.order), step, problem.p)
+    causes = "a step too large for the path, or a configuration close to a singular one"
+    if program.index > 3:
+        causes = f"errors that this form of index {program.index} amplifies from step to step, {causes}"
+    return IntegrationFailed(
+        f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
+        f" the worst equation is the {worst}. Likely causes: {causes}"
+    )

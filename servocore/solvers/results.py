@@ -1,0 +1,118 @@
+"""From states to a `Solution`: the one place where values are observed, judged and summed up."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem
+from servocore.solution import Solution, Statistics
+from servocore.solvers.loop import Run
+from servocore.stepping.program import Program
+
+_DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
+_NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """Part of a run by one program: the instants, its states there and what they took."""
+
+    program: Program
+    t: Array
+    run: Run
+
+
+def solution_of(
+    problem: Problem, segments: list[Segment], route: str = "", *, refuse_turns: bool = True, **told: Any
+) -> Solution:
+    """Observe the states of a run, each part by its own program, and sum the run up.
+
+    Parameters
+    ----------
+    problem : Problem
+        What was solved.
+    segments : list of Segment
+        Parts that follow one another; the instant that two have in common is taken from the later one.
+    route : str
+        How it was solved, if the name of the last program does not say it.
+    refuse_turns : bool
+        Whether an angle that turns by half a turn within a step is refused: it cannot be told from the turn the other
+        way round.
+    **told
+        Entries of `Statistics` that the states do not show.
+
+    Raises
+    ------
+    IntegrationFailed
+        If the states have left the branch of the equations that is wanted, or an angle turns too far between two
+        instants to tell which way.
+    """
+    tables, violations = [], []
+    for segment in segments:
+        table, violation = _observed(problem, segment, refuse_turns)
+        tables.append(table if segment is segments[-1] else table[:-1])
+        violations.append(violation)
+    values, program = np.vstack(tables), segments[-1].program
+    t = np.concatenate([*(each.t[:-1] for each in segments[:-1]), segments[-1].t])
+    if len(segments) > 1:
+        for k, channel in enumerate(program.channels):
+            if channel.wraps:
+                values[:, k] = np.unwrap(values[:, k])
+    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], np.hstack(violations))
+    return Solution(
+        t, program.channels, values, route or program.name, replace(summary, **told), problem.reference.fit_error
+    )
+
+
+def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[Array, Array]:
+    """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
+    program, t, states = segment.program, segment.t, segment.run.states
+    jets = problem.reference.jet(t, program.start_order)
+    observed, violations = at_instants(program.observe, states, jets=jets, p=problem.p)
+    table = observed.T
+    for k in ambiguous_angles(problem, program) if refuse_turns else ():
+        require_less_than_half_a_turn(program, k, t, table[:, k])
+    for k, channel in enumerate(program.channels):
+        if channel.wraps:
+            table[:, k] = np.unwrap(table[:, k])
+        if channel.positive and not (table[:, k] > 0.0).all():
+            first = int((~(table[:, k] > 0.0)).argmax())
+            program.require_branch(table[first], float(t[first]))
+    follow_angles(problem, program, t, states, table)
+    return table, violations
+
+
+def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Statistics:
+    servo, servo_rate, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
+    return Statistics(
+        steps=len(inputs) - 1,
+        newton_iterations=sum(each.run.newton_iterations for each in segments),
+        factorisations=sum(each.run.factorisations for each in segments),
+        worst_residual=max(each.run.worst_residual for each in segments),
+        servo_violation=servo,
+        servo_rate_violation=servo_rate,
+        constraint_violation=constraint,
+        constraint_rate_violation=constraint_rate,
+        choices_of_states=1 + sum(a.program is not b.program for a, b in pairwise(segments)),
+        input_noise=input_noise(inputs),
+    )
+
+
+def input_noise(inputs: Array) -> float | None:
+    """Estimate the noise of trajectories (N, m) relative to their peaks, from differences of order eight.
+
+    Of white noise they keep sqrt(16 over 8) times the deviation; of a smooth trajectory they leave h^8 times its eighth
+    derivative. The median of their magnitudes passes over kinks.
+    """
+    if len(inputs) < _FEWEST_FOR_NOISE:
+        return None
+    deviation = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
+    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
+    return float((deviation / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())

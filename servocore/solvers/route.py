@@ -1,0 +1,32 @@
+"""`Route`: a way from a problem to its solution. `solve` chooses one and runs it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from servocore.numerics.calls import Array
+from servocore.problem import Problem
+from servocore.solution import Solution
+from servocore.solvers.loop import Progress
+
+
+class Route(Protocol):
+    """A way to solve; implementations are frozen dataclasses that hold their settings."""
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Solve a problem and report it at the instants `times`.
+
+        Parameters
+        ----------
+        problem : Problem
+            What to solve.
+        times : ndarray, shape (N,)
+            In s, from the start of the path to its end, evenly apart.
+        progress : callable, optional
+            Called with (steps done, steps in all) from time to time.
+
+        Raises
+        ------
+        ServocoreError
+            If it cannot be solved; the sentence says where and why.
+        """

@@ -1,0 +1,166 @@
+"""A model, a formulation and a method become one `Program`: compiled once for a system, whatever its path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import casadi as ca
+
+from servocore.dae import Dae
+from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Discretisation, Method, instantaneous
+from servocore.model.scene import Limit
+from servocore.numerics.calls import Call
+from servocore.numerics.machine_code import compiled
+from servocore.numerics.square_systems import compile_solver
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
+from servocore.stepping.margins import compile_margins, limit_texts, limits_order
+from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.program import Program
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import Inversion, compile_inversion, inversion
+
+_IN_MACHINE_CODE = ("start", "step", "observe")
+
+
+def program_of(problem: Problem, formulation: Formulation, method: Method, native: bool = False) -> Program:
+    """Return the program of a problem; asked again for the same system and settings, the same program.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be stepped.
+    formulation, method : Formulation, Method
+        How.
+    native : bool
+        Whether a C compiler shall turn it into machine code.
+    """
+    make = _in_machine_code if native else compile_program
+    return problem.resolved.once(make, formulation, method, problem.limits, problem.follow_branch)
+
+
+def _in_machine_code(
+    resolved: ResolvedSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...], follow_branch: bool
+) -> Program:
+    """Return the same program with start, step and observation as machine code."""
+    program = resolved.once(compile_program, formulation, method, limits, follow_branch)
+    return replace(program, **compiled({name: getattr(program, name) for name in _IN_MACHINE_CODE}, program.name))
+
+
+def compile_program(
+    resolved: ResolvedSystem,
+    formulation: Formulation,
+    method: Method,
+    limits: tuple[Limit, ...] = (),
+    follow_branch: bool = False,
+) -> Program:
+    """Compile a system with a formulation and a method.
+
+    With `follow_branch` an exact inversion starts from where the instant before was heading instead of the model's
+    guess.
+    """
+    system, dae = resolved.system, resolved.dae(formulation)
+    array, inverse, reduced = _inverse(resolved, formulation)
+    discretisation = discretised(dae, method)
+    start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
+    known = observed(system)
+    start = compile_start(array, inverse, dae, reduced, discretisation, start_order)
+    # Without differential states every instant stands alone: a step is a start.
+    pointwise = dae.x.numel() == 0
+    if pointwise:
+        step = _compile_following_step(array, inverse, start_order) if follow_branch else _compile_pointwise_step(start)
+    else:
+        step = _compile_step(discretisation)
+    return Program(
+        name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
+        start=start,
+        step=step,
+        observe=compile_observation(system, dae, discretisation, known, start_order),
+        margins=compile_margins(system, limits, start_order),
+        guess_residual=_compile_guess_residual(discretisation),
+        rescale=ca.Function(
+            "sc_rescale", [discretisation.state, discretisation.ratio], [ca.densify(discretisation.rescaled)]
+        ),
+        between=ca.Function(
+            "sc_between",
+            [discretisation.state, discretisation.fraction, discretisation.step],
+            [ca.densify(discretisation.between)],
+        ),
+        index=dae.index,
+        order=start_order if pointwise else dae.reference_order,
+        start_order=start_order,
+        nodes=discretisation.nodes,
+        start_instants=start_instants(array, discretisation),
+        channels=tuple(each for each, _ in known),
+        parameters=system.parameters.names,
+        equations=discretisation.labels,
+        limits=limit_texts(limits),
+    )
+
+
+def _inverse(resolved: ResolvedSystem, formulation: Formulation) -> tuple[DerivativeArray, Inversion, Dae]:
+    """Return the derivative array with the states that the formulation names, its inversion and its reduced form."""
+    array = resolved.array
+    if isinstance(formulation, Reduced):
+        array = formulation.array(resolved.system)
+    own = resolved.once(inversion) if array.states == resolved.array.states else compile_inversion(array)
+    return array, own, resolved.dae(Reduced(states=array.named_states))
+
+
+def discretised(dae: Dae, method: Method) -> Discretisation:
+    """Return the equations of one step; those of an instant where nothing is left to integrate."""
+    return method.discretise(dae) if dae.x.numel() else instantaneous(dae)
+
+
+def compile_restart_of(resolved: ResolvedSystem, formulation: Reduced, method: Method, order: int) -> Call:
+    """Compile (unknowns of the array, gamma, h, p) -> the first state of a run with these states."""
+    array, inverse, reduced = _inverse(resolved, formulation)
+    step = discretised(reduced, method)
+    return Call(compile_restart(array, inverse, reduced, reduced, step, order))
+
+
+def _compile_step(step: Discretisation) -> ca.Function:
+    solver = compile_solver("sc_solve", step.equations, [step.next_state])
+    return _with_step_arguments("sc_step", step, lambda givens: list(solver(givens)))
+
+
+def _compile_following_step(array: DerivativeArray, inverse: Inversion, order: int) -> ca.Function:
+    """Invert exactly, starting from where the instant before was heading.
+
+    Without internal dynamics its state is all unknowns, derivatives included. Where two motions meet, the one that goes
+    on with the same velocity and acceleration is the nearer, by a power of h.
+    """
+    system = array.system
+    state, h = ca.MX.sym("state", len(array.unknowns)), ca.MX.sym("h")
+    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
+    known = dict(zip(array.unknowns, ca.vertsplit(state), strict=True))
+    ahead = [
+        value + h * known.get((j, k + 1), 0) + h**2 / 2 * known.get((j, k + 2), 0) for (j, k), value in known.items()
+    ]
+    found = inverse.search(gamma[:, : array.reference_order + 1], p, ca.vertcat(*ahead))
+    return ca.Function("sc_step", [state, gamma, h, p], list(found))
+
+
+def _compile_pointwise_step(start: ca.Function) -> ca.Function:
+    state, h = ca.MX.sym("state", start.numel_out(0)), ca.MX.sym("h")
+    gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(2))
+    return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
+
+
+def _compile_guess_residual(step: Discretisation) -> ca.Function:
+    equations = step.equations
+    residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
+    evaluate = ca.Function("sc_residual", [equations.givens], [ca.densify(residual)])
+    return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
+
+
+def _with_step_arguments(name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:
+    """Give a function of the flat givens the arguments (state, gamma, h, p)."""
+    state = ca.MX.sym("state", step.state.numel())
+    gamma = ca.MX.sym("gamma", *step.reference.shape)
+    h = ca.MX.sym("h")
+    p = ca.MX.sym("p", step.equations.givens.numel() - state.numel() - gamma.numel() - 1)
+    return ca.Function(name, [state, gamma, h, p], evaluate(ca.vertcat(state, ca.vec(gamma), h, p)))

@@ -1,0 +1,133 @@
+"""Forward dynamics of a system, compiled: what moves when inputs push.
+
+    M v_dot + bias + G^T lam + B^T u = C^T d        d: a disturbing force on the servo output
+    g'' + 2 a g' + a^2 g = 0                        a = `STABILISATION_RATE`
+
+The holonomic constraints are differentiated twice and stabilised. *Held*, the inputs are not given but are what keeps
+B v as it is: brakes. One step of a `Plant` is the classical Runge-Kutta method of order four with inputs that change
+linearly over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.stepping.plant import Plant
+
+STABILISATION_RATE = 10.0
+"""Rate in 1/s at which violations of the holonomic constraints decay."""
+
+
+def compile_plant(system: MechanicalSystem) -> Plant:
+    """Compile the forward dynamics of a system.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        Any; its constraints are differentiated twice and stabilised.
+
+    Raises
+    ------
+    InvalidModel
+        If some holonomic constraints are redundant: nothing would determine their forces.
+    """
+    system.require_independent_constraints()
+    rate, held_rate = forward_rate(system, held=False), forward_rate(system, held=True)
+    n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
+    state, u, slope, d, p = (ca.MX.sym(*each) for each in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
+    h = ca.MX.sym("h")
+    free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
+    held = _runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
+    channels, observed = _observed(system)
+    x_dot, lam, _ = rate(state, u, d, p)
+    held_dot, held_lam, held_u = held_rate(state, d, p)
+    output = ca.Function("sc_plant_output", [ca.vertcat(system.q, system.v), system.p], [system.output])
+    jacobians = [ca.densify(ca.jacobian(x_dot, each)) for each in (state, u, d)]
+    by_state = ca.densify(ca.jacobian(output(state, p), state))
+    linear = ca.Function("sc_plant_jacobians", [state, u, d, p], [*jacobians, by_state])
+    return Plant(
+        name=system.name,
+        step=ca.Function("sc_plant_step", [state, u, slope, d, p, h], [free]),
+        held_step=ca.Function("sc_plant_held_step", [state, d, p, h], [held]),
+        observe=ca.Function("sc_plant_observe", [state, u, d, p], [observed(state, x_dot[n:], lam, u, p)]),
+        held_observe=ca.Function(
+            "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, p)]
+        ),
+        linearise=ca.Function("sc_plant_linearise", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
+        channels=channels,
+        parameters=system.parameters.names,
+    )
+
+
+def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
+    """Compile (state, u, d, p) -> (state_dot, lam, u), or without u among the arguments where the inputs are held."""
+    q, v, G, B = system.q, system.v, system.G, system.input_matrix
+    a = STABILISATION_RATE
+    g_dot = ca.mtimes(G, v)
+    stabilised = ca.jtimes(g_dot, q, v) + 2 * a * g_dot + a**2 * system.constraints
+    d = ca.SX.sym("d", len(system.outputs))
+    momentum = system.bias - ca.mtimes(system.C.T, d)
+    m_h, m = system.lam.numel(), len(system.inputs)
+    if held:
+        bordered = ca.vertcat(G, B)
+        right = ca.vertcat(momentum, stabilised, ca.jtimes(ca.mtimes(B, v), q, v))
+    else:
+        bordered = G
+        right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilised)
+    corner = ca.SX(bordered.size1(), bordered.size1())
+    matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])
+    state, given = ca.vertcat(q, v), [] if held else [system.u]
+    terms = ca.Function("sc_plant_terms", [state, *given, d, system.p], [matrix, -right], {"cse": True})
+    arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
+    found = ca.solve(*terms(*arguments), "qr")
+    n = len(system.coordinates)
+    forces = found[n + m_h : n + m_h + m] if held else arguments[1]
+    results = [ca.vertcat(arguments[0][n:], found[:n]), found[n : n + m_h], forces]
+    return ca.Function("sc_plant_rate", arguments, results)
+
+
+def _runge_kutta(rate: Any, state: ca.MX, h: ca.MX) -> ca.MX:
+    """Return the state after one step of the classical method, where ``rate(state, time)`` is its derivative."""
+    first = rate(state, 0)
+    second = rate(state + h / 2 * first, h / 2)
+    third = rate(state + h / 2 * second, h / 2)
+    fourth = rate(state + h * third, h)
+    return state + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+
+def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
+    """Return the channels and (state, v_dot, lam, u, p) -> their values."""
+    q, v = system.q, system.v
+    v_dot = ca.SX.sym("v_dot", v.numel())
+    output_rate = ca.mtimes(system.C, v)
+    rows: list[tuple[Quantity, ca.SX]] = []
+
+    def add(quantities: Sequence[Any], values: ca.SX, suffix: str = "", unit: str = "") -> None:
+        rows.extend(
+            (Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, not suffix and each.wraps), values[k])
+            for k, each in enumerate(quantities)
+        )
+
+    add(system.outputs, system.output)
+    add(system.outputs, output_rate, "_dot", "/s")
+    add(system.outputs, ca.mtimes(system.C, v_dot) + ca.jtimes(output_rate, q, v), "_ddot", "/s2")
+    add(system.coordinates.quantities, q)
+    add(system.coordinates.quantities, v, "_dot", "/s")
+    for quantity, expression in system.observables.items():
+        if not ca.depends_on(ca.SX(expression), system.gamma):
+            add((quantity,), ca.SX(expression))
+    add(system.inputs, system.u)
+    energy = ca.dot(v, ca.mtimes(system.mass, v)) / 2 + system.potential
+    rows.append((Quantity("energy", "J", "kinetic and potential energy"), energy))
+    unique: dict[str, tuple[Quantity, ca.SX]] = {}
+    for channel, expression in rows:
+        unique.setdefault(channel.name, (channel, expression))
+    values = ca.vertcat(*[expression for _, expression in unique.values()])
+    arguments = [ca.vertcat(q, v), v_dot, system.lam, system.u, system.p]
+    function = ca.Function("sc_plant_values", arguments, [ca.densify(values)], {"cse": True})
+    return tuple(channel for channel, _ in unique.values()), function

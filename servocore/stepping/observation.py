@@ -1,0 +1,58 @@
+"""What a state says: the observed values by name, and how far the equations are violated."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servocore.dae import Dae
+from servocore.methods.base import Discretisation
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.expressions import largest
+
+
+def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
+    """List inputs, observables, servo outputs, then coordinates whose names are still free."""
+    listed = [
+        *((each, system.u[k]) for k, each in enumerate(system.inputs)),
+        *system.observables.items(),
+        *((each, system.output[k]) for k, each in enumerate(system.outputs)),
+        *((each, system.q[k]) for k, each in enumerate(system.coordinates.quantities)),
+    ]
+    seen: dict[str, tuple[Quantity, ca.SX]] = {}
+    for quantity, expression in listed:
+        seen.setdefault(quantity.name, (quantity, expression))
+    return list(seen.values())
+
+
+def compile_observation(
+    system: MechanicalSystem,
+    dae: Dae,
+    step: Discretisation,
+    known: list[tuple[Quantity, ca.SX]],
+    order: int,
+) -> ca.Function:
+    """Compile (state, gamma (m, order + 1), p) -> (values of `known`, violations (4,)) at the state's own instant."""
+    names = ("q", "v", "lam", "u")
+    symbols = ca.vertcat(*[getattr(system, name) for name in names])
+    physical = ca.vertcat(*[dae.physical[name] for name in names])
+    expressions = ca.vertcat(*[expression for _, expression in known])
+    violations = violations_of(system)
+    expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])
+    unknowns = ca.vertcat(dae.x, dae.z)
+    expressions, violations = ca.substitute([expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)])
+    gamma = system.gamma[:, : order + 1]
+    return ca.Function(
+        "sc_observe", [step.state, gamma, system.p], [ca.densify(expressions), ca.densify(violations)], {"cse": True}
+    )
+
+
+def violations_of(system: MechanicalSystem) -> ca.SX:
+    """Return |c|, |dc/dt|, |g|, |dg/dt| in the maximum norm."""
+    groups = (
+        system.output - system.gamma[:, 0],
+        ca.mtimes(system.C, system.v) - system.gamma[:, 1],
+        system.constraints,
+        ca.mtimes(system.G, system.v),
+    )
+    return ca.vertcat(*[largest(group) for group in groups])
