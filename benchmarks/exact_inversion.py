@@ -30,7 +30,7 @@ from servocore.cli.levels import ROUTES, Spread, compiled_run, timed_in_turn
 from servocore.cli.levels_text import machine
 from servocore.numerics.calls import Call, side_by_side
 from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
-from servocore.structure.derivative_array import DerivativeArray, derivative_array, first_guess, nominal
+from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 from servocore.structure.inversion import compile_inversion
 
 CRANE = sc.scenes.rotary_crane()
@@ -106,7 +106,7 @@ def blocks_against_one(effort: Effort) -> Table:
         p = scene.model(model).parameters.values(scene.parameters)
         jets = scene.reference.jet(instants_of(scene, effort.instants), array.reference_order)
         arguments = side_by_side(jets), np.tile(p[:, None], effort.instants)
-        blocks = Call(compile_inversion(array).map(effort.instants))
+        blocks = Call(compile_inversion(array).function.map(effort.instants))
         undivided = Call(undivided_inversion(array).map(effort.instants))
         difference = worst_difference(array, blocks(*arguments)[0], undivided(*arguments)[0])
         spreads = effort.microseconds(
@@ -137,7 +137,7 @@ def undivided_inversion(array: DerivativeArray) -> ca.Function:
          "common_options": {"cse": True}},
     )  # fmt: skip
     gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
-    guess = first_guess(array)(gamma, p) / scale
+    guess = compile_inversion(array).guess(gamma, p) / scale
     return ca.Function("undivided", [gamma, p], [ca.densify(find_root(guess, ca.vertcat(ca.vec(gamma), p)) * scale)])
 
 

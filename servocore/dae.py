@@ -49,7 +49,15 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Equation:
-    """What a formulation says of one of its equations: a name for messages, and a level as for unknowns."""
+    """What a formulation says of one of its equations.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    level : int
+        As `Unknown.level`: how often h divides an error of it.
+    """
 
     name: str
     level: int

@@ -34,7 +34,7 @@ from benchmarks.atlas.row03_inconsistent_start import prediction  # noqa: E402
 from benchmarks.atlas.row04_drift_off import one_step  # noqa: E402
 from benchmarks.atlas.row04_drift_off import scene as pendulum_scene  # noqa: E402
 from benchmarks.atlas.rows import ROWS, named  # noqa: E402
-from servocore.solvers.simulate import STABILISATION_RATE  # noqa: E402
+from servocore.stepping.forward_dynamics import STABILISATION_RATE  # noqa: E402
 
 NAMES = [row.name for row in ROWS]
 PAGE = ROOT / "docs" / "stability"

@@ -1,5 +1,7 @@
 """Machine code computes what the interpreter computes, to the last bit, and says when it cannot be had."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,11 +11,10 @@ from servocore.numerics import machine_code
 CRANE = sc.scenes.overhead_crane()
 
 
-@pytest.fixture
-def no_programs_kept():
-    in_machine_code.cache_clear()
-    yield
-    in_machine_code.cache_clear()
+def fresh() -> sc.Scene:
+    """Return the crane with a model of its own, for which nothing was compiled before."""
+    system = replace(CRANE.model(), name="overhead crane, fresh")
+    return replace(CRANE, models={"fresh": lambda: system})
 
 
 @pytest.mark.parametrize(
@@ -44,22 +45,20 @@ def test_machine_code_is_not_saved():
         stepper.program.to_json()
 
 
-@pytest.mark.usefixtures("no_programs_kept")
 def test_without_a_compiler_machine_code_is_refused(monkeypatch):
     monkeypatch.setenv("CC", "")
-    monkeypatch.setattr(native, "COMPILERS", ("no-such-compiler",))
+    monkeypatch.setattr(machine_code, "COMPILERS", ("no-such-compiler",))
     with pytest.raises(sc.InvalidSetting, match=r"machine code needs a C compiler: .* none of no-such-compiler"):
-        sc.solve(CRANE, native=True)
+        sc.solve(fresh(), native=True)
 
 
-@pytest.mark.usefixtures("no_programs_kept")
 def test_a_compiler_that_fails_is_named_with_its_reason(monkeypatch, tmp_path):
     broken = tmp_path / "brokencc"
     broken.write_text("#!/bin/sh\necho 'no space left' >&2\nexit 1\n")
     broken.chmod(0o755)
     monkeypatch.setenv("CC", str(broken))
     with pytest.raises(sc.InvalidSetting, match=r"brokencc does not compile overhead crane.*: no space left"):
-        sc.solve(CRANE, native=True)
+        sc.solve(fresh(), native=True)
 
 
 def test_without_checks_the_numbers_are_the_same_and_limits_are_not_looked_at():

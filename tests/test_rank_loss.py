@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import brentq
 
 import servocore as sc
-from servocore import rank_loss
+from servocore.checks import branches
 from servocore.checks.branches import changes_branch, configurations, rank_losses, require_one_branch
 
 CRANK, BASE, MASS, GRAVITY = 0.5, 1.1, 2.0, 9.81
@@ -144,17 +144,17 @@ def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_th
 
 
 def test_what_internal_dynamics_leave_free_is_judged_by_a_kink():
-    system, p = linkage(freewheel=True), np.zeros(0)
+    problem = sc.Problem.of(sc.Scene("linkage", {"": lambda: linkage(freewheel=True)}, THROUGH))
     t = np.linspace(0.0, 4.0, 401)
     y = THROUGH.jet(t, 0)[:, 0, 0]
     twice = 2 * np.arctan2(-CRANK * np.sin(y), BASE - CRANK * np.cos(y))
     for tilt, expected in ((y, False), (np.where(y > np.pi, twice - y, y), True)):
         joints = [CRANK * np.cos(y), CRANK * np.sin(y), BASE + CRANK * np.cos(tilt), CRANK * np.sin(tilt)]
         q = np.column_stack([*joints, y, 0.1 * np.sin(3 * t)])
-        (loss,) = rank_losses(system, THROUGH, p, t, q)
+        (loss,) = rank_losses(problem, t, q)
         assert loss.time == pytest.approx(MEETING, abs=1e-4)
         assert loss.holonomic
-        assert changes_branch(system, THROUGH, p, t, q, loss.time) is expected
+        assert changes_branch(problem, t, q, loss.time) is expected
 
 
 def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch):
@@ -162,27 +162,26 @@ def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch):
     solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
     counts = []
 
-    def counting(system, reference, p, t, q):
+    def counting(problem, t, q):
         counts.append(len(t))
-        return rank_losses(system, reference, p, t, q)
+        return rank_losses(problem, t, q)
 
-    monkeypatch.setattr(rank_loss, "rank_losses", counting)
-    require_one_branch(linkage(), subject.reference, np.zeros(0), solution)
+    monkeypatch.setattr(branches, "rank_losses", counting)
+    require_one_branch(sc.Problem.of(subject), solution)
     assert counts == [201]
 
 
 def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch):
     crane = sc.scenes.overhead_crane()
-    system = crane.model("generalized")
     solution = sc.solve(crane, model="generalized")
-    monkeypatch.setattr(rank_loss, "configurations", lambda *_: pytest.fail("looked at"))
-    require_one_branch(system, crane.reference, system.parameters.values(), solution)
+    monkeypatch.setattr(branches, "configurations", lambda *_: pytest.fail("looked at"))
+    require_one_branch(sc.Problem.of(crane, "generalized"), solution)
 
 
 def test_configurations_are_read_from_a_solution_unless_something_else_has_their_name():
     subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
     solution = sc.solve(subject)
-    q = configurations(linkage(), solution)
+    q = configurations(sc.Problem.of(linkage()), solution)
     np.testing.assert_array_equal(q[:, 4], solution["theta"])
     shadowed = replace(linkage(), observables={sc.Quantity("theta", "rad"): 2 * linkage().q[4]})
-    assert configurations(shadowed, solution) is None
+    assert configurations(sc.Problem.of(shadowed), solution) is None

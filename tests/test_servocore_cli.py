@@ -12,7 +12,7 @@ import pytest
 from command_lines import CommandLine, write
 
 import servocore as sc
-from servocore import cli
+from servocore.cli import commands
 from servocore.cli.commands import app, described
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,7 +52,8 @@ class TestScenes:
         assert len(needs) > 40
 
     def test_without_docstrings_the_table_is_still_there(self):
-        code = "from servocore.cli.commands import app; app(['scenes'])"
+        code = "from servocore.cli import commands
+from servocore.cli.commands import app; app(['scenes'])"
         command = [sys.executable, "-OO", "-c", code]
         found = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}
@@ -89,7 +90,7 @@ class TestAnalyse:
 
     def test_on_a_terminal_long_lines_are_broken_behind_their_label(self):
         report = str(sc.analyse(sc.scenes.rotary_crane()))
-        lines = [part for line in report.splitlines() for part in cli.hanging(line, 80).splitlines()]
+        lines = [part for line in report.splitlines() for part in commands.hanging(line, 80).splitlines()]
         assert max(map(len, lines)) <= 80
         assert " ".join(" ".join(lines).split()) == " ".join(report.split())
         assert all((line.startswith("  ") and line[2:22].strip()) or line.startswith(" " * 22) for line in lines[1:])
@@ -141,7 +142,7 @@ class TestLevels:
 
     def test_all_scenes_can_be_asked_for(self, monkeypatch):
         names = ("cars", "mass_on_car")
-        monkeypatch.setattr(cli, "REGISTRY", {name: sc.scenes.REGISTRY[name] for name in names})
+        monkeypatch.setattr(commands, "REGISTRY", {name: sc.scenes.REGISTRY[name] for name in names})
         result = run("levels", "--all", "--instants", 10)
         assert result.exit_code == 0
         assert all(name in result.stdout for name in names)

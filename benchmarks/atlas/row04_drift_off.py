@@ -13,7 +13,7 @@ from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_le
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, looks, panels
 from servocore.references import periodic
-from servocore.solvers.simulate import STABILISATION_RATE
+from servocore.stepping.forward_dynamics import STABILISATION_RATE
 
 NAME = "drift-off"
 STEP = 0.004

@@ -19,11 +19,9 @@ import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
 from servocore.numerics.calls import Call, side_by_side
-from servocore.problem import prepared
 from servocore.solvers.exact_inversion import compile_inputs
-from servocore.structure.derivative_array import derivative_array
 
-_INSIDE = ("solve_at_constant_step", "run")  # looked into, rather than named
+_INSIDE = ("run", "solution_of")  # looked into, rather than named
 _SMALLEST_SHARE = 0.02
 
 FLAGS = ("-O3", "-fPIC", "-shared")
@@ -68,13 +66,11 @@ def measure_costs(problem_scene: sc.Scene, models: Sequence[str], repeats: int =
 
 def functions_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> tuple[ca.Function, tuple[Array, Array]]:
     """Return the functions of the exact inversion for all instants, and their arguments."""
-    base = scene.model(model)
-    p = base.parameters.values(scene.parameters)
-    array = derivative_array(prepared(base, p)[0])
+    problem = sc.Problem.of(scene, model)
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)[1:]
-    jets = scene.reference.jet(t, array.reference_order)
-    functions = compile_inputs(array)[0].map(f"sc_{model}_inputs", "serial", steps, [], [])
-    return functions, (side_by_side(jets), np.tile(p[:, None], steps))
+    jets = scene.reference.jet(t, problem.array.reference_order)
+    functions = compile_inputs(problem.resolved)[0].map(f"sc_{model}_inputs", "serial", steps, [], [])
+    return functions, (side_by_side(jets), np.tile(problem.p[:, None], steps))
 
 
 def in_c(function: ca.Function, folder: Path) -> ca.Function | None:

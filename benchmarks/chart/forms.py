@@ -19,14 +19,16 @@ from functools import cached_property, lru_cache
 import casadi as ca
 import numpy as np
 
+import servocore as sc
 from benchmarks.chart.candidate import Array, Problem
 from benchmarks.chart.paths import path_jet
 from servocore.formulations import Projected, Reduced
 from servocore.methods import RadauIIA
 from servocore.model.system import MechanicalSystem
-from servocore.solvers.fixed_step import run
-from servocore.stepping.stepper import Stepper
-from servocore.structure.derivative_array import derivative_array, first_guess
+from servocore.solvers.loop import run
+from servocore.stepping.compilation import program_of
+from servocore.structure.derivative_array import derivative_array
+from servocore.structure.inversion import compile_inversion
 
 Key = tuple[str, int]
 """A variable and which of its derivatives: ("q.s", 1)."""
@@ -136,7 +138,7 @@ def make_form(problem: Problem, model: str, formulation: str, variant: str = "",
 
 
 def _system(problem: Problem, model: str) -> MechanicalSystem:
-    return Stepper(problem.scene, Reduced(), RadauIIA(5), problem.scene.reference.duration, model).system
+    return sc.Problem.of(problem.scene, model).system
 
 
 def _rates(keys: list[Key]) -> ca.SX:
@@ -295,7 +297,7 @@ def quasi_static(form: Form, t: Array) -> Array:
     reference, p = form.problem.scene.reference, array.system.parameters.values(form.problem.scene.parameters)
     jets = np.zeros((len(t), array.reference_order + 1, reference.dimension))
     jets[:, 0] = reference.jet(t, 0)[:, 0]
-    guess = first_guess(array)
+    guess = compile_inversion(array).guess
     values = np.column_stack([np.asarray(guess(jet.T, p)).ravel() for jet in jets])
     rows = {(array.names[j], order): values[k] for k, (j, order) in enumerate(array.unknowns)}
     return np.array([
@@ -317,9 +319,8 @@ def exact_unknowns(problem: Problem, model: str) -> dict[Key, Array]:
     """Return all derivatives of all variables over the run, by exact inversion, for scaling and initial values."""
     scene, system, method = problem.scene, _system(problem, model), RadauIIA(5)
     t = problem.grid()
-    step = scene.reference.duration / (len(t) - 1)
-    stepper = Stepper(scene, Reduced(), method, step, model)
-    states = run(scene.reference, stepper.program, stepper.parameters, t, step).states
+    resolved = sc.Problem.of(scene, model)
+    states = run(resolved, program_of(resolved, Reduced(), method), t).states
     dae = Reduced().dae(system)
     found = {(each.variable, each.order): states[k] for k, each in enumerate(dae.unknowns)}
     return {**found, ("time", 0): t}
