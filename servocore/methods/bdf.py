@@ -7,6 +7,7 @@ from fractions import Fraction
 from math import comb
 
 import casadi as ca
+import numpy as np
 
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
@@ -20,6 +21,7 @@ from servocore.methods.base import (
     scales,
     start_symbols,
 )
+from servocore.numerics.interpolation import lagrange, symbolic_lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -73,7 +75,7 @@ class BDF:
         alpha = [float(each) for each in coefficients(k)]
         size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
         # One column more than the formula needs serves to extrapolate the first guess with order k.
-        history = ca.SX.sym("past", size, k + 1)
+        history, past_times = ca.SX.sym("past", size, k + 1), -np.arange(k + 1.0)  # in steps
         h, ratio, fraction = ca.SX.sym("h"), ca.SX.sym("ratio"), ca.SX.sym("fraction")
         reference, (gamma,) = reference_symbols(dae, 1)
         past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
@@ -84,7 +86,7 @@ class BDF:
             unknowns=unknowns,
             givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
             residual=at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma),
-            guess=ca.mtimes(history, ca.DM([float(each) for each in extrapolation(k + 1)])),
+            guess=ca.mtimes(history, ca.DM(lagrange(past_times, [1.0]).T)),
             unknown_scale=unknown_scale,
             residual_scale=residual_scale,
         )
@@ -101,28 +103,10 @@ class BDF:
             reference=reference,
             step=h,
             ratio=ratio,
-            rescaled=ca.vec(ca.mtimes(history, _resampling(k + 1, ratio))),
+            rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(past_times, [-j * ratio for j in range(k + 1)]))),
             fraction=fraction,
-            between=ca.vertcat(ca.mtimes(history, _weights(k + 1, fraction - 1)), ca.vec(history[:, 1:])),
+            between=ca.vertcat(
+                ca.mtimes(history, symbolic_lagrange(past_times, [fraction - 1])), ca.vec(history[:, 1:])
+            ),
             labels=labels(dae),
         )
-
-
-def _resampling(points: int, ratio: ca.SX) -> ca.SX:
-    """Return R with history @ R = history at 0, -ratio, -2 ratio, ..., by the polynomial through all points."""
-    return ca.horzcat(*[_weights(points, -j * ratio) for j in range(points)])
-
-
-def _weights(points: int, at_point: ca.SX) -> ca.SX:
-    """Return w with history @ w = the polynomial through the history at 0, -1, -2, ..., evaluated at a point."""
-    weights = ca.SX.ones(points)
-    for i in range(points):
-        for m in range(points):
-            if m != i:
-                weights[i] *= (at_point + m) / (m - i)
-    return weights
-
-
-def extrapolation(points: int) -> tuple[int, ...]:
-    """Return weights of x(t), x(t - h), ... whose sum is x(t + h) for polynomials of degree points - 1."""
-    return tuple((-1) ** i * comb(points, i + 1) for i in range(points))
