@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
-from functools import cache
-from math import perm
+from math import comb, factorial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from servocore.references.piecewise import REST_ORDER, PiecewisePolynomial
 
@@ -84,10 +83,11 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     """
     duration = float(t[-1] - t[0])
     rows, rests = _resting_ends(derivatives, duration)
+    taylor = _taylor_from_ends(REST_ORDER)
     best, pieces = None, 1
     while 2 * pieces < len(t):
         kept = np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)
-        path = _through_rows(t[kept], rows[kept], rests)
+        path = _through_rows(t[kept], rows[kept], rests, taylor)
         found = path.jet(t, REST_ORDER)
         worst = disagreement(rows, found, duration)
         if best is None or worst.fraction < 2.0 * best[1].fraction:
@@ -95,10 +95,10 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
             best = replace(path, fit_error=error), worst
         pieces *= 2
     if best is None:
-        return _through_rows(t, rows, rests), None
+        return _through_rows(t, rows, rests, taylor), None
     path, worst = best
     if 2 * len(path.knots) >= pieces and worst.fraction > REDUNDANT:  # the densest try was best: take all
-        path = replace(_through_rows(t, rows, rests), fit_error=path.fit_error)
+        path = replace(_through_rows(t, rows, rests, taylor), fit_error=path.fit_error)
     return path, worst
 
 
@@ -123,8 +123,8 @@ def _resting_ends(derivatives: FloatArray, duration: float) -> tuple[FloatArray,
     return rows, (first, last)
 
 
-def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool]) -> PiecewisePolynomial:
-    """Join Hermite polynomials that take up every row."""
+def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], taylor: FloatArray) -> PiecewisePolynomial:
+    """Join Hermite polynomials that take up every row; `taylor` is `_taylor_from_ends`."""
     powers = np.diff(t)[:, None, None] ** np.arange(REST_ORDER + 1)[:, None]  # h^k d/dt^k = d/du^k
     data = np.concatenate([rows[:-1] * powers, rows[1:] * powers], axis=1)
     return PiecewisePolynomial(
@@ -134,28 +134,26 @@ def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool]) -> 
         max_order=2 * REST_ORDER + 1,
         smoothness=REST_ORDER,
         knots=t.copy(),
-        coefficients=np.einsum("ij,njd->nid", _taylor_from_ends(), data),
+        coefficients=np.einsum("ij,njd->nid", taylor, data),
         ends=rows[[0, -1], 0].copy(),
         rests_before=rests[0],
         rests_after=rests[1],
     )
 
 
-@cache
-def _taylor_from_ends() -> FloatArray:
-    """Matrix (10, 10) from derivatives 0 to 4 by u at u = -1/2 and u = 1/2 to coefficients of u^0 ... u^9."""
-    count = 2 * (REST_ORDER + 1)
-    rows = [
-        [perm(i, k) * end ** (i - k) if i >= k else Fraction(0) for i in range(count)]
-        for end in (Fraction(-1, 2), Fraction(1, 2))
-        for k in range(REST_ORDER + 1)
+def _taylor_from_ends(order: int) -> FloatArray:
+    """Matrix from derivatives 0 to `order` by u at u = -1/2, then at u = 1/2, to coefficients of u^0, u^1, ...
+
+    The polynomial that has derivative k of one at u = -1/2 and no other datum is, with r = 1/2 + u and s = 1/2 - u,
+    s^(order+1) r^k/k! sum_(j <= order-k) binom(order+j, j) r^j: exact in floating point but for the factorial.
+    """
+    r, s = Polynomial([0.5, 1.0]), Polynomial([0.5, -1.0])
+    columns = [
+        (
+            away ** (order + 1) * (sign * near) ** k * sum(comb(order + j, j) * near**j for j in range(order - k + 1))
+        ).coef
+        for near, away, sign in ((r, s, 1.0), (s, r, -1.0))
+        for k in range(order + 1)
     ]
-    table = [[*row, *(Fraction(int(i == j)) for j in range(count))] for i, row in enumerate(rows)]
-    for column in range(count):  # Gauss-Jordan in rational arithmetic: the inverse is exact
-        pivot = next(r for r in range(column, count) if table[r][column])
-        table[column], table[pivot] = table[pivot], table[column]
-        table[column] = [value / table[column][column] for value in table[column]]
-        for r in range(count):
-            if r != column and table[r][column]:
-                table[r] = [a - table[r][column] * b for a, b in zip(table[r], table[column], strict=True)]
-    return np.array([[float(value) for value in row[count:]] for row in table])
+    scale = [float(factorial(k)) for k in range(order + 1)] * 2
+    return np.column_stack(columns).astype(np.float64) / scale

@@ -17,7 +17,6 @@ With a path in the plane y = constant this is the overhead crane, whose trolley 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -54,7 +53,6 @@ TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 
 
-@cache
 def points() -> MechanicalSystem:
     """Six coordinates q = (s_x, s_y, l, x, y, z), one constraint: the rope reaches from trolley to load."""
     coordinates = Coordinates(BRIDGE, TROLLEY, ROPE, *OUTPUTS)
@@ -90,7 +88,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Five generalised coordinates s_x, s_y, l and two swing angles; singular where swing_y = 90 degrees."""
     base = points()

@@ -30,7 +30,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -55,7 +54,6 @@ CAR = Quantity("x", "m", "position of the car")
 SLIDE = Quantity("s", "m", "position of the mass on the incline, from equilibrium")
 
 
-@cache
 def points() -> MechanicalSystem:
     """Three coordinates q = (x, s, y), one constraint y = x + s cos(alpha): M constant and diagonal.
 
@@ -87,7 +85,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Two generalised coordinates x and s, derived from `points`."""
     base = points()

@@ -14,7 +14,6 @@ Left out: friction, rope mass and elasticity, the third dimension (see the gantr
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -44,7 +43,6 @@ TENSION = Quantity("tension", "N", "rope tension")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical, positive where the load is ahead")
 
 
-@cache
 def points() -> MechanicalSystem:
     """Four coordinates q = (s, l, x, z), one constraint (x - s)^2 + z^2 = l^2."""
     coordinates = Coordinates(TROLLEY, ROPE, *OUTPUTS)
@@ -74,7 +72,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Three generalised coordinates s, l and the swing angle."""
     base = points()

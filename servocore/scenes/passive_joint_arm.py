@@ -33,7 +33,6 @@ the second case, the solution that stays bounded for all times; it moves before 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -66,7 +65,6 @@ POINT_Y = Quantity("point_y", "m", "tracked point")
 POINT_ANGLE = Quantity("point_angle", "rad", "angle at which the tracked point is seen from the pivot", wraps=True)
 
 
-@cache
 def points() -> MechanicalSystem:
     """Eight coordinates q = (d_1, r, d_2, a, b), six constraints: M constant, the angles massless.
 
@@ -110,7 +108,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Two generalised coordinates a and b, derived from `points`: M depends on b."""
     base = points()

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -64,7 +63,6 @@ SMALLEST_RADIUS = 1e-3
 SIGNED_TROLLEY = Quantity("s", "m", "trolley position along the bridge, negative beyond the slewing axis")
 
 
-@cache
 def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
 
@@ -117,13 +115,11 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     )
 
 
-@cache
 def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
     return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 
-@cache
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
 
