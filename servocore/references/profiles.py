@@ -1,7 +1,7 @@
 """Time laws s(t) that rise from 0 to 1: how far along its line a rest-to-rest path has come.
 
 Near the end of a motion 1 - s is tiny, and a polynomial summed in powers of T = t/duration leaves noise of
-1e-12 there, which the inputs of a crane amplify by 1/h^2 or more. So every formula here takes *both* the time
+1e-12 there, which inputs of a high index amplify by 1/h^2 or more. So every formula here takes *both* the time
 elapsed and the time remaining, and is written in products and sums of positive terms of the two.
 """
 
@@ -278,11 +278,11 @@ def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
 
 
 DEGREE3 = polynomial(3)
-"""C^1: the inputs of a crane would need its fourth derivative. Kept to show why it fails."""
+"""C^1: inputs that contain its fourth derivative need impulses. Kept to show why it fails."""
 DEGREE5 = polynomial(5)
 """C^2; kept to show why it fails."""
 DEGREE7 = polynomial(7)
-"""C^3: the inputs of a crane jump at start and end. Kept to show why it fails."""
+"""C^3: inputs that contain its fourth derivative jump at start and end. Kept to show why it fails."""
 DEGREE9 = polynomial(9)
 """126 T^5 - 420 T^6 + 540 T^7 - 315 T^8 + 70 T^9, C^4: the default."""
 DEGREE13 = polynomial(13)

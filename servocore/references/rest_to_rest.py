@@ -72,7 +72,7 @@ def rest_to_rest(
     duration : float
         Time of the motion in s, positive.
     profile : Profile
-        Time law; degree 9 suffices for a crane, whose inputs need four derivatives.
+        Time law; degree 2 k + 1 is smooth enough for inputs that contain k derivatives, degree 9 for four.
     start_time : float
         When the motion starts, in s.
 
