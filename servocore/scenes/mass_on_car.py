@@ -35,11 +35,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.references import Reference, rest_to_rest
 from servocore.model.scene import Scene
-from servocore.scenes.internal_dynamics import backward, forward
 from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.references.base import Reference
+from servocore.references.rest_to_rest import rest_to_rest
+from servocore.scenes.internal_dynamics import backward, forward
 
 PARAMETERS = Parameters(
     Parameter("car_mass", 1.0, "kg", 1e-3, 1e9, "m_1"),

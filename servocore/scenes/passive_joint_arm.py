@@ -37,11 +37,12 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
-from servocore.references import Reference, rest_to_rest
 from servocore.model.scene import Limit, Scene
-from servocore.scenes.internal_dynamics import forward, two_sided
 from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.references.base import Reference
+from servocore.references.rest_to_rest import rest_to_rest
+from servocore.scenes.internal_dynamics import forward, two_sided
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""
