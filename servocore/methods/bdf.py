@@ -6,23 +6,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
 
-import casadi as ca
-import numpy as np
-
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
-from servocore.methods.base import (
-    Discretisation,
-    Orders,
-    at,
-    differenced,
-    labels,
-    reference_symbols,
-    scales,
-    start_symbols,
-)
-from servocore.numerics.interpolation import lagrange, symbolic_lagrange
-from servocore.numerics.square_systems import SquareSystem
+from servocore.methods.base import Discretisation, Orders, backward_differences, start_symbols
 
 
 def coefficients(order: int) -> tuple[Fraction, ...]:
@@ -71,42 +57,5 @@ class BDF:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        k = self.order
-        alpha = [float(each) for each in coefficients(k)]
-        size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
-        # One column more than the formula needs serves to extrapolate the first guess with order k.
-        history, past_times = ca.SX.sym("past", size, k + 1), -np.arange(k + 1.0)  # in steps
-        h, ratio, fraction = ca.SX.sym("h"), ca.SX.sym("ratio"), ca.SX.sym("fraction")
-        reference, (gamma,) = reference_symbols(dae, 1)
-        past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
-        rate = (alpha[0] * dae.x + past) / h
-        unknowns = ca.vertcat(dae.x, dae.z)
-        unknown_scale, residual_scale = scales(dae, h)
-        equations = SquareSystem(
-            unknowns=unknowns,
-            givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
-            residual=at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma),
-            guess=ca.mtimes(history, ca.DM(lagrange(past_times, [1.0]).T)),
-            unknown_scale=unknown_scale,
-            residual_scale=residual_scale,
-        )
-        start = start_symbols(dae, 2 * k + 1)
-        return Discretisation(
-            equations=equations,
-            state=ca.vec(history),
-            next_state=ca.vertcat(unknowns, ca.vec(history[:, :k])),
-            start=start,
-            first_state=ca.vec(differenced(dae, start, h, alpha)),
-            x=history[:size_x, 0],
-            z=history[size_x:, 0],
-            nodes=(1.0,),
-            reference=reference,
-            step=h,
-            ratio=ratio,
-            rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(past_times, [-j * ratio for j in range(k + 1)]))),
-            fraction=fraction,
-            between=ca.vertcat(
-                ca.mtimes(history, symbolic_lagrange(past_times, [fraction - 1])), ca.vec(history[:, 1:])
-            ),
-            labels=labels(dae),
-        )
+        alpha = [float(each) for each in coefficients(self.order)]
+        return backward_differences(dae, alpha, start_symbols(dae, 2 * self.order + 1))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points
+from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 from servocore.references.profiles import DEGREE9, Profile
 
 if TYPE_CHECKING:
@@ -90,8 +90,7 @@ def rest_to_rest(
     if len(start) != len(end):
         raise InvalidReference(f"start has {len(start)} components and end has {len(end)}: they must agree")
     first, last = points([start], "start point")[0], points([end], "end point")[0]
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    positive_time(duration, "duration")
     if duration < profile.shortest_duration:
         raise InvalidReference(
             f"a {profile.name} path with these settings takes at least {profile.shortest_duration} s, "

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import FloatArray, points
+from servocore.references.base import FloatArray, points, positive_time
 from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, to_path
 from servocore.references.profiles import three_phase
 
@@ -248,8 +248,7 @@ def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:
 
 def _chord_times(waypoints: FloatArray, duration: float) -> FloatArray:
     """Find the times (n,) at which a three-phase motion along the polyline passes the waypoints."""
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    positive_time(duration, "duration")
     chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
     repeated = np.flatnonzero(chords == 0.0)
     if repeated.size:

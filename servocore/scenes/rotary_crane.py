@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -212,6 +213,10 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
 
 
+SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
+"""Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""
+
+
 def rotary_crane(*, across_axis: bool = False) -> Scene:
     """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
 
@@ -222,28 +227,14 @@ def rotary_crane(*, across_axis: bool = False) -> Scene:
         path then decides only between the instants: on the axis itself phi is undefined, and an instant that falls
         there is refused.
     """
-    reference = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
-    if not across_axis:
-        return Scene(
-            name="rotary_crane",
-            models={"points": points, "generalized": generalized, "bodies": bodies},
-            reference=reference,
-            closed_form=closed_form,
-            limits=LIMITS,
-        )
-    return Scene(
+    crane = Scene(
         name="rotary_crane",
-        models={"points": _signed_points, "generalized": _signed_generalized},
-        reference=reference,
-        closed_form=through_axis,
-        limits=(*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True)),
-        follow_branch=True,
+        models={"points": points, "generalized": generalized, "bodies": bodies},
+        reference=rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0),
+        closed_form=closed_form,
+        limits=LIMITS,
     )
-
-
-def _signed_points() -> MechanicalSystem:
-    return points(SIGNED_TROLLEY)
-
-
-def _signed_generalized() -> MechanicalSystem:
-    return generalized(SIGNED_TROLLEY)
+    if not across_axis:
+        return crane
+    limits = (*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True))
+    return replace(crane, models=SIGNED_MODELS, closed_form=through_axis, limits=limits, follow_branch=True)
