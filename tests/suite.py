@@ -245,17 +245,17 @@ class ProblemSuite:
                 np.abs(exact(problem.scene_name, problem.by.steps[0], True)[name]).max() for name in problem.inputs
             ]
             assert (errors < 1e-10 * np.array(peaks)).all()
-            return
-        orders = observed_orders(errors[:-1], errors[1:])
-        assert np.abs(orders - problem.order).max() < 0.3
-        assert np.abs(orders[-1] - problem.order).max() < 0.2
+        else:
+            orders = observed_orders(errors[:-1], errors[1:])
+            assert np.abs(orders - problem.order).max() < 0.3
+            assert np.abs(orders[-1] - problem.order).max() < 0.2
 
     @pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # inputs are not, at large steps
     def test_what_servo_constraints_fix_is_exact_at_every_step_size(self, problem):
         """Unless the form differentiates positions numerically: there it converges as the inputs do."""
         names = problem.case.algebraic
         if not names:
-            return
+            pytest.skip("the servo constraints of this scene fix its outputs only")
         if problem.of.projected or problem.of.reduced:
             for steps in (50, 200):
                 peaks = [np.abs(exact(problem.scene_name, steps)[name]).max() for name in names]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import servocore as sc
 from servocore.errors import InvalidReference
 from servocore.references import (
     DEGREE13,
@@ -16,8 +17,8 @@ from servocore.references import (
     through,
     waypoints_from_csv,
 )
-from servocore.references.csv_file import GROUPS
 from servocore.references.hermite import hermite
+from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 GRAVITY = 9.81
@@ -25,8 +26,8 @@ LINE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 CURVE = through([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6]], [0, 12, 22, 31, 40])
 
 
-def header(groups):
-    return ",".join(["time", *(name for group in GROUPS[:groups] for name in group)])
+def header(groups, columns="xyz"):
+    return ",".join(["time", *(prefix + name for prefix in ("", "v", "a", "j", "s")[:groups] for name in columns)])
 
 
 def table(truth, step, groups):
@@ -35,8 +36,8 @@ def table(truth, step, groups):
     return np.column_stack([t, truth.jet(t, groups - 1).reshape(count, -1)])
 
 
-def write(path, rows, groups, fmt="%.17g"):
-    np.savetxt(path, rows, fmt, ",", header=header(groups), comments="")
+def write(path, rows, groups, fmt="%.17g", columns="xyz"):
+    np.savetxt(path, rows, fmt, ",", header=header(groups, columns), comments="")
     return path
 
 
@@ -61,6 +62,47 @@ def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path)
     path = from_csv(write(tmp_path / "path.csv", table(LINE, 20.0, 5), 5))
     assert relative_errors(path, LINE, 9).max() < 1e-13
     assert path.fit_error is None
+
+
+@pytest.mark.parametrize("scene", [sc.scenes.overhead_crane(), sc.scenes.cars()], ids=lambda scene: scene.name)
+@pytest.mark.parametrize("groups", [1, 5])
+def test_columns_are_those_of_the_scene(scene, groups, tmp_path):
+    columns = [each.name for each in scene.model().outputs]
+    file = write(tmp_path / "path.csv", table(scene.reference, 0.01, groups), groups, columns=columns)
+    path = from_csv(file, columns=columns)
+    assert scene.with_reference(path).reference.dimension == len(columns)
+    t = np.linspace(scene.reference.start_time, scene.reference.end_time, 101)
+    np.testing.assert_allclose(path.jet(t, 0), scene.reference.jet(t, 0), atol=1e-11)
+    with pytest.raises(InvalidReference, match=r"header time,x,y,z.* was expected"):
+        from_csv(file)
+
+
+def test_waypoints_have_the_columns_that_are_asked_for(tmp_path):
+    file = write(tmp_path / "way.csv", np.array([[0.0, 1.0, 2.0], [3.0, 2.0, 2.0]]), 1, columns=["x", "z"])
+    assert waypoints_from_csv(file, ["x", "z"]).jet(3.0, 0)[0] == pytest.approx([2.0, 2.0])
+
+
+@pytest.mark.parametrize("columns", [[], ["x", "x"], ["time"]])
+def test_columns_need_names_of_their_own(columns, tmp_path):
+    with pytest.raises(InvalidReference, match="position columns with names of their own"):
+        from_csv(tmp_path / "path.csv", columns=columns)
+
+
+def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path):
+    rows = table(CURVE, 0.1, 2)
+    rows[123, 5] += 0.1
+    columns = ["east", "north", "up"]
+    file = write(tmp_path / "bad.csv", rows, 2, columns=columns)
+    with pytest.raises(InvalidReference, match=r"line 125 \(time 12.3 s\), column vnorth: "):
+        from_csv(file, columns=columns)
+
+
+@pytest.mark.parametrize(("order", "smoothness"), [(1, 1), (2, 2), (4, 4)])
+def test_as_many_derivatives_as_are_asked_for_make_a_hermite_path(order, smoothness, tmp_path):
+    truth = rest_to_rest(LINE.start, LINE.end, 20.0, polynomial(2 * order + 1))
+    path = from_csv(write(tmp_path / "path.csv", table(truth, 20.0, order + 1), order + 1), rest_order=order)
+    assert path.smoothness == smoothness
+    assert relative_errors(path, truth, 2 * order + 1).max() < 1e-13
 
 
 @pytest.mark.parametrize("step", [2.0, 0.5, 0.1, 0.01, 0.002])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from servocore.errors import InvalidReference
@@ -177,8 +177,7 @@ def test_a_taylor_step_from_one_jet_reaches_the_jet_at_another_time(profile, cen
     path = rest_to_rest(START, END, DURATION, profile)
     t0, t1 = center * DURATION, center * DURATION + delta
     ramp = getattr(profile, "ramp", DURATION)
-    if any(min(t0, t1) <= joint <= max(t0, t1) for joint in (0.0, ramp, DURATION - ramp, DURATION)):
-        return
+    assume(not any(min(t0, t1) <= joint <= max(t0, t1) for joint in (0.0, ramp, DURATION - ramp, DURATION)))
     jet, other = path.jet(t0, 16), path.jet(t1, 4)
     for order in range(5):
         expanded = sum(jet[order + i] * delta**i / np.prod(np.arange(1.0, i + 1)) for i in range(13))
@@ -241,6 +240,38 @@ def relative_errors(path, truth, order):
 def test_a_path_through_two_waypoints_is_the_rest_to_rest_path_of_degree_nine():
     path, line = through([START, END], [2.0, 22.0]), rest_to_rest(START, END, 20.0, start_time=2.0)
     assert relative_errors(path, line, 9).max() < 1e-13
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 6, 8])
+def test_paths_rest_in_as_many_derivatives_as_are_asked_for(order):
+    line = rest_to_rest(START, END, DURATION, polynomial(2 * order + 1))
+    t = np.linspace(0.0, DURATION, 201)
+    way = through([START, END], [0.0, DURATION], rest_order=order)
+    found = sampled(t, line.jet(t, 0)[:, 0], rest_order=order)
+    for path in (way, found):
+        assert (path.smoothness, path.max_order) == (order, 2 * order + 1)
+        assert relative_errors(path, line, order).max() < 1e-11
+        assert not path.jet([-1.0, 0.0, DURATION, 99.0], order)[:, 1:].any()
+
+
+@pytest.mark.parametrize("order", [0, -1, 2.5])
+def test_an_end_rests_in_one_or_more_whole_derivatives(order):
+    for path in (
+        lambda: through([START, END], duration=1.0, rest_order=order),
+        lambda: sampled([], [], rest_order=order),
+    ):
+        with pytest.raises(InvalidReference, match=f"one or more whole derivatives vanish, not {order}"):
+            path()
+
+
+def test_who_doubts_less_gets_rougher_paths():
+    t = np.linspace(0.0, 10.0, 401)
+    rounded = np.sin(t)[:, None].round(8)
+    with pytest.raises(InvalidReference, match="too rough"):
+        sampled(t, rounded)
+    assert sampled(t, rounded, doubt=1e9).dimension == 1
+    with pytest.raises(InvalidReference, match="must be a positive fraction"):
+        sampled(t, rounded, doubt=0.0)
 
 
 def test_a_path_meets_its_waypoints_and_rests_exactly_at_and_beyond_its_ends():

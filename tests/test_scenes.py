@@ -251,6 +251,26 @@ def test_at_rest_only_the_winch_holds_the_load(scene_name):
     np.testing.assert_allclose(found["swing"], 0.0, atol=1e-12)
 
 
+def test_a_scene_makes_each_of_its_models_once_whatever_makes_them():
+    made = []
+
+    def pendulum():
+        made.append(driven_pendulum())
+        return made[-1]
+
+    one = sc.Scene(name="pendulum", models={"only": pendulum}, reference=polynomial_path([[0.0], [1.0]]))
+    other = one.with_reference(polynomial_path([[0.0], [2.0]]))
+    assert one.model() is other.model("only")
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize("chain", [sc.scenes.cars, sc.scenes.elastic_bar])
+def test_chains_of_equal_length_share_a_model_and_others_do_not(chain):
+    assert chain(4).model() is chain(4).model()
+    assert chain(4).model() is not chain(3).model()
+    assert sc.scenes.cars(4).model() is not sc.scenes.elastic_bar(4).model()
+
+
 def test_closed_form_needs_a_scene_that_has_one():
     bare = as_scene(driven_pendulum(), polynomial_path([[0.0], [1.0]]))
     with pytest.raises(sc.InvalidModel, match="pendulum has no closed form"):

@@ -9,8 +9,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, quietly, slope
 from benchmarks.atlas.style import label, looks, panels
-from servocore.references.bspline import fit, interpolation_knots, to_path
-from servocore.references.splines import FREE
+from servocore.references.bspline import Ends, fit, interpolation_knots, to_path
 
 NAME = "noisy-references"
 NOISE = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
@@ -41,7 +40,8 @@ def samples(sigma: float) -> tuple[Array, Array]:
 
 def unguarded(t: Array, positions: Array) -> sc.Reference:
     """Return the spline of degree 9 through every sample, without the checks of `sampled`."""
-    return to_path(fit(t, positions, interpolation_knots(t, FREE), FREE), FREE, None)
+    free = Ends(start=False, end=False)
+    return to_path(fit(t, positions, interpolation_knots(t, free), free), free, None)
 
 
 def input_error(reference: sc.Reference, form: sc.Formulation, method: sc.Method, name: str = "M_b") -> float:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import casadi as ca
+import numpy as np
 
 from servocore.dae import Dae
+from servocore.numerics.interpolation import lagrange, symbolic_lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -141,13 +143,16 @@ def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     On forms of index two and more the velocities in it are not the exact ones but those that the difference formula
     sum_i alpha_i x(t - i h) / h makes of the positions, as it will in every step: an exact velocity would meet
     differenced ones with a jump of the size of their error, and the inputs would feel the jump divided by h. With
-    h = 0 (a start whose step is not known yet) the velocities stay exact.
+    h = 0 (a start whose step is not known yet) the velocities stay exact. A start that knows one instant only is
+    continued backwards at rest.
     """
+    available = start.values.size2()
+    if available < len(alpha):
+        return ca.repmat(start.values[:, 0], 1, len(alpha))
     history = ca.SX(start.values[:, : len(alpha)])
     if dae.index <= 1:
         return history
     places = {(each.variable, each.order): place for place, each in enumerate(dae.unknowns)}
-    available = start.values.size2()
     for place, unknown in enumerate(dae.unknowns[: dae.x.numel()]):
         position = places.get((unknown.variable, unknown.order - 1))
         if position is None:
@@ -189,26 +194,77 @@ def instantaneous(dae: Dae) -> Discretisation:
     """Return the one discretisation of a `Dae` without differential states: its equations, at the new instant."""
     reference, (gamma,) = reference_symbols(dae, 1)
     old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), start_symbols(dae)
+    residual, first = at(dae, dae.h, dae.x, dae.z, gamma), start.values[:, 0]
+    return on_history(dae, old, residual, h=h, reference=reference, nodes=(1.0,), start=start, first=first)
+
+
+def backward_differences(dae: Dae, alpha: list[float], start: Start) -> Discretisation:
+    """Return one step of H(x1) (sum_i alpha_i x_(1-i)) = h f(x1, z1, t1), 0 = h(x1, z1, t1)."""
+    size_x, h = dae.x.numel(), ca.SX.sym("h")
+    # One column more than the formula needs serves to extrapolate the first guess with its order.
+    history = ca.SX.sym("past", size_x + dae.z.numel(), len(alpha))
+    reference, (gamma,) = reference_symbols(dae, 1)
+    past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
+    rate = (alpha[0] * dae.x + past) / h
+    residual = at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma)
+    first = differenced(dae, start, h, alpha)
+    return on_history(dae, history, residual, h=h, reference=reference, nodes=(1.0,), start=start, first=first)
+
+
+def on_history(
+    dae: Dae,
+    history: ca.SX,
+    residual: ca.SX,
+    *,
+    h: ca.SX,
+    reference: ca.SX,
+    nodes: tuple[float, ...],
+    start: Start,
+    first: ca.SX,
+) -> Discretisation:
+    """Return one step of a method whose state is the unknowns at equidistant instants, the newest first.
+
+    First guess, change of step and dense output come from the polynomial through these instants.
+
+    Parameters
+    ----------
+    dae : Dae
+        What is discretised; its x and z are the unknowns of the step.
+    history : casadi.SX
+        Symbols of the state, shape (len x + len z, instants).
+    residual : casadi.SX
+        Equations of the step, in the unknowns, history, reference and h.
+    h, reference, nodes, start
+        See `Discretisation`.
+    first : casadi.SX
+        The history at the initial time.
+    """
+    size_x, places = dae.x.numel(), -np.arange(float(history.size2()))  # in steps
+    unknowns, ratio, fraction = ca.vertcat(dae.x, dae.z), ca.SX.sym("ratio"), ca.SX.sym("fraction")
     unknown_scale, residual_scale = scales(dae, h)
     equations = SquareSystem(
-        unknowns=dae.z,
-        givens=ca.vertcat(old, ca.vec(reference), h, dae.p),
-        residual=at(dae, dae.h, dae.x, dae.z, gamma),
-        guess=old,
+        unknowns=unknowns,
+        givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
+        residual=residual,
+        guess=ca.mtimes(history, ca.DM(lagrange(places, [1.0]).T)),
         unknown_scale=unknown_scale,
         residual_scale=residual_scale,
     )
     return Discretisation(
         equations=equations,
-        state=old,
-        next_state=dae.z,
+        state=ca.vec(history),
+        next_state=ca.vertcat(unknowns, ca.vec(history[:, :-1])),
         start=start,
-        first_state=start.values[:, 0],
-        x=old[:0],
-        z=old,
-        nodes=(1.0,),
+        first_state=ca.vec(first),
+        x=history[:size_x, 0],
+        z=history[size_x:, 0],
+        nodes=nodes,
         reference=reference,
         step=h,
+        ratio=ratio,
+        rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(places, [ratio * place for place in places]))),
+        fraction=fraction,
+        between=ca.vertcat(ca.mtimes(history, symbolic_lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
         labels=labels(dae),
     )
 

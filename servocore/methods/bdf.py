@@ -6,21 +6,9 @@ from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
 
-import casadi as ca
-
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
-from servocore.methods.base import (
-    Discretisation,
-    Orders,
-    at,
-    differenced,
-    labels,
-    reference_symbols,
-    scales,
-    start_symbols,
-)
-from servocore.numerics.square_systems import SquareSystem
+from servocore.methods.base import Discretisation, Orders, backward_differences, start_symbols
 
 
 def coefficients(order: int) -> tuple[Fraction, ...]:
@@ -69,60 +57,5 @@ class BDF:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        k = self.order
-        alpha = [float(each) for each in coefficients(k)]
-        size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
-        # One column more than the formula needs serves to extrapolate the first guess with order k.
-        history = ca.SX.sym("past", size, k + 1)
-        h, ratio, fraction = ca.SX.sym("h"), ca.SX.sym("ratio"), ca.SX.sym("fraction")
-        reference, (gamma,) = reference_symbols(dae, 1)
-        past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
-        rate = (alpha[0] * dae.x + past) / h
-        unknowns = ca.vertcat(dae.x, dae.z)
-        unknown_scale, residual_scale = scales(dae, h)
-        equations = SquareSystem(
-            unknowns=unknowns,
-            givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
-            residual=at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma),
-            guess=ca.mtimes(history, ca.DM([float(each) for each in extrapolation(k + 1)])),
-            unknown_scale=unknown_scale,
-            residual_scale=residual_scale,
-        )
-        start = start_symbols(dae, 2 * k + 1)
-        return Discretisation(
-            equations=equations,
-            state=ca.vec(history),
-            next_state=ca.vertcat(unknowns, ca.vec(history[:, :k])),
-            start=start,
-            first_state=ca.vec(differenced(dae, start, h, alpha)),
-            x=history[:size_x, 0],
-            z=history[size_x:, 0],
-            nodes=(1.0,),
-            reference=reference,
-            step=h,
-            ratio=ratio,
-            rescaled=ca.vec(ca.mtimes(history, _resampling(k + 1, ratio))),
-            fraction=fraction,
-            between=ca.vertcat(ca.mtimes(history, _weights(k + 1, fraction - 1)), ca.vec(history[:, 1:])),
-            labels=labels(dae),
-        )
-
-
-def _resampling(points: int, ratio: ca.SX) -> ca.SX:
-    """Return R with history @ R = history at 0, -ratio, -2 ratio, ..., by the polynomial through all points."""
-    return ca.horzcat(*[_weights(points, -j * ratio) for j in range(points)])
-
-
-def _weights(points: int, at_point: ca.SX) -> ca.SX:
-    """Return w with history @ w = the polynomial through the history at 0, -1, -2, ..., evaluated at a point."""
-    weights = ca.SX.ones(points)
-    for i in range(points):
-        for m in range(points):
-            if m != i:
-                weights[i] *= (at_point + m) / (m - i)
-    return weights
-
-
-def extrapolation(points: int) -> tuple[int, ...]:
-    """Return weights of x(t), x(t - h), ... whose sum is x(t + h) for polynomials of degree points - 1."""
-    return tuple((-1) ** i * comb(points, i + 1) for i in range(points))
+        alpha = [float(each) for each in coefficients(self.order)]
+        return backward_differences(dae, alpha, start_symbols(dae, 2 * self.order + 1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ from servocore.methods.base import (
     scales,
     start_symbols,
 )
-from servocore.numerics.calls import Array
+from servocore.numerics.interpolation import Array, lagrange, symbolic_lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 _MOST_STAGES = 7
@@ -53,7 +52,6 @@ class Tableau:
                 raise InvalidSetting(f"the quadrature condition B({k}) fails")
 
 
-@lru_cache(maxsize=32)
 def tableau(family: str, stages: int) -> Tableau:
     """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven."""
     polynomial = np.zeros(stages + 1)
@@ -71,21 +69,6 @@ def tableau(family: str, stages: int) -> Tableau:
     A = _solve(powers[:, :-1].T, (powers[:, 1:] / counts).T).T
     b = _solve(powers[:, :-1].T, 1.0 / counts)
     return Tableau(c, A, b, 2 * stages - (family == "radau"))
-
-
-def lagrange(nodes: Array, points: Array) -> Array:
-    """Return L with L @ values(nodes) = values(points) for polynomials, shape (points, nodes)."""
-    at_nodes, at_points = (np.vander(each, len(nodes), increasing=True) for each in (nodes, points))
-    return _solve(at_nodes.T, at_points.T).T
-
-
-def _symbolic_lagrange(nodes: Array, at_point: ca.SX) -> ca.SX:
-    """Return w with values @ w = the polynomial through values at the nodes, evaluated at a point."""
-    weights = ca.SX.ones(len(nodes))
-    for i, own in enumerate(nodes):
-        for other in np.delete(nodes, i):
-            weights[i] *= (at_point - other) / (own - other)
-    return weights
 
 
 def _solve(matrix: Array, right: Array) -> Array:
@@ -212,6 +195,6 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         reference=reference,
         step=h,
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(past, _symbolic_lagrange(method.c, fraction)), ca.vec(past)),
+        between=ca.vertcat(ca.mtimes(past, symbolic_lagrange(method.c, [fraction])), ca.vec(past)),
         labels=labels(dae) * s,
     )

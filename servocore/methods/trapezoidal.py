@@ -7,16 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import (
-    Discretisation,
-    Orders,
-    at,
-    labels,
-    reference_symbols,
-    scales,
-    start_symbols,
-)
-from servocore.numerics.square_systems import SquareSystem
+from servocore.methods.base import Discretisation, Orders, at, on_history, reference_symbols, start_symbols
 
 
 @dataclass(frozen=True)
@@ -39,37 +30,12 @@ class Trapezoidal:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
-        old, older, h = ca.SX.sym("old", size), ca.SX.sym("older", size), ca.SX.sym("h")
+        size_x, h, start = dae.x.numel(), ca.SX.sym("h"), start_symbols(dae)
+        history = ca.SX.sym("past", size_x + dae.z.numel(), 2)
         reference, (gamma0, gamma1) = reference_symbols(dae, 2)
-        old_x, old_z = old[:size_x], old[size_x:]
+        old_x, old_z = history[:size_x, 0], history[size_x:, 0]
         H = (at(dae, dae.H, old_x, old_z, gamma0) + at(dae, dae.H, dae.x, dae.z, gamma1)) / 2
         f = (at(dae, dae.f, old_x, old_z, gamma0) + at(dae, dae.f, dae.x, dae.z, gamma1)) / 2
-        unknowns, start = ca.vertcat(dae.x, dae.z), start_symbols(dae)
-        ratio, fraction = ca.SX.sym("ratio"), ca.SX.sym("fraction")
-        unknown_scale, residual_scale = scales(dae, h)
-        equations = SquareSystem(
-            unknowns=unknowns,
-            givens=ca.vertcat(old, older, ca.vec(reference), h, dae.p),
-            residual=ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, at(dae, dae.h, dae.x, dae.z, gamma1)),
-            guess=2 * old - older,
-            unknown_scale=unknown_scale,
-            residual_scale=residual_scale,
-        )
-        return Discretisation(
-            equations=equations,
-            state=ca.vertcat(old, older),
-            next_state=ca.vertcat(unknowns, old),
-            start=start,
-            first_state=ca.repmat(start.values[:, 0], 2, 1),
-            x=old_x,
-            z=old_z,
-            nodes=(0.0, 1.0),
-            reference=reference,
-            step=h,
-            ratio=ratio,
-            rescaled=ca.vertcat(old, old - ratio * (old - older)),
-            fraction=fraction,
-            between=ca.vertcat(old - (1 - fraction) * (old - older), older),
-            labels=labels(dae),
-        )
+        residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, at(dae, dae.h, dae.x, dae.z, gamma1))
+        first = ca.repmat(start.values[:, 0], 1, 2)
+        return on_history(dae, history, residual, h=h, reference=reference, nodes=(0.0, 1.0), start=start, first=first)

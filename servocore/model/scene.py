@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.model.symbols import Parameters
+from servocore.model.symbols import Array, Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import Reference
+from servocore.references.base import Reference
+
+ModelFactory = Callable[[], MechanicalSystem]
+"""Makes a model. It must be hashable; factories that compare equal make one model between them."""
 
 ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 """(reference jets (N, orders, m), parameter values) -> arrays (N,) by name."""
@@ -55,8 +58,9 @@ class Scene:
     name : str
         Identifier, such as ``rotary_crane``.
     models : mapping of str to callable
-        Factories of its models, smallest first: the first is the default. They must return the same object
-        every time.
+        Factories of its models, smallest first: the first is the default. Each is called once, by whichever scene
+        asks first; a factory with settings is best a frozen dataclass with `__call__`, so that equal settings compare
+        equal.
     reference : Reference
         The path to follow.
     closed_form : callable, optional
@@ -75,7 +79,7 @@ class Scene:
     """
 
     name: str
-    models: Mapping[str, Callable[[], MechanicalSystem]]
+    models: Mapping[str, ModelFactory]
     reference: Reference
     closed_form: ClosedForm | None = None
     closed_form_order: int = 4
@@ -90,11 +94,17 @@ class Scene:
         return next(iter(self.models))
 
     def model(self, name: str | None = None) -> MechanicalSystem:
-        """Return the model called `name`, or the default one; raises `InvalidModel` if there is none."""
+        """Return the model called `name`, or the default one, the same object every time.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such model.
+        """
         name = name or self.default_model
         if name not in self.models:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
-        return self.models[name]()
+        return _made(self.models[name])
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if its dimension does not fit."""
@@ -123,3 +133,11 @@ class Scene:
         if self.closed_form is None:
             raise InvalidModel(f"{self.name} has no closed form")
         return self.closed_form(self.reference.jet(t, self.closed_form_order), self.parameter_values())
+
+
+# What was resolved and compiled for a system is found again by the system itself: scenes made twice, by
+# `with_reference` or by calling `cars(3)` again, must give the same object. The bound only keeps a program that makes
+# factories without end from filling the memory.
+@lru_cache(maxsize=256)
+def _made(factory: ModelFactory) -> MechanicalSystem:
+    return factory()

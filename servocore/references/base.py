@@ -147,3 +147,10 @@ def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> Floa
         row, column = bad[0]
         raise InvalidReference(f"{what} {row}, component {column} is {table[row, column]}, not a finite number")
     return table
+
+
+def positive_time(value: float, what: str) -> float:
+    """Return a time (s) called `what`, or raise `InvalidReference` unless it is positive and finite."""
+    if not (np.isfinite(value) and value > 0.0):
+        raise InvalidReference(f"the {what} of a path must be a positive time, not {value} s")
+    return float(value)

@@ -1,4 +1,4 @@
-"""Fits by splines of degree 9, the linear algebra behind `through` and `sampled`.
+"""Fits by splines of odd degree, such as 9, the linear algebra behind `through` and `sampled`.
 
 Only making a spline needs SciPy; evaluating it does not. SciPy is imported inside the functions because an
 FMU evaluates references and must run where SciPy is not installed.
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.piecewise import REST_ORDER, PiecewisePolynomial
+from servocore.references.piecewise import PiecewisePolynomial
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
@@ -21,27 +21,51 @@ if TYPE_CHECKING:
 
     from servocore.references.base import FloatArray
 
-DEGREE = 9
-SMOOTHNESS = DEGREE - 1
+
+REST_ORDER = 4
+"""So many derivatives vanish at an end that rests where nothing else is asked for, as those of `DEGREE9` do."""
+
+
+def require_order(order: int) -> None:
+    """Raise `InvalidReference` unless derivatives 1 to `order` can vanish at an end at rest."""
+    if not (isinstance(order, int) and order >= 1):
+        raise InvalidReference(f"at an end at rest one or more whole derivatives vanish, not {order}")
 
 
 @dataclass(frozen=True)
 class Ends:
-    """Which ends of a spline are at rest: derivatives 1 to 4 are zero there."""
+    """Which ends of a spline are at rest, and how many derivatives vanish there: that sets its degree.
+
+    Attributes
+    ----------
+    start, end : bool
+        Whether the spline starts and ends at rest.
+    order : int
+        Derivatives 1 to `order` are zero at an end at rest.
+
+    Raises
+    ------
+    InvalidReference
+        If `order` is not a whole number of one or more.
+    """
 
     start: bool
     end: bool
+    order: int = REST_ORDER
+
+    def __post_init__(self) -> None:
+        require_order(self.order)
 
     @property
-    def unknowns_removed(self) -> int:
-        """Number of spline coefficients that rest decides."""
-        return REST_ORDER * (self.start + self.end)
+    def degree(self) -> int:
+        """Degree of the polynomial that joins two ends at rest, 2 order + 1."""
+        return 2 * self.order + 1
 
 
 def interpolation_knots(t: FloatArray, ends: Ends) -> FloatArray:
-    """Inner knots with which a spline of degree 9 through all samples has as many unknowns as samples.
+    """Inner knots with which a spline through all samples has as many unknowns as samples.
 
-    At an end at rest every sample but the first is a knot; at a free end the four next to it are none
+    At an end at rest every sample but the first is a knot; at a free end the `order` next to it are none
     either ("not-a-knot", de Boor, *A Practical Guide to Splines*, chapter XIII).
 
     Parameters
@@ -53,17 +77,17 @@ def interpolation_knots(t: FloatArray, ends: Ends) -> FloatArray:
 
     Returns
     -------
-    ndarray, shape (n - 10 + unknowns removed,)
+    ndarray, shape (k,)
         Inner knots in s.
     """
-    first, last = (1 if rests else 1 + REST_ORDER for rests in (ends.start, ends.end))
+    first, last = (1 if rests else 1 + ends.order for rests in (ends.start, ends.end))
     return t[first : len(t) - last]
 
 
 def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: Ends) -> BSpline:
-    """Least-squares spline of degree 9, C^8; an interpolating one if there are as many unknowns as samples.
+    """Least-squares spline, C^(degree - 1); an interpolating one if there are as many unknowns as samples.
 
-    Rest at an end means that the first (last) five B-spline coefficients are equal: their columns of the
+    Rest at an end means that the first (last) order + 1 B-spline coefficients are equal: their columns of the
     collocation matrix A are added up. Least squares are solved in the augmented form [I A; A^T 0] (Bjorck,
     *Numerical Methods for Least Squares Problems*, section 2.5), which does not square the condition of A.
 
@@ -92,9 +116,10 @@ def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: End
     from scipy.sparse import block_array, csc_array, eye_array  # noqa: PLC0415
     from scipy.sparse.linalg import splu  # noqa: PLC0415
 
-    knots = np.concatenate([np.full(DEGREE + 1, t[0]), inner_knots, np.full(DEGREE + 1, t[-1])])
-    spread = _spread(len(knots) - DEGREE - 1, ends)
-    matrix = csc_array(BSpline.design_matrix(t, knots, DEGREE) @ spread)
+    degree = ends.degree
+    knots = np.concatenate([np.full(degree + 1, t[0]), inner_knots, np.full(degree + 1, t[-1])])
+    spread = _spread(len(knots) - degree - 1, ends)
+    matrix = csc_array(BSpline.design_matrix(t, knots, degree) @ spread)
     samples, unknowns = matrix.shape
     try:
         if samples == unknowns:
@@ -110,18 +135,18 @@ def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: End
         raise InvalidReference(
             "the times of the samples are spaced too unevenly for a smooth path: spread them more evenly"
         ) from None
-    return BSpline(knots, spread @ solution, DEGREE)
+    return BSpline(knots, spread @ solution, degree)
 
 
 def _spread(count: int, ends: Ends) -> csc_array:
-    """Matrix (count, unknowns) of zeros and ones that repeats the unknown of an end at rest five times."""
+    """Matrix (count, unknowns) of zeros and ones that repeats the unknown of an end at rest order + 1 times."""
     from scipy.sparse import csc_array  # noqa: PLC0415
 
     column = np.arange(count)
     if ends.start:
-        column = np.maximum(column - REST_ORDER, 0)
+        column = np.maximum(column - ends.order, 0)
     if ends.end:
-        column = np.minimum(column, column[-1] - REST_ORDER)
+        column = np.minimum(column, column[-1] - ends.order)
     return csc_array((np.ones(count), (np.arange(count), column)))
 
 
@@ -140,17 +165,17 @@ def to_path(spline: BSpline, ends: Ends, fit_error: float | None) -> PiecewisePo
     Returns
     -------
     PiecewisePolynomial
-        C^8 inside; C^4 over all time if an end rests.
+        C^(degree - 1) inside; C^order over all time if an end rests.
     """
     knots = np.unique(spline.t)
     middle, length = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
-    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(DEGREE + 1)]
+    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(ends.degree + 1)]
     return PiecewisePolynomial(
         start_time=float(knots[0]),
         end_time=float(knots[-1]),
         dimension=spline.c.shape[1],
-        max_order=DEGREE,
-        smoothness=REST_ORDER if ends.start or ends.end else SMOOTHNESS,
+        max_order=ends.degree,
+        smoothness=ends.order if ends.start or ends.end else ends.degree - 1,
         fit_error=fit_error,
         knots=knots,
         coefficients=np.stack(taylor, axis=1),

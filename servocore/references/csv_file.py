@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servocore.errors import InvalidReference
+from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.hermite import Disagreement, disagreement, hermite
-from servocore.references.piecewise import REST_ORDER, PiecewisePolynomial
-from servocore.references.splines import FEWEST_SAMPLES, sampled, through
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.splines import fewest_samples, sampled, through
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,8 +21,11 @@ if TYPE_CHECKING:
 
     from servocore.references.base import FloatArray
 
-GROUPS = tuple(tuple(prefix + axis for axis in "xyz") for prefix in ("", "v", "a", "j", "s"))
-"""Columns after `time`: position (m) and its derivatives by time up to the fourth (m/s^k)."""
+COLUMNS = ("x", "y", "z")
+"""Position columns if no others are named: of a load in space."""
+
+PREFIXES = ("", "v", "a", "j", "s")
+"""What stands before the name of a position column: nothing, or the order of its derivative by time."""
 
 SPLINE_AGREEMENT = 0.01
 """A derivative column may differ from the spline through the positions by this fraction of its peak."""
@@ -31,22 +35,29 @@ HERMITE_AGREEMENT = 0.5
 
 
 class _Table(NamedTuple):
-    """A file that was read: line numbers and times (n,), derivatives (n, groups, 3)."""
+    """A file that was read: its position columns, line numbers and times (n,), derivatives (n, groups, columns)."""
 
     path: Path
+    columns: tuple[str, ...]
     lines: list[int]
     t: FloatArray
     derivatives: FloatArray
 
 
-def from_csv(path: str | PathLike[str], tolerance: float | None = None) -> PiecewisePolynomial:
+def from_csv(
+    path: str | PathLike[str],
+    tolerance: float | None = None,
+    columns: Sequence[str] = COLUMNS,
+    *,
+    rest_order: int = REST_ORDER,
+) -> PiecewisePolynomial:
     """Path from a file with times, positions and, if known, their derivatives.
 
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, then `ax,ay,az`, then `jx,jy,jz`, then
-    `sx,sy,sz` (velocity, acceleration, jerk, snap). With all five groups the path is the Hermite polynomial
-    of degree 9 between rows, which takes up every number given. With fewer groups, or with a tolerance, it
-    is `sampled(time, positions, tolerance)`: Hermite pieces of the fewer data would not be smooth enough for
-    the inputs of a crane. The derivatives given are then only compared with the spline's.
+    `sx,sy,sz` (velocity, acceleration, jerk, snap); with other columns, their names in place of x, y and z. With
+    derivatives up to `rest_order` the path is the Hermite polynomial between rows, which takes up every number given.
+    With fewer groups, or with a tolerance, it is `sampled(time, positions, tolerance)`: Hermite pieces of fewer data
+    would not be smooth enough. The derivatives given are then only compared with the spline's.
 
     Parameters
     ----------
@@ -54,11 +65,17 @@ def from_csv(path: str | PathLike[str], tolerance: float | None = None) -> Piece
         A comma-separated UTF-8 file.
     tolerance : float, optional
         How far the path may stay away from a position, in m: for rounded or noisy files; see `sampled`.
+    columns : sequence of str
+        Names of the position columns, one for each component of the path. Those of a scene's servo output are
+        `columns=[each.name for each in scene.model().outputs]`.
+    rest_order : int
+        How many derivatives are continuous, and vanish at an end that rests; see `sampled`.
 
     Returns
     -------
     PiecewisePolynomial
-        The path; `max_order` 9, `smoothness` 4 or 8, rest outside where it starts or ends at rest.
+        The path, rest outside where it starts or ends at rest. With the default order its `max_order` is 9, its
+        `smoothness` 4 or 8.
 
     Raises
     ------
@@ -66,19 +83,26 @@ def from_csv(path: str | PathLike[str], tolerance: float | None = None) -> Piece
         If the file cannot be read, is not such a table, has too few rows or times that do not increase, if
         the path is too rough, or if its columns contradict one another.
     """
-    table = _read(path, len(GROUPS))
-    if table.derivatives.shape[1] > REST_ORDER and tolerance is None:
+    require_order(rest_order)
+    table = _read(path, columns, len(PREFIXES))
+    if table.derivatives.shape[1] > rest_order and tolerance is None:
         return _hermite_path(table)
-    return _sampled_path(table, tolerance)
+    return _sampled_path(table, tolerance, rest_order)
 
 
-def waypoints_from_csv(path: str | PathLike[str]) -> PiecewisePolynomial:
+def waypoints_from_csv(
+    path: str | PathLike[str], columns: Sequence[str] = COLUMNS, *, rest_order: int = REST_ORDER
+) -> PiecewisePolynomial:
     """Smooth path from rest to rest through the waypoints of a file with the header `time,x,y,z`.
 
     Parameters
     ----------
     path : path-like
         A comma-separated UTF-8 file, at least two rows; s and m.
+    columns : sequence of str
+        Names of the position columns, as in `from_csv`.
+    rest_order : int
+        How many derivatives vanish at start and end; see `through`.
 
     Returns
     -------
@@ -90,9 +114,9 @@ def waypoints_from_csv(path: str | PathLike[str]) -> PiecewisePolynomial:
     InvalidReference
         If the file cannot be read or is not such a table, or its times do not increase.
     """
-    table = _read(path, 1)
+    table = _read(path, columns, 1)
     _need_rows(table, 2)
-    return through(table.derivatives[:, 0], table.t)
+    return through(table.derivatives[:, 0], table.t, rest_order=rest_order)
 
 
 def _hermite_path(table: _Table) -> PiecewisePolynomial:
@@ -103,15 +127,16 @@ def _hermite_path(table: _Table) -> PiecewisePolynomial:
     return path
 
 
-def _sampled_path(table: _Table, tolerance: float | None) -> PiecewisePolynomial:
-    _need_rows(table, FEWEST_SAMPLES)
+def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
+    _need_rows(table, fewest_samples(rest_order))
     try:
-        path = sampled(table.t, table.derivatives[:, 0], tolerance)
+        path = sampled(table.t, table.derivatives[:, 0], tolerance, rest_order=rest_order)
     except InvalidReference as error:
         raise InvalidReference(f"{table.path}: {error}") from None
-    found = path.jet(table.t, table.derivatives.shape[1] - 1)
-    found[:, 0] = table.derivatives[:, 0]  # positions were judged by `sampled`
-    worst = disagreement(table.derivatives, found, path.duration)
+    given = table.derivatives[:, : path.max_order + 1]
+    found = path.jet(table.t, given.shape[1] - 1)
+    found[:, 0] = given[:, 0]  # positions were judged by `sampled`
+    worst = disagreement(given, found, path.duration)
     _refuse_contradiction(table, worst, SPLINE_AGREEMENT, "the spline through the positions")
     return path
 
@@ -122,7 +147,7 @@ def _refuse_contradiction(table: _Table, worst: Disagreement, limit: float, judg
     given = table.derivatives[worst.row, worst.order, worst.component]
     raise InvalidReference(
         f"{table.path}, line {table.lines[worst.row]} (time {table.t[worst.row]:.6g} s), column "
-        f"{GROUPS[worst.order][worst.component]}: {given:.6g} differs from {judge} by "
+        f"{PREFIXES[worst.order]}{table.columns[worst.component]}: {given:.6g} differs from {judge} by "
         f"{worst.fraction:.1%} of the column's peak (limit {limit:.0%}), so the columns contradict one "
         "another, are rounded too much, or the rows are too far apart"
     )
@@ -136,9 +161,11 @@ def _need_rows(table: _Table, fewest: int) -> None:
         )
 
 
-def _read(path: str | PathLike[str], groups: int) -> _Table:
+def _read(path: str | PathLike[str], columns: Sequence[str], groups: int) -> _Table:
     """Read and check a table with up to `groups` groups of columns."""
-    file = Path(path)
+    file, components = Path(path), tuple(columns)
+    if not components or len({"time", *components}) <= len(components):
+        raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
     try:
         with file.open(newline="", encoding="utf-8-sig") as stream:
             reader = csv.reader(stream)
@@ -146,13 +173,21 @@ def _read(path: str | PathLike[str], groups: int) -> _Table:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InvalidReference(f"{file} cannot be read as a table: {error}") from None
     rows = [(line, cells) for line, cells in rows if any(cells)]
+    blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
+    shortest = ",".join(["time", *components])
     if not rows:
-        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {_header(1)} was expected")
-    names = _checked_header(file, *rows[0], groups)
-    if len(rows) == 1:
-        raise InvalidReference(f"{file}, line {rows[0][0]}: there is a header but no rows of data below it")
-    lines = [line for line, _ in rows[1:]]
-    numbers = np.array([_numbers(file, line, cells, names) for line, cells in rows[1:]])
+        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
+    (first, names), *rows = rows
+    if names not in [["time", *chain(*blocks[: count + 1])] for count in range(groups)]:
+        more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
+        found = ",".join(names)
+        raise InvalidReference(
+            f"{file}, line {first}: the header {shortest}{more} was expected, but {found!r} was found"
+        )
+    if not rows:
+        raise InvalidReference(f"{file}, line {first}: there is a header but no rows of data below it")
+    lines = [line for line, _ in rows]
+    numbers = np.array([_numbers(file, line, cells, names) for line, cells in rows])
     stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
     if stuck.size:
         late = stuck[0] + 1
@@ -160,23 +195,7 @@ def _read(path: str | PathLike[str], groups: int) -> _Table:
             f"{file}, line {lines[late]}, column time: {numbers[late, 0]:.17g} s does not come after "
             f"{numbers[late - 1, 0]:.17g} s of the row before"
         )
-    return _Table(file, lines, numbers[:, 0], numbers[:, 1:].reshape(len(lines), -1, 3))
-
-
-def _header(groups: int) -> str:
-    return ",".join(["time", *chain(*GROUPS[:groups])])
-
-
-def _checked_header(file: Path, line: int, cells: Sequence[str], groups: int) -> Sequence[str]:
-    found = ",".join(cells)
-    allowed = [_header(count) for count in range(1, groups + 1)]
-    if found not in allowed:
-        more = ", optionally followed by " + ", then ".join(",".join(names) for names in GROUPS[1:groups])
-        raise InvalidReference(
-            f"{file}, line {line}: the header {allowed[0]}{more if groups > 1 else ''} was expected, but "
-            f"{found!r} was found"
-        )
-    return cells
+    return _Table(file, components, lines, numbers[:, 0], numbers[:, 1:].reshape(len(lines), -1, len(components)))
 
 
 def _numbers(file: Path, line: int, cells: Sequence[str], names: Sequence[str]) -> list[float]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
-from functools import cache
-from math import perm
+from math import comb, factorial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
-from servocore.references.piecewise import REST_ORDER, PiecewisePolynomial
+from servocore.references.piecewise import PiecewisePolynomial
 
 if TYPE_CHECKING:
     from servocore.references.base import FloatArray
@@ -26,7 +25,7 @@ NEGLIGIBLE = 1e-6
 
 
 MINOR = 0.1
-"""A column counts as having at least this fraction of the peak of its group (x, y and z together)."""
+"""A column counts as having at least this fraction of the peak of its group (all components together)."""
 
 
 class Disagreement(NamedTuple):
@@ -59,24 +58,24 @@ def disagreement(given: FloatArray, found: FloatArray, duration: float) -> Disag
 
 
 def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial, Disagreement | None]:
-    """Path with the given position, velocity, acceleration, jerk and snap at every row.
+    """Path with the given positions and derivatives up to some order k, such as the fourth, at every row.
 
-    Between two rows runs the polynomial of degree 9 that has the ten data of both. Round-off in its snap
-    grows like 1/h^4 between rows a short time h apart. So of rows that lie denser than the path needs only
-    some are used: 1, 2, 4, ... pieces are tried, as long as more of them give the rows left out back at
-    least half as well as fewer did. If the densest try is the best one, all rows are used.
+    Between two rows runs the polynomial of degree 2 k + 1 that has the data of both. Round-off in its
+    derivative k grows like 1/h^k between rows a short time h apart. So of rows that lie denser than the path
+    needs only some are used: 1, 2, 4, ... pieces are tried, as long as more of them give the rows left out
+    back at least half as well as fewer did. If the densest try is the best one, all rows are used.
 
     Parameters
     ----------
     t : ndarray, shape (n,)
         Times in s, increasing, at least two.
-    derivatives : ndarray, shape (n, 5, dimension)
-        Plain derivatives 0 to 4 in m/s^k.
+    derivatives : ndarray, shape (n, k + 1, dimension)
+        Plain derivatives 0 to k in m, m/s, ...
 
     Returns
     -------
     path : PiecewisePolynomial
-        `smoothness` 4, `max_order` 9. It rests before (after) a first (last) row whose derivatives are zero;
+        `smoothness` k, `max_order` 2 k + 1. It rests before (after) a first (last) row whose derivatives are zero;
         otherwise the polynomial goes on. `fit_error` is the largest distance of a row left out from the path
         made without it; None for two rows, which leave nothing out.
     worst : Disagreement or None
@@ -84,21 +83,23 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     """
     duration = float(t[-1] - t[0])
     rows, rests = _resting_ends(derivatives, duration)
+    order = rows.shape[1] - 1
+    taylor = _taylor_from_ends(order)
     best, pieces = None, 1
     while 2 * pieces < len(t):
         kept = np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)
-        path = _through_rows(t[kept], rows[kept], rests)
-        found = path.jet(t, REST_ORDER)
+        path = _through_rows(t[kept], rows[kept], rests, taylor)
+        found = path.jet(t, order)
         worst = disagreement(rows, found, duration)
         if best is None or worst.fraction < 2.0 * best[1].fraction:
             error = float(np.linalg.norm(rows[:, 0] - found[:, 0], axis=1).max())
             best = replace(path, fit_error=error), worst
         pieces *= 2
     if best is None:
-        return _through_rows(t, rows, rests), None
+        return _through_rows(t, rows, rests, taylor), None
     path, worst = best
     if 2 * len(path.knots) >= pieces and worst.fraction > REDUNDANT:  # the densest try was best: take all
-        path = replace(_through_rows(t, rows, rests), fit_error=path.fit_error)
+        path = replace(_through_rows(t, rows, rests, taylor), fit_error=path.fit_error)
     return path, worst
 
 
@@ -123,39 +124,38 @@ def _resting_ends(derivatives: FloatArray, duration: float) -> tuple[FloatArray,
     return rows, (first, last)
 
 
-def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool]) -> PiecewisePolynomial:
-    """Join Hermite polynomials that take up every row."""
-    powers = np.diff(t)[:, None, None] ** np.arange(REST_ORDER + 1)[:, None]  # h^k d/dt^k = d/du^k
+def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], taylor: FloatArray) -> PiecewisePolynomial:
+    """Join Hermite polynomials that take up every row; `taylor` is `_taylor_from_ends`."""
+    order = rows.shape[1] - 1
+    powers = np.diff(t)[:, None, None] ** np.arange(order + 1)[:, None]  # h^k d/dt^k = d/du^k
     data = np.concatenate([rows[:-1] * powers, rows[1:] * powers], axis=1)
     return PiecewisePolynomial(
         start_time=float(t[0]),
         end_time=float(t[-1]),
         dimension=rows.shape[2],
-        max_order=2 * REST_ORDER + 1,
-        smoothness=REST_ORDER,
+        max_order=2 * order + 1,
+        smoothness=order,
         knots=t.copy(),
-        coefficients=np.einsum("ij,njd->nid", _taylor_from_ends(), data),
+        coefficients=np.einsum("ij,njd->nid", taylor, data),
         ends=rows[[0, -1], 0].copy(),
         rests_before=rests[0],
         rests_after=rests[1],
     )
 
 
-@cache
-def _taylor_from_ends() -> FloatArray:
-    """Matrix (10, 10) from derivatives 0 to 4 by u at u = -1/2 and u = 1/2 to coefficients of u^0 ... u^9."""
-    count = 2 * (REST_ORDER + 1)
-    rows = [
-        [perm(i, k) * end ** (i - k) if i >= k else Fraction(0) for i in range(count)]
-        for end in (Fraction(-1, 2), Fraction(1, 2))
-        for k in range(REST_ORDER + 1)
+def _taylor_from_ends(order: int) -> FloatArray:
+    """Matrix from derivatives 0 to `order` by u at u = -1/2, then at u = 1/2, to coefficients of u^0, u^1, ...
+
+    The polynomial that has derivative k of one at u = -1/2 and no other datum is, with r = 1/2 + u and s = 1/2 - u,
+    s^(order+1) r^k/k! sum_(j <= order-k) binom(order+j, j) r^j: exact in floating point but for the factorial.
+    """
+    r, s = Polynomial([0.5, 1.0]), Polynomial([0.5, -1.0])
+    columns = [
+        (
+            away ** (order + 1) * (sign * near) ** k * sum(comb(order + j, j) * near**j for j in range(order - k + 1))
+        ).coef
+        for near, away, sign in ((r, s, 1.0), (s, r, -1.0))
+        for k in range(order + 1)
     ]
-    table = [[*row, *(Fraction(int(i == j)) for j in range(count))] for i, row in enumerate(rows)]
-    for column in range(count):  # Gauss-Jordan in rational arithmetic: the inverse is exact
-        pivot = next(r for r in range(column, count) if table[r][column])
-        table[column], table[pivot] = table[pivot], table[column]
-        table[column] = [value / table[column][column] for value in table[column]]
-        for r in range(count):
-            if r != column and table[r][column]:
-                table[r] = [a - table[r][column] * b for a, b in zip(table[r], table[column], strict=True)]
-    return np.array([[float(value) for value in row[count:]] for row in table])
+    scale = [float(factorial(k)) for k in range(order + 1)] * 2
+    return np.column_stack(columns).astype(np.float64) / scale

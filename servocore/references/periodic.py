@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points
+from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -109,8 +109,7 @@ def periodic(
             f"a centre with {middle.size} components needs cosines and sines with as many columns and equally many"
             f" rows, not tables of shapes {first.shape} and {second.shape}"
         )
-    if not (np.isfinite(period) and period > 0.0):
-        raise InvalidReference(f"the period of a path must be a positive time, not {period} s")
+    positive_time(period, "period")
     if not (isinstance(cycles, int) and cycles >= 1):
         raise InvalidReference(f"a periodic path has one or more whole cycles, not {cycles}")
     return Periodic(

@@ -9,9 +9,6 @@ import numpy as np
 
 from servocore.references.base import FloatArray, Reference
 
-REST_ORDER = 4
-"""Velocity, acceleration, jerk and snap vanish at an end that rests: a crane's inputs are then continuous."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewisePolynomial(Reference):
@@ -32,7 +29,7 @@ class PiecewisePolynomial(Reference):
     ends : ndarray, shape (2, dimension)
         First and last point in m.
     rests_before, rests_after : bool
-        Whether the path starts from rest and ends at rest (derivatives 1 to 4 exactly zero).
+        Whether the path starts from rest and ends at rest: derivatives 1 to `smoothness` are exactly zero there.
     """
 
     knots: FloatArray
@@ -65,11 +62,11 @@ class PiecewisePolynomial(Reference):
         return self._at_rest_outside(t, gamma)
 
     def _at_rest_outside(self, t: FloatArray, gamma: FloatArray) -> FloatArray:
-        """Replace the jets of resting times; a derivative above `REST_ORDER` is the one just after."""
+        """Replace the jets of resting times; a derivative above `smoothness` is the one just after."""
         if self.rests_before:
             resting = t <= self.start_time
             gamma[resting, 0] = self.ends[0]
-            gamma[resting, 1 : REST_ORDER + 1] = 0.0
+            gamma[resting, 1 : self.smoothness + 1] = 0.0
             gamma[t < self.start_time, 1:] = 0.0
         if self.rests_after:
             resting = t >= self.end_time

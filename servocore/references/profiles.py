@@ -1,16 +1,15 @@
 """Time laws s(t) that rise from 0 to 1: how far along its line a rest-to-rest path has come.
 
 Near the end of a motion 1 - s is tiny, and a polynomial summed in powers of T = t/duration leaves noise of
-1e-12 there, which the inputs of a crane amplify by 1/h^2 or more. So every formula here takes *both* the time
+1e-12 there, which inputs of a high index amplify by 1/h^2 or more. So every formula here takes *both* the time
 elapsed and the time remaining, and is written in products and sums of positive terms of the two.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cache
 from math import comb, factorial, isfinite
 from typing import TYPE_CHECKING
 
@@ -95,10 +94,15 @@ class PolynomialProfile(Profile):
     """
 
     degree: int
+    _weights: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    _slopes: tuple[tuple[float, ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.degree < 1 or self.degree % 2 == 0:
             raise InvalidReference(f"a rest-to-rest polynomial has an odd degree of 1 or more, not {self.degree}")
+        k = self.smoothness
+        object.__setattr__(self, "_weights", tuple(float(comb(k + i, i)) for i in range(k + 1)))
+        object.__setattr__(self, "_slopes", _slope_factors(k))
 
     @property
     def smoothness(self) -> int:
@@ -122,10 +126,12 @@ class PolynomialProfile(Profile):
         T, R = elapsed / duration, remaining / duration
         w, v = T * R, R - T
         s = np.empty((T.size, order + 1))
-        s[:, 0] = _smoothstep(T, R, k)
-        for m in range(1, order + 1):
-            power = max(k + 1 - m, 0)
-            s[:, m] = w**power * _horner(_slope_factor(k, m), v) / duration**m
+        small, large = np.minimum(T, R), np.maximum(T, R)
+        near = small ** (k + 1) * _horner(self._weights, large)
+        s[:, 0] = np.where(T <= R, near, 1.0 - near)
+        s[:, self.degree + 1 :] = 0.0
+        for m, factor in enumerate(self._slopes[:order], 1):
+            s[:, m] = w ** max(k + 1 - m, 0) * _horner(factor, v) / duration**m
         return s
 
 
@@ -241,32 +247,20 @@ def polynomial(degree: int) -> PolynomialProfile:
     return PolynomialProfile(f"degree-{degree}", degree)
 
 
-def _smoothstep(T: FloatArray, R: FloatArray, k: int) -> FloatArray:
-    """I_T(k+1, k+1) for T + R = 1, about the nearer end."""
-    small, large = np.minimum(T, R), np.maximum(T, R)
-    near: FloatArray = small ** (k + 1) * _horner(_smoothstep_weights(k), large)
-    return np.where(T <= R, near, 1.0 - near)
-
-
-@cache
-def _smoothstep_weights(k: int) -> tuple[float, ...]:
-    return tuple(float(comb(k + i, i)) for i in range(k + 1))
-
-
-@cache
-def _slope_factor(k: int, m: int) -> tuple[float, ...]:
-    """Coefficients in v of c G_(m-1), or of the derivatives of c G_k by T once the power of w is used up."""
-    factor = [Fraction(factorial(2 * k + 1), factorial(k) ** 2)]
-    for j in range(min(m - 1, k)):
+def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
+    """Coefficients in v of c G_0 ... c G_k, then of the derivatives of c G_k by T: the power of w is used up."""
+    factor, found = [Fraction(factorial(2 * k + 1), factorial(k) ** 2)], []
+    for j in range(2 * k + 1):
+        found.append(tuple(float(value) for value in factor))
         slope = _slope(factor)
-        following = [Fraction(0), *((k - j) * value for value in factor)]
-        for i, value in enumerate(slope):
-            following[i] -= value / 2
-            following[i + 2] += value / 2
-        factor = following
-    for _ in range(max(m - 1 - k, 0)):
-        factor = [-2 * value for value in _slope(factor)]
-    return tuple(float(value) for value in factor)
+        if j < k:
+            factor = [Fraction(0), *((k - j) * value for value in factor)]
+            for i, value in enumerate(slope):
+                factor[i] -= value / 2
+                factor[i + 2] += value / 2
+        else:
+            factor = [-2 * value for value in slope]
+    return tuple(found)
 
 
 def _slope(coefficients: list[Fraction]) -> list[Fraction]:
@@ -275,8 +269,8 @@ def _slope(coefficients: list[Fraction]) -> list[Fraction]:
 
 
 def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
-    """Value of a polynomial, lowest coefficient first; the empty one is zero."""
-    value = np.full_like(x, coefficients[-1] if coefficients else 0.0)
+    """Value of a polynomial, lowest coefficient first."""
+    value = np.full_like(x, coefficients[-1])
     for coefficient in coefficients[-2::-1]:
         value *= x
         value += coefficient
@@ -284,11 +278,11 @@ def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
 
 
 DEGREE3 = polynomial(3)
-"""C^1: the inputs of a crane would need its fourth derivative. Kept to show why it fails."""
+"""C^1: inputs that contain its fourth derivative need impulses. Kept to show why it fails."""
 DEGREE5 = polynomial(5)
 """C^2; kept to show why it fails."""
 DEGREE7 = polynomial(7)
-"""C^3: the inputs of a crane jump at start and end. Kept to show why it fails."""
+"""C^3: inputs that contain its fourth derivative jump at start and end. Kept to show why it fails."""
 DEGREE9 = polynomial(9)
 """126 T^5 - 420 T^6 + 540 T^7 - 315 T^8 + 70 T^9, C^4: the default."""
 DEGREE13 = polynomial(13)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points
+from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 from servocore.references.profiles import DEGREE9, Profile
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def rest_to_rest(
     duration : float
         Time of the motion in s, positive.
     profile : Profile
-        Time law; degree 9 suffices for a crane, whose inputs need four derivatives.
+        Time law; degree 2 k + 1 is smooth enough for inputs that contain k derivatives, degree 9 for four.
     start_time : float
         When the motion starts, in s.
 
@@ -90,8 +90,7 @@ def rest_to_rest(
     if len(start) != len(end):
         raise InvalidReference(f"start has {len(start)} components and end has {len(end)}: they must agree")
     first, last = points([start], "start point")[0], points([end], "end point")[0]
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    positive_time(duration, "duration")
     if duration < profile.shortest_duration:
         raise InvalidReference(
             f"a {profile.name} path with these settings takes at least {profile.shortest_duration} s, "

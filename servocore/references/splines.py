@@ -1,15 +1,15 @@
-"""Smooth paths through waypoints and through samples: splines of degree 9."""
+"""Smooth paths through waypoints and through samples: splines, of degree 9 if nothing else is asked for."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.references.base import FloatArray, points
-from servocore.references.bspline import DEGREE, Ends, fit, interpolation_knots, to_path
-from servocore.references.piecewise import REST_ORDER
+from servocore.references.base import FloatArray, points, positive_time
+from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, to_path
 from servocore.references.profiles import three_phase
 
 if TYPE_CHECKING:
@@ -18,28 +18,27 @@ if TYPE_CHECKING:
 
     from servocore.references.piecewise import PiecewisePolynomial
 
-FEWEST_SAMPLES = 2 * (DEGREE + 1)
-"""Half of the samples must determine a polynomial of degree 9, so that the other half can check it."""
-
 ROUNDING = 1e-12
 """Samples without a tolerance are taken as exact up to this fraction of the largest coordinate."""
 
-SNAP_DOUBT = 0.25
-"""Largest fraction of its peak by which the fourth derivative may depend on the choice of samples."""
-
-AT_REST, FREE = Ends(start=True, end=True), Ends(start=False, end=False)
+DOUBT = 0.25
+"""Largest fraction of its peak by which a derivative may depend on the choice of samples, if not told otherwise."""
 
 
 def through(
-    waypoints: npt.ArrayLike, times: npt.ArrayLike | None = None, duration: float | None = None
+    waypoints: npt.ArrayLike,
+    times: npt.ArrayLike | None = None,
+    duration: float | None = None,
+    *,
+    rest_order: int = REST_ORDER,
 ) -> PiecewisePolynomial:
     """Smooth path through waypoints, from rest to rest.
 
-    The spline of degree 9 with knots at the waypoints: C^8 between start and end, where velocity,
-    acceleration, jerk and snap vanish; of all such curves, it has the least integral of |gamma^(5)|^2.
-    Between two waypoints alone it is `rest_to_rest` with `DEGREE9`. Before the start and after the end it
-    rests. It does not stop at inner waypoints, and may swing out where neighbouring legs differ much in
-    speed: choose times accordingly.
+    The spline of degree 2 k + 1, k = `rest_order`, with knots at the waypoints: C^(2 k) between start and end,
+    where derivatives 1 to k vanish; of all such curves, it has the least integral of |gamma^(k + 1)|^2. Between
+    two waypoints alone it is `rest_to_rest` with a polynomial of that degree, `DEGREE9` for k = 4. Before the
+    start and after the end it rests. It does not stop at inner waypoints, and may swing out where neighbouring
+    legs differ much in speed: choose times accordingly.
 
     Parameters
     ----------
@@ -50,72 +49,97 @@ def through(
     duration : float, optional
         Instead of times: the whole time in s. Times are then chosen so that the way along the polyline of
         waypoints is a three-phase motion with ramps of a quarter of the duration, and start at 0.
+    rest_order : int
+        The k above, one or more: as many derivatives as the inputs contain (velocity, acceleration, jerk, snap).
 
     Returns
     -------
     PiecewisePolynomial
-        The path, `smoothness` 4, `max_order` 9, exact at the waypoints.
+        The path, `smoothness` k, `max_order` 2 k + 1, exact at the waypoints.
 
     Raises
     ------
     InvalidReference
         If waypoints or times are not finite, times do not increase, neighbouring waypoints coincide and no
-        times are given, or not exactly one of times and duration is given.
+        times are given, not exactly one of times and duration is given, or `rest_order` is not a whole number from 1.
     """
+    resting = Ends(start=True, end=True, order=rest_order)
     table = points(waypoints, "waypoint")
     if len(table) < 2:
         raise InvalidReference("a path needs at least two waypoints, not one")
     if (times is None) == (duration is None):
         raise InvalidReference("give either the times of the waypoints or the duration of the whole path")
     at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
-    return to_path(fit(at, table, interpolation_knots(at, AT_REST), AT_REST), AT_REST, None)
+    return to_path(fit(at, table, interpolation_knots(at, resting), resting), resting, None)
 
 
-def sampled(t: npt.ArrayLike, positions: npt.ArrayLike, tolerance: float | None = None) -> PiecewisePolynomial:
+def sampled(
+    t: npt.ArrayLike,
+    positions: npt.ArrayLike,
+    tolerance: float | None = None,
+    *,
+    rest_order: int = REST_ORDER,
+    doubt: float = DOUBT,
+) -> PiecewisePolynomial:
     """Smooth path through, or close to, many samples of position.
 
-    The least-squares spline of degree 9 with the fewest evenly chosen knots (1, 2, 4, ... pieces) that comes
-    within the tolerance of every sample; if it takes more than a third of the samples as unknowns, the
-    interpolating spline. Few knots keep rounding out of the derivatives. Ends count as being at rest
-    (derivatives 1 to 4 zero) if the samples agree with that as well as without; the path then rests outside,
+    The least-squares spline of degree 2 k + 1, k = `rest_order`, with the fewest evenly chosen knots (1, 2, 4, ...
+    pieces) that comes within the tolerance of every sample; if it takes more than a third of the samples as
+    unknowns, the interpolating spline. Few knots keep rounding out of the derivatives. Ends count as being at rest
+    (derivatives 1 to k zero) if the samples agree with that as well as without; the path then rests outside,
     otherwise the end polynomial goes on.
 
     What the samples say is checked against itself: the path is fitted twice more, each time to every second
-    sample. The fourth derivative, which the inputs of a crane need, must be the same within a quarter of its
-    peak; corners, jumps and noise fail, since there it grows with the density of the samples. The distance
-    of the samples left out is the `fit_error`, an upper estimate.
+    sample. Derivative k must be the same within a fraction `doubt` of its peak; corners, jumps and noise fail,
+    since there it grows with the density of the samples. The distance of the samples left out is the `fit_error`,
+    an upper estimate.
 
     Parameters
     ----------
     t : array_like, shape (n,)
-        Sample times in s, increasing, at least 20; they need not be evenly spaced.
+        Sample times in s, increasing, at least 4 k + 4; they need not be evenly spaced.
     positions : array_like, shape (n, dimension)
         Samples in m.
     tolerance : float, optional
         How far the path may stay away from a sample, in m: the size of the noise or of the rounding. Without
         it, the samples are taken as exact to 1e-12 of their largest coordinate.
+    rest_order : int
+        The k above, one or more: as many derivatives as the inputs contain (velocity, acceleration, jerk, snap).
+    doubt : float
+        Largest fraction of its peak by which derivative k may depend on the choice of samples, positive.
 
     Returns
     -------
     PiecewisePolynomial
-        The path; `max_order` 9; `smoothness` 8, or 4 if it rests at an end.
+        The path; `max_order` 2 k + 1; `smoothness` 2 k, or k if it rests at an end.
 
     Raises
     ------
     InvalidReference
-        If samples are not finite, too few, not increasing in time, or too rough (naming the time).
+        If samples are not finite, too few, not increasing in time, or too rough (naming the time), or a setting makes
+        no sense.
     """
+    free = Ends(start=False, end=False, order=rest_order)
     table = points(positions, "sample")
     times = _increasing(t, len(table), "sample")
-    if len(table) < FEWEST_SAMPLES:
+    if len(table) < (fewest := fewest_samples(rest_order)):
         raise InvalidReference(
-            f"{len(table)} samples are too few: a sampled path needs at least {FEWEST_SAMPLES}, half of them "
-            "to fit it and half to check it (a path through fewer points is a path through waypoints)"
+            f"{len(table)} samples are too few: a sampled path needs at least {fewest}, half of them to fit it"
+            " and half to check it (a path through fewer points is a path through waypoints)"
         )
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise InvalidReference(f"the tolerance of a sampled path must be a length in m, not {tolerance}")
+    if not doubt > 0.0:
+        raise InvalidReference(f"the doubt about a sampled path must be a positive fraction, not {doubt}")
     allowed = max(tolerance or 0.0, ROUNDING * float(np.abs(table).max()))
-    return _checked(times, table, _fewest_knots(times, table, allowed) or _interpolation(times, table))
+    return _checked(
+        times, table, _fewest_knots(times, table, free, allowed) or _interpolation(times, table, free), doubt
+    )
+
+
+def fewest_samples(rest_order: int = REST_ORDER) -> int:
+    """Return how many samples `sampled` needs: half of them must determine a polynomial that the others check."""
+    return 4 * (rest_order + 1)
 
 
 class _Fit(NamedTuple):
@@ -126,14 +150,15 @@ class _Fit(NamedTuple):
     inner_knots: FloatArray | None
 
 
-def _fewest_knots(t: FloatArray, positions: FloatArray, allowed: float) -> _Fit | None:
+def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: float) -> _Fit | None:
     """Return the coarsest fit within `allowed` (m), preferably at rest at its ends, or None."""
     pieces = 1
-    while pieces + DEGREE <= len(t) // 3:
+    while pieces + free.degree <= len(t) // 3:
         inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
-        found = _Fit(fit(t, positions, inner_knots, FREE), FREE, inner_knots)
+        found = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
         if _distance(found.spline(t), positions).max() <= allowed:
-            for ends in (AT_REST, Ends(start=True, end=False), Ends(start=False, end=True)):
+            for start, end in ((True, True), (True, False), (False, True)):
+                ends = replace(free, start=start, end=end)
                 spline = fit(t, positions, inner_knots, ends)
                 if _distance(spline(t), positions).max() <= allowed:
                     return _Fit(spline, ends, inner_knots)
@@ -142,16 +167,17 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, allowed: float) -> _Fit 
     return None
 
 
-def _interpolation(t: FloatArray, positions: FloatArray) -> _Fit:
+def _interpolation(t: FloatArray, positions: FloatArray, free: Ends) -> _Fit:
     """Return the spline through all samples; an end rests if that predicts left-out samples as well."""
     rounding = 100.0 * np.finfo(np.float64).eps * float(np.abs(positions).max())
-    free = _left_out_distance(t, positions, FREE)
-    start = _left_out_distance(t, positions, Ends(start=True, end=False))
-    end = _left_out_distance(t, positions, Ends(start=False, end=True))
-    near = DEGREE + 1  # samples that the treatment of an end moves most
-    ends = Ends(
-        start=bool(start[:near].max() <= 2.0 * free[:near].max() + rounding),
-        end=bool(end[-near:].max() <= 2.0 * free[-near:].max() + rounding),
+    moving = _left_out_distance(t, positions, free)
+    start = _left_out_distance(t, positions, replace(free, start=True))
+    end = _left_out_distance(t, positions, replace(free, end=True))
+    near = free.degree + 1  # samples that the treatment of an end moves most
+    ends = replace(
+        free,
+        start=bool(start[:near].max() <= 2.0 * moving[:near].max() + rounding),
+        end=bool(end[-near:].max() <= 2.0 * moving[-near:].max() + rounding),
     )
     return _Fit(fit(t, positions, interpolation_knots(t, ends), ends), ends, None)
 
@@ -165,29 +191,30 @@ def _left_out_distance(t: FloatArray, positions: FloatArray, ends: Ends) -> Floa
     return distance
 
 
-def _checked(t: FloatArray, positions: FloatArray, found: _Fit) -> PiecewisePolynomial:
+def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) -> PiecewisePolynomial:
     """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
-    snap = found.spline(t, nu=REST_ORDER)
+    order, near = found.ends.order, found.ends.degree + 1
+    judged = found.spline(t, nu=order)
     error = _distance(found.spline(t), positions).max()
     doubt = np.zeros(len(t))
     for kept in _halves(len(t)):
         knots = interpolation_knots(t[kept], found.ends) if found.inner_knots is None else found.inner_knots
         half = fit(t[kept], positions[kept], knots, found.ends)
         error = max(error, _distance(half(t), positions).max())
-        doubt = np.maximum(doubt, _distance(half(t, nu=REST_ORDER), snap))
-    peak = np.linalg.norm(snap, axis=1).max()
-    slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** REST_ORDER  # of a path worth the name
-    limit = SNAP_DOUBT * max(peak, slightest)
-    inside = slice(DEGREE + 1, -DEGREE - 1)  # trouble anywhere also shakes the ends: look for its cause inside
+        doubt = np.maximum(doubt, _distance(half(t, nu=order), judged))
+    peak = np.linalg.norm(judged, axis=1).max()
+    slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** order  # of a path worth the name
+    limit = share * max(peak, slightest)
+    inside = slice(near, -near)  # trouble anywhere also shakes the ends: look for its cause inside
     worst = int(np.argmax(doubt))
     if doubt[inside].max(initial=0.0) > limit:
-        worst = DEGREE + 1 + int(np.argmax(doubt[inside]))
+        worst = near + int(np.argmax(doubt[inside]))
     if not doubt[worst] <= limit:
         raise InvalidReference(
             f"the samples are too rough near t = {t[worst]:.6g} s: fits to every second sample differ by "
-            f"{doubt[worst]:.3g} m/s^4 in the fourth derivative (limit {limit:.3g}) and by up to {error:.3g} "
-            "m in position; there is a corner or a jump, the samples are too far apart, or they are rounded "
-            "or noisy and need a tolerance"
+            f"{doubt[worst]:.3g} m/s^{order} in the derivative of order {order} (limit {limit:.3g}) and by up to "
+            f"{error:.3g} m in position; there is a corner or a jump, the samples are too far apart, or they are "
+            "rounded or noisy and need a tolerance"
         )
     return to_path(found.spline, found.ends, float(error))
 
@@ -221,8 +248,7 @@ def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:
 
 def _chord_times(waypoints: FloatArray, duration: float) -> FloatArray:
     """Find the times (n,) at which a three-phase motion along the polyline passes the waypoints."""
-    if not (np.isfinite(duration) and duration > 0.0):
-        raise InvalidReference(f"the duration of a path must be a positive time, not {duration} s")
+    positive_time(duration, "duration")
     chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
     repeated = np.flatnonzero(chords == 0.0)
     if repeated.size:

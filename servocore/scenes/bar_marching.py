@@ -27,7 +27,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, InvalidSetting
-from servocore.references import Reference
+from servocore.references.base import Reference
 
 Array = npt.NDArray[np.float64]
 

@@ -20,19 +20,20 @@ high index costs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar, TypeAlias
 
 import casadi as ca
 
 from servocore.errors import InvalidModel
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import rest_to_rest
 from servocore.references.profiles import polynomial
+from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import jets
 
 INPUT = Quantity("u", "N", "force on the last car, positive forwards")
@@ -42,91 +43,137 @@ MOST_MASSES = MAX_REFERENCE_ORDER // 2
 """A chain of n masses needs the derivative of order 2 n of its path."""
 
 
-def require_masses(what: str, count: int) -> int:
-    """Return the number of masses of a chain, or raise `InvalidModel` if there is no such chain."""
-    if not isinstance(count, int) or count < 2:
-        raise InvalidModel(f"a chain of {what} has at least 2 of them, not {count}")
-    if count > MOST_MASSES:
-        raise InvalidModel(
-            f"{count} {what} need derivatives of the path up to order {2 * count}, but a model has symbols for"
-            f" {MAX_REFERENCE_ORDER} only: at most {MOST_MASSES} {what}"
-        )
-    return count
+Values: TypeAlias = "Mapping[str, float] | Parameters"
+"""Numbers or symbols by name."""
 
 
-def follow_chain(
-    first: jets.Jet, masses: Sequence[float], stiffnesses: Sequence[float], rest_lengths: Sequence[float]
-) -> tuple[list[jets.Jet], jets.Jet]:
-    """Return positions x_1 ... x_n and the force on the last of n masses in a row, for the path of the first.
+@dataclass(frozen=True)
+class Chain(ABC):
+    """Masses in a row, joined by springs: the first follows the path, the force acts on the last.
 
-    Parameters
+    Calling it makes the model, as a `Scene` does. Equal chains compare equal, so they share one.
+
+    Attributes
     ----------
-    first : Jet
-        x_1 with at least 2 n derivatives.
-    masses : sequence of float, length n
-        In kg.
-    stiffnesses, rest_lengths : sequence of float, length n - 1
-        Of the springs, in N/m and m.
+    count : int
+        Number n of masses.
     """
-    positions, force = [first], masses[0] * first.d().d()
-    for mass, stiffness, length in zip(masses[1:], stiffnesses, rest_lengths, strict=True):
-        positions.append(positions[-1] - length + force / stiffness)
-        force = force + mass * positions[-1].d().d()
-    return positions, force
+
+    count: int
+    what: ClassVar[str] = "masses"
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name of the model in messages."""
+
+    @property
+    @abstractmethod
+    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
+        """Input, output, and the positions of the n masses."""
+
+    @abstractmethod
+    def parameters(self) -> Parameters:
+        """Return what the masses and springs are made of."""
+
+    @abstractmethod
+    def data(self, values: Values) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return n masses (kg), n - 1 stiffnesses (N/m) and n - 1 rest lengths (m), from the first mass on."""
+
+    def __call__(self) -> MechanicalSystem:
+        """Return n coordinates without constraints: M constant and diagonal, V quadratic."""
+        p, (force, output, positions) = self.parameters(), self.quantities
+        masses, stiffnesses, rest_lengths = self.data(p)
+        coordinates = Coordinates(*positions)
+        gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+        potential, guess = ca.SX(0), [gamma[0, 0]]
+        for (one, other), k, d in zip(pairwise(ca.vertsplit(coordinates.q)), stiffnesses, rest_lengths, strict=True):
+            potential += k * (one - other - d) ** 2 / 2
+            guess.append(guess[-1] - d)
+        input_matrix = ca.SX(1, self.count)
+        input_matrix[0, self.count - 1] = -1
+        return MechanicalSystem(
+            name=self.name,
+            coordinates=coordinates,
+            parameters=p,
+            inputs=(force,),
+            outputs=(output,),
+            mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+            potential=potential,
+            input_matrix=input_matrix,
+            output=coordinates.q[0],
+            gamma=gamma,
+            guess=ca.vertcat(*guess),
+        )
+
+    def closed_form(self, reference: Array, values: Mapping[str, float]) -> dict[str, Array]:
+        """Exact force and positions for reference jets (N, orders, 1) of order 2 n or higher."""
+        (first,) = jets.components(reference)
+        masses, stiffnesses, rest_lengths = self.data(values)
+        x, force = [first], masses[0] * first.d().d()
+        for mass, stiffness, length in zip(masses[1:], stiffnesses, rest_lengths, strict=True):
+            x.append(x[-1] - length + force / stiffness)
+            force = force + mass * x[-1].d().d()
+        driven, output, positions = self.quantities
+        found = {each.name: at.value for each, at in zip(positions, x, strict=True)}
+        return {driven.name: force.value, **found, output.name: first.value}
+
+    def scene(self, name: str, duration: float) -> Scene:
+        """Return the scene in which the first mass moves from 0 m to 1 m in a time (s).
+
+        Raises
+        ------
+        InvalidModel
+            If there are too few masses, or more than a model has derivatives of the path for.
+        """
+        if not isinstance(self.count, int) or self.count < 2:
+            raise InvalidModel(f"a chain of {self.what} has at least 2 of them, not {self.count}")
+        if self.count > MOST_MASSES:
+            raise InvalidModel(
+                f"{self.count} {self.what} need derivatives of the path up to order {2 * self.count}, but a model has"
+                f" symbols for {MAX_REFERENCE_ORDER} only: at most {MOST_MASSES} {self.what}"
+            )
+        return Scene(
+            name=name,
+            models={"points": self},
+            reference=rest_to_rest((0.0,), (1.0,), duration, polynomial(4 * self.count + 1)),
+            closed_form=self.closed_form,
+            closed_form_order=2 * self.count,
+        )
 
 
-@cache
-def parameters(count: int) -> Parameters:
-    """Masses, stiffnesses and rest lengths, counted from the first car."""
-    springs = range(1, count)
-    return Parameters(
-        *(Parameter(f"mass_{i}", 1.0, "kg", 1e-3, 1e9, f"m_{i}") for i in range(1, count + 1)),
-        *(Parameter(f"stiffness_{i}", 50.0, "N/m", 1e-3, 1e12, f"k_{i}, cars {i} and {i + 1}") for i in springs),
-        *(Parameter(f"rest_length_{i}", 0.5, "m", 1e-3, 1e3, f"d_{i}, cars {i} and {i + 1}") for i in springs),
-    )
+class Cars(Chain):
+    """Cars with masses, stiffnesses and rest lengths of their own, counted from the first."""
 
+    what = "cars"
 
-@cache
-def points(count: int) -> MechanicalSystem:
-    """Return n coordinates x_1 ... x_n without constraints: M constant and diagonal, V quadratic."""
-    p = parameters(count)
-    coordinates = Coordinates(*(Quantity(f"x_{i}", "m", f"position of car {i}") for i in range(1, count + 1)))
-    x = coordinates.q
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
-    potential, rest = ca.SX(0), [gamma[0, 0]]
-    for i in range(1, count):
-        stretch = x[i - 1] - x[i] - p[f"rest_length_{i}"]
-        potential += p[f"stiffness_{i}"] * stretch**2 / 2
-        rest.append(rest[-1] - p[f"rest_length_{i}"])
-    input_matrix = ca.SX(1, count)
-    input_matrix[0, count - 1] = -1
-    return MechanicalSystem(
-        name=f"{count} cars, points",
-        coordinates=coordinates,
-        parameters=p,
-        inputs=(INPUT,),
-        outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(p.p[:count])),
-        potential=potential,
-        input_matrix=input_matrix,
-        output=x[0],
-        gamma=gamma,
-        guess=ca.vertcat(*rest),
-    )
+    @property
+    def name(self) -> str:
+        """Name of the model in messages."""
+        return f"{self.count} cars, points"
 
+    @property
+    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
+        """The force, the position of the first car, x_1 ... x_n."""
+        return INPUT, OUTPUT, tuple(Quantity(f"x_{i}", "m", f"position of car {i}") for i in range(1, self.count + 1))
 
-def closed_form(reference: Array, values: Mapping[str, float], *, count: int) -> dict[str, Array]:
-    """Exact force and positions for reference jets (N, orders, 1) of order 2 `count` or higher."""
-    (y,) = jets.components(reference)
-    springs = range(1, count)
-    positions, force = follow_chain(
-        y,
-        [values[f"mass_{i}"] for i in range(1, count + 1)],
-        [values[f"stiffness_{i}"] for i in springs],
-        [values[f"rest_length_{i}"] for i in springs],
-    )
-    found = {f"x_{i}": x.value for i, x in enumerate(positions, 1)}
-    return {INPUT.name: force.value, **found, OUTPUT.name: y.value}
+    def parameters(self) -> Parameters:
+        """Return masses, stiffnesses and rest lengths."""
+        springs = range(1, self.count)
+        return Parameters(
+            *(Parameter(f"mass_{i}", 1.0, "kg", 1e-3, 1e9, f"m_{i}") for i in range(1, self.count + 1)),
+            *(Parameter(f"stiffness_{i}", 50.0, "N/m", 1e-3, 1e12, f"k_{i}, cars {i} and {i + 1}") for i in springs),
+            *(Parameter(f"rest_length_{i}", 0.5, "m", 1e-3, 1e3, f"d_{i}, cars {i} and {i + 1}") for i in springs),
+        )
+
+    def data(self, values: Values) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return the values of the parameters, kind by kind."""
+        springs = range(1, self.count)
+        return (
+            [values[f"mass_{i}"] for i in range(1, self.count + 1)],
+            [values[f"stiffness_{i}"] for i in springs],
+            [values[f"rest_length_{i}"] for i in springs],
+        )
 
 
 def cars(count: int = 2) -> Scene:
@@ -144,11 +191,4 @@ def cars(count: int = 2) -> Scene:
     InvalidModel
         If there are too few cars, or more than a model has derivatives of the path for.
     """
-    require_masses("cars", count)
-    return Scene(
-        name="cars",
-        models={"points": partial(points, count)},
-        reference=rest_to_rest((0.0,), (1.0,), 4.0, polynomial(4 * count + 1)),
-        closed_form=partial(closed_form, count=count),
-        closed_form_order=2 * count,
-    )
+    return Cars(count).scene("cars", 4.0)

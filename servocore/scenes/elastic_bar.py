@@ -26,20 +26,14 @@ polynomial that it is between them, not as rest. A chain models the bar for path
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache, partial
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import Reference, rest_to_rest
-from servocore.references.profiles import polynomial
-from servocore.scenes import jets
-from servocore.scenes.cars import follow_chain, require_masses
+from servocore.model.symbols import Array, Parameter, Parameters, Quantity
+from servocore.references.base import Reference
+from servocore.scenes.cars import Chain, Values
 
 PARAMETERS = Parameters(
     Parameter("length", 1.0, "m", 1e-3, 1e6, "L"),
@@ -51,42 +45,31 @@ INPUT = Quantity("u", "N", "force on the driven end, away from the free end")
 OUTPUT = Quantity("y", "m", "displacement of the free end")
 
 
-@cache
-def points(count: int) -> MechanicalSystem:
-    """Return N coordinates w_1 ... w_N without constraints: M constant and diagonal, V quadratic."""
-    p, pieces = PARAMETERS, count - 1
-    coordinates = Coordinates(*(Quantity(f"w_{i}", "m", f"displacement of node {i}") for i in range(1, count + 1)))
-    w = coordinates.q
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
-    piece = p["line_mass"] * p["length"] / pieces
-    masses = (p["end_mass"] + piece / 2, *[piece] * (count - 2), piece / 2)
-    input_matrix = ca.SX(1, count)
-    input_matrix[0, count - 1] = -1
-    return MechanicalSystem(
-        name=f"elastic bar, {count} points",
-        coordinates=coordinates,
-        parameters=p,
-        inputs=(INPUT,),
-        outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
-        potential=p["axial_stiffness"] * pieces / p["length"] * ca.sumsqr(w[1:] - w[:-1]) / 2,
-        input_matrix=input_matrix,
-        output=w[0],
-        gamma=gamma,
-        guess=ca.repmat(gamma[0, 0], count, 1),
-    )
+class Bar(Chain):
+    """The bar cut into equal pieces, whose masses are halved between the nodes at their ends."""
 
+    @property
+    def name(self) -> str:
+        """Name of the model in messages."""
+        return f"elastic bar, {self.count} points"
 
-def closed_form(reference: Array, parameters: Mapping[str, float], *, count: int) -> dict[str, Array]:
-    """Exact force and displacements of the chain for reference jets (N, orders, 1) of order 2 `count` or higher."""
-    length, axial_stiffness, line_mass, end_mass = (parameters[name] for name in PARAMETERS.names)
-    (y,) = jets.components(reference)
-    pieces = count - 1
-    piece = line_mass * length / pieces
-    masses = [end_mass + piece / 2, *[piece] * (count - 2), piece / 2]
-    positions, force = follow_chain(y, masses, [axial_stiffness * pieces / length] * pieces, [0.0] * pieces)
-    found = {f"w_{i}": w.value for i, w in enumerate(positions, 1)}
-    return {INPUT.name: force.value, **found, OUTPUT.name: y.value}
+    @property
+    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
+        """The force, the displacement of the free end, w_1 ... w_N."""
+        nodes = range(1, self.count + 1)
+        return INPUT, OUTPUT, tuple(Quantity(f"w_{i}", "m", f"displacement of node {i}") for i in nodes)
+
+    def parameters(self) -> Parameters:
+        """Return `PARAMETERS`."""
+        return PARAMETERS
+
+    def data(self, values: Values) -> tuple[list[Any], list[Any], list[Any]]:
+        """Return masses and stiffnesses of the pieces; displacements count from rest."""
+        pieces = self.count - 1
+        piece = values["line_mass"] * values["length"] / pieces
+        stiffness = values["axial_stiffness"] * pieces / values["length"]
+        masses = [values["end_mass"] + piece / 2, *[piece] * (self.count - 2), piece / 2]
+        return masses, [stiffness] * pieces, [0.0] * pieces
 
 
 def wave_time(parameters: Mapping[str, float]) -> float:
@@ -141,11 +124,4 @@ def elastic_bar(count: int = 3) -> Scene:
     InvalidModel
         If there are too few masses, or more than a model has derivatives of the path for.
     """
-    require_masses("masses", count)
-    return Scene(
-        name="elastic_bar",
-        models={"points": partial(points, count)},
-        reference=rest_to_rest((0.0,), (1.0,), 2.0, polynomial(4 * count + 1)),
-        closed_form=partial(closed_form, count=count),
-        closed_form_order=2 * count,
-    )
+    return Bar(count).scene("elastic_bar", 2.0)

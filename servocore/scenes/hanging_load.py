@@ -1,16 +1,40 @@
-"""What all cranes share: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero."""
+"""What all cranes share: a load on a rope below a trolley; its last coordinate points up, the trolley is at zero.
+
+A crane whose trolley runs along straight rails, in one direction or in two, needs no more than this: `on_rails` makes
+its model and `swinging` the one in swing angles. `follow` is the flat algebra of the closed forms.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+
 import casadi as ca
+import numpy as np
 
 from servocore.model.scene import Limit
-from servocore.model.symbols import Parameters
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.scenes import jets
+
+PARAMETERS = (
+    Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),
+    Parameter("load_mass", 100.0, "kg", 1e-3, 1e9, "m"),
+    Parameter("winch_inertia", 0.1, "kg.m2", 1e-6, 1e9, "J_w, about the winch's own axis"),
+    Parameter("winch_radius", 0.1, "m", 1e-3, 1e3, "r_w"),
+    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g"),
+)
+WINCH = Quantity("M_w", "N.m", "winch torque, positive where it pays out rope")
+ROPE = Quantity("l", "m", "rope length", positive=True)
+TENSION = Quantity("tension", "N", "rope tension")
+SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 
 
 def swing_angle(rope: ca.SX) -> ca.SX:
-    """Angle of a rope vector in space, from trolley to load, from the vertical that points down."""
-    return ca.atan2(ca.norm_2(rope[:2]), -rope[2])
+    """Angle of a rope vector, from trolley to load, from the vertical that points down; signed in a plane."""
+    return ca.atan2(rope[0] if rope.numel() == 2 else ca.norm_2(rope[:2]), -rope[-1])
 
 
 def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
@@ -30,6 +54,145 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     direction = -pull / ca.norm_2(pull)
     length = gamma[-1, 0] / direction[-1]
     return gamma[:-1, 0] - length * direction[:-1], length, direction
+
+
+def on_rails(
+    name: str,
+    parameters: Parameters,
+    inputs: Sequence[Quantity],
+    outputs: Sequence[Quantity],
+    rails: Mapping[Quantity, ca.SX],
+    *,
+    home: tuple[float, ...],
+    swing: Quantity = SWING,
+) -> MechanicalSystem:
+    """Return the crane with coordinates q = (rails, l, load) and one constraint: the rope reaches from trolley to load.
+
+    Parameters
+    ----------
+    name : str
+        What the system is called in messages.
+    parameters : Parameters
+        Holds `PARAMETERS`.
+    inputs, outputs : sequence of Quantity
+        Forces along the rails and the winch's torque; coordinates of the load, the last upwards.
+    rails : mapping of Quantity to casadi.SX
+        Trolley position along each rail, and the mass that moves with it (kg).
+    home : tuple of float
+        A regular position of the load, m.
+    swing : Quantity
+        What `swing_angle` is reported as.
+    """
+    coordinates, p, count = Coordinates(*rails, ROPE, *outputs), parameters, len(rails)
+    trolley, length, load = ca.vertsplit(coordinates.q, [0, count, count + 1, 2 * count + 2])
+    lam, gamma = ca.SX.sym("lam"), ca.SX.sym("gamma", count + 1, MAX_REFERENCE_ORDER + 1)
+    rope = load - ca.vertcat(trolley, 0)
+    above, hanging, _ = suspension(gamma, p)
+    masses = (*rails.values(), p["winch_inertia"] / p["winch_radius"] ** 2, *[p["load_mass"]] * (count + 1))
+    driven = ca.sparsify(-ca.diag(ca.vertcat(*[1] * count, 1 / p["winch_radius"])))
+    return MechanicalSystem(
+        name=name,
+        coordinates=coordinates,
+        parameters=p,
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        potential=p["load_mass"] * p["gravity"] * load[-1],
+        constraints=ca.sumsqr(rope) - length**2,
+        input_matrix=ca.horzcat(driven, ca.SX(count + 1, count + 1)),
+        output=load,
+        multipliers=lam,
+        gamma=gamma,
+        guess=ca.vertcat(above, hanging, gamma[:, 0]),
+        home=home,
+        observables={TENSION: 2 * lam * length, swing: swing_angle(rope)},
+    )
+
+
+def swinging(
+    base: MechanicalSystem, name: str, rails: Sequence[Quantity], swings: Sequence[Quantity]
+) -> MechanicalSystem:
+    """Return a crane `on_rails` in generalised coordinates: rails, rope length and one swing angle a rail.
+
+    Parameters
+    ----------
+    base : MechanicalSystem
+        From `on_rails`.
+    name : str
+        What the system is called in messages.
+    rails, swings : sequence of Quantity
+        Trolley positions; the angle of the rope along the first rail, and out of that plane. At 90 degrees the
+        second makes the first undefined.
+    """
+    coordinates, count, gamma = Coordinates(*rails, ROPE, *swings), len(rails), base.gamma
+    trolley, length, along, across = ca.vertsplit(coordinates.q, [0, count, count + 1, count + 2, 2 * count + 1])
+    flat = ca.cos(across) if count == 2 else 1  # in the first rail's plane
+    rope = length * ca.vertcat(ca.sin(along) * flat, ca.sin(across), -ca.cos(along) * flat)
+    above, hanging, towards = suspension(gamma, base.parameters)
+    return generalise(
+        base,
+        coordinates,
+        ca.vertcat(trolley, length, ca.vertcat(trolley, 0) + rope),
+        guess=ca.vertcat(above, hanging, ca.atan2(towards[0], -towards[-1]), ca.asin(towards[1:-1])),
+        # Without multipliers the tension follows from the load's prescribed acceleration.
+        observables={
+            TENSION: tension(gamma, base.parameters),
+            **({SWING: swing_angle(rope)} if count == 2 else {}),
+        },
+        name=name,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What the load's path says of the trolley: the crane is flat in the load position.
+
+    Attributes
+    ----------
+    trolley : tuple of Jet
+        Its level position, m.
+    pull : tuple of ndarray, shape (N,)
+        Level force of the rope on the trolley, N.
+    answer : dict of str to ndarray, shape (N,)
+        M_w, l, tension, swing, and the load's path by the names of the outputs.
+    """
+
+    trolley: tuple[jets.Jet, ...]
+    pull: tuple[Array, ...]
+    answer: dict[str, Array]
+
+
+def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[Quantity]) -> Followed:
+    """Return what a load's path tells exactly of any crane.
+
+    Parameters
+    ----------
+    reference : ndarray, shape (N, orders, len outputs)
+        Load position and its derivatives, four or more for all that a crane needs.
+    parameters : mapping of str to float
+        Among them `PARAMETERS`.
+    outputs : sequence of Quantity
+        What the components are called.
+    """
+    _, m, J_w, r_w, g = (parameters[each.name] for each in PARAMETERS)
+    *level, z = load = jets.components(reference)
+    k = -z / (g + z.d().d())
+    to_trolley = [k * each.d().d() for each in level]
+    rope = jets.sqrt(reduce(add, (each**2 for each in (*to_trolley, z))))
+    per_length = m / k.value  # rope tension divided by rope length
+    force = per_length * rope.value
+    lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(each.value for each in to_trolley))
+    return Followed(
+        trolley=tuple(each + way for each, way in zip(level, to_trolley, strict=True)),
+        pull=tuple(-per_length * each.value for each in to_trolley),
+        answer={
+            WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
+            ROPE.name: rope.value,
+            TENSION.name: force,
+            SWING.name: np.arctan2(lean, -z.value),
+            **{each.name: path.value for each, path in zip(outputs, load, strict=True)},
+        },
+    )
 
 
 def limits(above: str) -> tuple[Limit, Limit]:

@@ -107,19 +107,21 @@ def two_sided(rate: Rates, t: Array, start: float, end: float, matrix: Array) ->
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    values, left = np.linalg.eig(matrix.T)
+    values = np.linalg.eigvals(matrix)
     decided = np.abs(values.real) > _UNDECIDED * np.abs(values)
     stable, unstable = decided & (values.real < 0.0), decided & (values.real > 0.0)
     if not (decided.all() and stable.any() and unstable.any()):
         raise InvalidModel(
             "a two-sided solution needs internal dynamics with decaying and growing modes and no others; their"
-            f" eigenvalues are {', '.join(f'{value:.4g}' for value in values)}"
+            f" eigenvalues are {', '.join(f'{value:.4g}' for value in np.real_if_close(values))}"
         )
     before = start - _FADING / values[unstable].real.min()
     after = end - _FADING / values[stable].real.max()
 
+    decaying, growing = _left_invariant(matrix, "lhp"), _left_invariant(matrix, "rhp")
+
     def boundary(first: Array, last: Array) -> Array:
-        conditions: Array = np.concatenate([left.T[stable] @ first, left.T[unstable] @ last])
+        conditions: Array = np.concatenate([decaying @ first, growing @ last])
         return conditions
 
     mesh = np.unique(np.concatenate([np.linspace(before, start, 100), np.linspace(start, end, 400),
@@ -129,6 +131,14 @@ def two_sided(rate: Rates, t: Array, start: float, end: float, matrix: Array) ->
     )
     _require_solved(found.status == 0, found.message)
     return np.where((t >= before) & (t <= after), found.sol(np.clip(t, before, after)), 0.0)
+
+
+def _left_invariant(matrix: Array, half: Literal["lhp", "rhp"]) -> Array:
+    """Rows that span the left invariant subspace of the eigenvalues in one half plane, real where those are complex."""
+    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    _, basis, size = scipy.linalg.schur(matrix.T, output="real", sort=half)
+    return np.asarray(basis[:, :size].T, dtype=np.float64)
 
 
 def _require_solved(solved: bool, message: str) -> None:

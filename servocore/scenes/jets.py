@@ -157,17 +157,6 @@ def sqrt(x: Jet) -> Jet:
     return _series(x.order, coefficient)
 
 
-def sin_cos(x: Jet) -> tuple[Jet, Jet]:
-    """Sine s, cosine c: s' = c x', c' = -s x' give k s_k = sum i x_i c_(k-i), k c_k = -sum i x_i s_(k-i)."""
-    slope = [k * a for k, a in enumerate(x.coefficients)]
-    s, c = [np.asarray(np.sin(x.value))], [np.asarray(np.cos(x.value))]
-    for k in range(1, x.order + 1):
-        s_k, c_k = _convolve(slope, c, 1, k, k) / k, -_convolve(slope, s, 1, k, k) / k
-        s.append(s_k)
-        c.append(c_k)
-    return Jet(np.stack(s)), Jet(np.stack(c))
-
-
 def atan2(y: Jet, x: Jet) -> Jet:
     """Angle of the point (x, y) in (-pi, pi] rad: angle' = (x y' - y x')/(x^2 + y^2).
 

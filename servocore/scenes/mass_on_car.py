@@ -30,19 +30,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.model.generalise import generalise
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import Reference, rest_to_rest
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.references.base import Reference
+from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes.internal_dynamics import backward, forward
 
 PARAMETERS = Parameters(
@@ -58,7 +55,6 @@ CAR = Quantity("x", "m", "position of the car")
 SLIDE = Quantity("s", "m", "position of the mass on the incline, from equilibrium")
 
 
-@cache
 def points() -> MechanicalSystem:
     """Three coordinates q = (x, s, y), one constraint y = x + s cos(alpha): M constant and diagonal.
 
@@ -90,7 +86,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Two generalised coordinates x and s, derived from `points`."""
     base = points()

@@ -33,18 +33,15 @@ the second case, the solution that stays bounded for all times; it moves before 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 
 import casadi as ca
 import numpy as np
 
-from servocore.model.generalise import generalise
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
-from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import Reference, rest_to_rest
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.references.base import Reference
+from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes.internal_dynamics import forward, two_sided
 
 TIP, INSIDE = 1.0, 0.4
@@ -69,7 +66,6 @@ POINT_Y = Quantity("point_y", "m", "tracked point")
 POINT_ANGLE = Quantity("point_angle", "rad", "angle at which the tracked point is seen from the pivot", wraps=True)
 
 
-@cache
 def points() -> MechanicalSystem:
     """Eight coordinates q = (d_1, r, d_2, a, b), six constraints: M constant, the angles massless.
 
@@ -113,7 +109,6 @@ def points() -> MechanicalSystem:
     )
 
 
-@cache
 def generalized() -> MechanicalSystem:
     """Two generalised coordinates a and b, derived from `points`: M depends on b."""
     base = points()

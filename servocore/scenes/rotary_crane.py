@@ -19,44 +19,34 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cache
+from functools import partial
 
 import casadi as ca
 import numpy as np
 
-from servocore.model.generalise import generalise
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
-from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-from servocore.numerics.calls import Array
-from servocore.references import rest_to_rest
+from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
+from servocore.scenes.hanging_load import ROPE, SWING, TENSION
+from servocore.scenes.rotary_crane_bodies import PHI, TROLLEY
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
 
 PARAMETERS = Parameters(
     Parameter("bridge_inertia", 480.0, "kg.m2", 1e-3, 1e9, "J_b, of bridge, trolley and winch at s = 0"),
-    Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),
-    Parameter("load_mass", 100.0, "kg", 1e-3, 1e9, "m"),
-    Parameter("winch_inertia", 0.1, "kg.m2", 1e-6, 1e9, "J_w, about the winch's own axis"),
-    Parameter("winch_radius", 0.1, "m", 1e-3, 1e3, "r_w"),
-    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g"),
+    *hanging_load.PARAMETERS,
 )
 INPUTS = (
     Quantity("M_b", "N.m", "slewing torque on the bridge, positive as phi"),
     Quantity("F", "N", "force on the trolley along the bridge, positive as s"),
-    Quantity("M_w", "N.m", "winch torque, positive where it pays out rope"),
+    hanging_load.WINCH,
 )
 OUTPUTS = (
     Quantity("x", "m", "load position"),
     Quantity("y", "m", "load position"),
     Quantity("z", "m", "load position, negative below the girder"),
 )
-PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
-TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
-ROPE = Quantity("l", "m", "rope length", positive=True)
-TENSION = Quantity("tension", "N", "rope tension")
-SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 
 HOME = (4.0, 0.0, -5.0)
 SMALLEST_RADIUS = 1e-3
@@ -66,7 +56,6 @@ SMALLEST_RADIUS = 1e-3
 SIGNED_TROLLEY = Quantity("s", "m", "trolley position along the bridge, negative beyond the slewing axis")
 
 
-@cache
 def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
 
@@ -119,13 +108,11 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     )
 
 
-@cache
 def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
     return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 
-@cache
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
 
@@ -182,32 +169,19 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     dict of str to ndarray, shape (N,)
         M_b, F, M_w, phi, s, l, tension, swing, x, y, z.
     """
-    J_b, m_t, m, J_w, r_w, g = (parameters[name] for name in PARAMETERS.names)
-    x, y, z = jets.components(reference)
-    k = -z / (g + z.d().d())
-    to_trolley = k * x.d().d(), k * y.d().d()
-    P_x, P_y = x + to_trolley[0], y + to_trolley[1]
+    J_b, m_t = parameters["bridge_inertia"], parameters["trolley_mass"]
+    found = hanging_load.follow(reference, parameters, OUTPUTS)
+    (P_x, P_y), pull = found.trolley, found.pull
     s, phi = jets.sqrt(P_x**2 + P_y**2), jets.atan2(P_y, P_x)
-    rope = jets.sqrt(to_trolley[0] ** 2 + to_trolley[1] ** 2 + z**2)
-    per_length = m / k.value  # rope tension divided by rope length
     cos, sin = P_x.value / s.value, P_y.value / s.value
-    # Rope force on the trolley, along and across the bridge.
-    pull = [-per_length * each.value for each in to_trolley]
     pull_along, pull_across = cos * pull[0] + sin * pull[1], cos * pull[1] - sin * pull[0]
     (s0, s1, s2), (phi0, phi1, phi2) = s.derivatives()[:3], phi.derivatives()[:3]
-    tension = per_length * rope.value
     return {
         "M_b": (J_b + m_t * s0**2) * phi2 + 2 * m_t * s0 * s1 * phi1 - s0 * pull_across,
         "F": m_t * (s2 - s0 * phi1**2) - pull_along,
-        "M_w": J_w * rope.derivatives()[2] / r_w - r_w * tension,
         "phi": np.unwrap(phi0),
         "s": s0,
-        "l": rope.value,
-        "tension": tension,
-        "swing": np.arctan2(np.hypot(to_trolley[0].value, to_trolley[1].value), -z.value),
-        "x": x.value,
-        "y": y.value,
-        "z": z.value,
+        **found.answer,
     }
 
 
@@ -239,6 +213,10 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
 
 
+SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
+"""Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""
+
+
 def rotary_crane(*, across_axis: bool = False) -> Scene:
     """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
 
@@ -249,28 +227,14 @@ def rotary_crane(*, across_axis: bool = False) -> Scene:
         path then decides only between the instants: on the axis itself phi is undefined, and an instant that falls
         there is refused.
     """
-    reference = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
-    if not across_axis:
-        return Scene(
-            name="rotary_crane",
-            models={"points": points, "generalized": generalized, "bodies": bodies},
-            reference=reference,
-            closed_form=closed_form,
-            limits=LIMITS,
-        )
-    return Scene(
+    crane = Scene(
         name="rotary_crane",
-        models={"points": _signed_points, "generalized": _signed_generalized},
-        reference=reference,
-        closed_form=through_axis,
-        limits=(*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True)),
-        follow_branch=True,
+        models={"points": points, "generalized": generalized, "bodies": bodies},
+        reference=rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0),
+        closed_form=closed_form,
+        limits=LIMITS,
     )
-
-
-def _signed_points() -> MechanicalSystem:
-    return points(SIGNED_TROLLEY)
-
-
-def _signed_generalized() -> MechanicalSystem:
-    return generalized(SIGNED_TROLLEY)
+    if not across_axis:
+        return crane
+    limits = (*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True))
+    return replace(crane, models=SIGNED_MODELS, closed_form=through_axis, limits=limits, follow_branch=True)

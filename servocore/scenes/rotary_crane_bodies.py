@@ -32,20 +32,10 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
-from servocore.model.quantity import Quantity
-from servocore.model.rotationless import (
-    GROUND,
-    Assembly,
-    PointMass,
-    RigidBody,
-    angle,
-    displacement,
-    distance,
-    prismatic,
-    revolute,
-    turned,
-)
-from servocore.model.symbols import Parameters
+from servocore.model.rotationless.assembly import Assembly
+from servocore.model.rotationless.joints import angle, displacement, distance, prismatic, revolute
+from servocore.model.rotationless.parts import GROUND, PointMass, RigidBody, turned
+from servocore.model.symbols import Parameters, Quantity
 from servocore.scenes import hanging_load
 
 if TYPE_CHECKING:
@@ -67,9 +57,6 @@ _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
 TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
-ROPE = Quantity("l", "m", "rope length", positive=True)
-TENSION = Quantity("tension", "N", "rope tension")
-SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
 
 
 def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[Quantity, ...]) -> MechanicalSystem:
@@ -100,7 +87,6 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
     load, winch = crane.point("load").position, crane.body("winch").origin
     constraints = _constraints(crane, length)
     lam = crane.multipliers(constraints)
-    rope = winch - load
     system = crane.system(
         "rotary crane, bodies",
         constraints=constraints,
@@ -112,9 +98,9 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
         observables={
             PHI: phi,
             TROLLEY: s,
-            ROPE: length,
-            TENSION: 2 * length * lam["rope"],
-            SWING: ca.atan2(ca.norm_2(rope[:2]), rope[2]),
+            hanging_load.ROPE: length,
+            hanging_load.TENSION: 2 * length * lam["rope"],
+            hanging_load.SWING: hanging_load.swing_angle(load - winch),
         },
     )
     place, hanging, _ = hanging_load.suspension(system.gamma, parameters)

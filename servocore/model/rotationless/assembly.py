@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -40,12 +39,26 @@ class Assembly:
     ------
     InvalidModel
         If a name is used twice, or mass properties are impossible at the default parameters.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+        Of all parts.
+    mass : casadi.SX
+        Constant mass matrix, shape (n, n); zero for augmented coordinates.
+    potential : casadi.SX
+        Potential of gravity, J.
+    orthonormality : casadi.SX
+        Six constraints of every rigid body, in the order of the parts.
     """
 
     parts: Sequence[Part]
     parameters: Parameters
     gravity: Sequence[Scalar]
     coordinates: Coordinates = field(init=False)
+    mass: ca.SX = field(init=False)
+    potential: ca.SX = field(init=False)
+    orthonormality: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
         names = self._names
@@ -55,8 +68,19 @@ class Assembly:
         for part in self.parts:
             if not isinstance(part, Quantity):
                 part.check(self.parameters)
-        quantities = [each for part in self.parts for each in _quantities(part)]
-        object.__setattr__(self, "coordinates", Coordinates(*quantities))
+        object.__setattr__(
+            self, "coordinates", Coordinates(*(each for part in self.parts for each in _quantities(part)))
+        )
+        blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
+        object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*blocks)))
+        gravity = ca.sparsify(ca.SX(ca.vertcat(*self.gravity)))
+        potential, rows = ca.SX(0), ca.SX(0, 1)
+        for part, q in zip(self.parts, self._slices, strict=True):
+            if not isinstance(part, Quantity):
+                potential -= part.mass * ca.dot(gravity, part.weight_centre(q))
+                rows = ca.vertcat(rows, part.internal_constraints(q))
+        object.__setattr__(self, "potential", potential)
+        object.__setattr__(self, "orthonormality", rows)
 
     def body(self, name: str) -> Frame:
         """Return the frame of a rigid body, the hook for its joints."""
@@ -69,32 +93,6 @@ class Assembly:
     def augmented(self, name: str) -> ca.SX:
         """Return the symbol of an augmented coordinate."""
         return self._coordinates_of(name, Quantity, "augmented coordinate")
-
-    @cached_property
-    def mass(self) -> ca.SX:
-        """Constant mass matrix, shape (n, n); zero for augmented coordinates."""
-        blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
-        return ca.sparsify(ca.diagcat(*blocks))
-
-    @cached_property
-    def potential(self) -> ca.SX:
-        """Potential of gravity, J."""
-        gravity = ca.sparsify(ca.SX(ca.vertcat(*self.gravity)))
-        total = ca.SX(0)
-        for part, q in zip(self.parts, self._slices, strict=True):
-            if not isinstance(part, Quantity):
-                total -= part.mass * ca.dot(gravity, part.weight_centre(q))
-        return total
-
-    @cached_property
-    def orthonormality(self) -> ca.SX:
-        """Six constraints of every rigid body, in the order of the parts."""
-        rows = [
-            part.internal_constraints(q)
-            for part, q in zip(self.parts, self._slices, strict=True)
-            if not isinstance(part, Quantity)
-        ]
-        return ca.vertcat(ca.SX(0, 1), *rows)
 
     def configuration(self, values: Configuration) -> ca.SX:
         """Return q, shape (n,), from (position, directors) of bodies, positions of points, augmented values.

@@ -1,0 +1,62 @@
+"""Interpolation by Lagrange's formula, for numbers and for symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import prod
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def lagrange(nodes: npt.ArrayLike, points: npt.ArrayLike) -> Array:
+    """Return the weights L with L @ values(nodes) = values(points), for polynomials of degree len(nodes) - 1.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (n,)
+        Where values are known; no two alike.
+    points : array_like, shape (m,)
+        Where values are wanted, in the unit of the nodes.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        Each row sums to one.
+    """
+    return np.column_stack(_weights(np.asarray(nodes, dtype=np.float64), np.asarray(points, dtype=np.float64)))
+
+
+def symbolic_lagrange(nodes: npt.ArrayLike, points: Iterable[ca.SX]) -> ca.SX:
+    """Return the weights W with values(nodes) @ W = values(points), as `lagrange` does for points that are symbols.
+
+    Parameters
+    ----------
+    nodes : array_like, shape (n,)
+        Where values are known; no two alike.
+    points : iterable of casadi.SX, length m
+        Where values are wanted, in the unit of the nodes.
+
+    Returns
+    -------
+    casadi.SX, shape (n, m)
+        Values stand side by side here, one column a node, as CasADi's columns do.
+    """
+    places = np.asarray(nodes, dtype=np.float64)
+    return ca.horzcat(*[ca.vertcat(*_weights(places, point)) for point in points])
+
+
+def _weights(nodes: Array, point: Any) -> list[Any]:
+    """Value at a point (or array of points) of each polynomial that is one at its own node and zero at the others."""
+    weights = []
+    for i, own in enumerate(nodes):
+        others = np.delete(nodes, i)
+        # Whole products first: between equidistant nodes they are whole numbers, and their quotient is exact.
+        weights.append(
+            prod((point - float(other) for other in others), start=point * 0.0 + 1.0) / float(prod(own - others))
+        )
+    return weights
