@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.scenes.jets import Jet, atan2, components, sqrt
 from servocore.references import rest_to_rest
-from servocore.scenes.jets import Jet, atan2, components, sin_cos, sqrt
+from servocore.scenes.jets import Jet, atan2, components, sqrt
 
 ORDER = 6
 TIMES = np.linspace(0.3, 2.1, 7)

@@ -52,8 +52,7 @@ class TestScenes:
         assert len(needs) > 40
 
     def test_without_docstrings_the_table_is_still_there(self):
-        code = "from servocore.cli import commands
-from servocore.cli.commands import app; app(['scenes'])"
+        code = "from servocore.cli.commands import app; app(['scenes'])"
         command = [sys.executable, "-OO", "-c", code]
         found = subprocess.run(
             command, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "120"}

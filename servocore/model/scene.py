@@ -9,8 +9,9 @@ from functools import lru_cache
 import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.model.symbols import Array, Parameters
+from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 
 ModelFactory = Callable[[], MechanicalSystem]

@@ -29,9 +29,11 @@ from typing import Any, ClassVar, TypeAlias
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
+from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import jets

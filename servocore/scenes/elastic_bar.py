@@ -30,8 +30,10 @@ from typing import Any
 
 import numpy as np
 
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Array, Parameter, Parameters, Quantity
+from servocore.model.symbols import Parameter, Parameters
+from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.scenes.cars import Chain, Values
 

@@ -18,9 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Array, Parameter, Parameters, Quantity
+from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 

@@ -14,9 +14,12 @@ from operator import add
 import casadi as ca
 import numpy as np
 
+from servocore.model.generalise import generalise
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.scenes import jets
 
 PARAMETERS = (

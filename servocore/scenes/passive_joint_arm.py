@@ -37,9 +37,12 @@ from collections.abc import Mapping
 import casadi as ca
 import numpy as np
 
+from servocore.model.generalise import generalise
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
-from servocore.model.symbols import Array, Coordinates, Parameter, Parameters, Quantity
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, generalise
+from servocore.model.symbols import Coordinates, Parameter, Parameters
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes.internal_dynamics import forward, two_sided

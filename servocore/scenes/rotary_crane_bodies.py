@@ -32,10 +32,11 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from servocore.model.quantity import Quantity
 from servocore.model.rotationless.assembly import Assembly
 from servocore.model.rotationless.joints import angle, displacement, distance, prismatic, revolute
 from servocore.model.rotationless.parts import GROUND, PointMass, RigidBody, turned
-from servocore.model.symbols import Parameters, Quantity
+from servocore.model.symbols import Parameters
 from servocore.scenes import hanging_load
 
 if TYPE_CHECKING:
