@@ -16,7 +16,7 @@ from servocore.errors import (
     InvalidSetting,
     ServocoreError,
     ServocoreWarning,
-)
+)  # fmt: skip
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import (
     BDF,
@@ -27,8 +27,9 @@ from servocore.methods import (
     Method,
     Orders,
     RadauIIA,
+    Start,
     Trapezoidal,
-)
+)  # fmt: skip
 from servocore.model.generalise import generalise
 from servocore.model.parameter_files import read_parameters
 from servocore.model.quantity import Quantity
@@ -54,7 +55,7 @@ from servocore.references import (
     three_phase,
     through,
     waypoints_from_csv,
-)
+)  # fmt: skip
 from servocore.solution import Solution, Statistics
 from servocore.solvers import Adaptive, BoundaryValue, ExactInversion, Route, simulate, solve
 from servocore.stepping.forward_dynamics import compile_plant
@@ -64,7 +65,8 @@ from servocore.stepping.stepper import Stepper
 
 __version__ = "0.1.0"
 
-__all__ = [  # use: to solve, look and simulate
+# Use: to look at a problem, solve it, try the answer.
+__all__ = [
     "BDF",
     "DEGREE3",
     "DEGREE5",
@@ -114,8 +116,9 @@ __all__ = [  # use: to solve, look and simulate
     "three_phase",
     "through",
     "waypoints_from_csv",
-]
-__all__ += [  # extend: for systems, formulations and methods of your own
+]  # fmt: skip
+# Extend: for systems, formulations, methods and routes of one's own.
+__all__ += [
     "MAX_REFERENCE_ORDER",
     "Coordinates",
     "Dae",
@@ -131,7 +134,8 @@ __all__ += [  # extend: for systems, formulations and methods of your own
     "Quantity",
     "Route",
     "SquareSystem",
+    "Start",
     "Unknown",
     "c_compiler",
     "generalise",
-]
+]  # fmt: skip

@@ -115,3 +115,40 @@ class Dae:
     def reference_order(self) -> int:
         """Highest derivative of the reference that enters."""
         return highest_derivative(ca.vertcat(self.f, self.h), self.gamma)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the rows."""
+        return tuple(each.name for each in self.equations)
+
+    def at(self, expression: ca.SX, x: ca.SX, z: ca.SX, reference: ca.SX) -> ca.SX:
+        """Evaluate an expression of this equation at other unknowns and another instant.
+
+        Parameters
+        ----------
+        expression : casadi.SX
+            In the symbols of this equation, such as `f` or `h`.
+        x, z : casadi.SX
+            What stands in the place of the unknowns.
+        reference : casadi.SX
+            What stands in the place of gamma, shape (m, reference_order + 1).
+        """
+        old = ca.vertcat(self.x, self.z, ca.vec(self.gamma[:, : reference.size2()]))
+        return ca.substitute(expression, old, ca.vertcat(x, z, ca.vec(reference)))
+
+    def reference_symbols(self, nodes: int) -> tuple[ca.SX, list[ca.SX]]:
+        """Make symbols of the reference at the nodes of a step; returns all of them and one block a node."""
+        orders = self.reference_order + 1
+        reference = ca.SX.sym("gamma_at", self.gamma.size1(), orders * nodes)
+        return reference, ca.horzsplit(reference, orders)
+
+    def scales(self, h: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return the magnitudes of unknowns and equations, by which Newton's system becomes well conditioned.
+
+        An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index
+        one or less nothing is divided by h, and nothing needs scaling.
+        """
+        if self.index <= 1:
+            return ca.vertcat(*[each.nominal for each in self.unknowns]), ca.SX.ones(len(self.equations))
+        unknowns = [each.nominal * h**-each.level for each in self.unknowns]
+        return ca.vertcat(*unknowns), ca.vertcat(*[h**-each.level for each in self.equations])

@@ -12,7 +12,6 @@ from suite import ZERO, MethodSuite, march, polynomial, small_dae
 
 import servocore as sc
 from servocore.dae import Dae, Equation, Unknown
-from servocore.methods.base import scales
 from servocore.methods.bdf import coefficients
 from servocore.methods.collocation import Tableau, tableau
 
@@ -129,14 +128,14 @@ def a_dae(index):
 
 def test_unknowns_and_equations_are_scaled_by_the_power_of_the_step_that_their_level_has():
     """Positions by 1, velocities by 1/h, multipliers and inputs by 1/h^2, each times its nominal size."""
-    found = ca.Function("scales", [h := ca.SX.sym("h")], list(scales(a_dae(3), h)))
+    found = ca.Function("scales", [h := ca.SX.sym("h")], list(a_dae(3).scales(h)))
     unknowns, equations = (np.asarray(each).ravel() for each in found(0.1))
     np.testing.assert_allclose(unknowns, [2.0, 30.0, 500.0, 700.0])
     np.testing.assert_allclose(equations, [10.0, 100.0, 1.0, 1.0])
 
 
 def test_nothing_is_scaled_by_the_step_where_nothing_is_divided_by_it():
-    found = ca.Function("scales", [h := ca.SX.sym("h")], list(scales(a_dae(1), h)))
+    found = ca.Function("scales", [h := ca.SX.sym("h")], list(a_dae(1).scales(h)))
     unknowns, equations = (np.asarray(each).ravel() for each in found(0.1))
     np.testing.assert_allclose(unknowns, [2.0, 3.0, 5.0, 7.0])
     np.testing.assert_allclose(equations, 1.0)

@@ -1,7 +1,7 @@
 """Methods turn a `Dae` into the equations of one time step: one file each."""
 
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Discretisation, Method, Orders
+from servocore.methods.base import Discretisation, Method, Orders, Start
 from servocore.methods.bdf import BDF
 from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.methods.generalized_alpha import GeneralizedAlpha
@@ -16,5 +16,6 @@ __all__ = [
     "Method",
     "Orders",
     "RadauIIA",
+    "Start",
     "Trapezoidal",
 ]

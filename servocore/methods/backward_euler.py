@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation, Orders, backward_differences, start_symbols
+from servocore.methods.base import Discretisation, Orders, Start, backward_differences
 
 
 @dataclass(frozen=True)
@@ -30,4 +30,4 @@ class BackwardEuler:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step of (31)."""
-        return backward_differences(dae, [1.0, -1.0], start_symbols(dae, 2 if dae.index > 1 else 1))
+        return backward_differences(dae, [1.0, -1.0], Start.of(dae, 2 if dae.index > 1 else 1))

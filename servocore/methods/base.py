@@ -48,6 +48,13 @@ class Start:
     values: ca.SX
     rates: ca.SX
 
+    @classmethod
+    def of(cls, dae: Dae, instants: int = 1) -> Start:
+        """Make the symbols of values at 0, -1, ..., 1 - `instants` steps."""
+        size_x, size = dae.x.numel(), len(dae.unknowns)
+        history, rates = ca.SX.sym("history", size, instants), ca.SX.sym("rates", size_x)
+        return cls(tuple(-float(k) for k in range(instants)), history, rates)
+
 
 UNNEEDED = ca.SX()
 """Default of what a `Discretisation` can do without."""
@@ -127,16 +134,6 @@ class Method(Protocol):
         """Return the equations of one step."""
 
 
-def start_symbols(dae: Dae, instants: int = 1) -> Start:
-    """Make the symbols of a start from values at 0, -1, ..., 1 - instants steps."""
-    size_x, size_z = dae.x.numel(), dae.z.numel()
-    return Start(
-        tuple(-float(k) for k in range(instants)),
-        ca.SX.sym("history", size_x + size_z, instants),
-        ca.SX.sym("rates", size_x),
-    )
-
-
 def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     """Return the history of a multistep method, shape (len x + len z, len alpha).
 
@@ -164,37 +161,11 @@ def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     return history
 
 
-def reference_symbols(dae: Dae, nodes: int) -> tuple[ca.SX, list[ca.SX]]:
-    """Make symbols of the reference at the nodes of a step; returns all of them and one block a node."""
-    orders = dae.reference_order + 1
-    reference = ca.SX.sym("gamma_at", dae.gamma.size1(), orders * nodes)
-    return reference, [reference[:, k * orders : (k + 1) * orders] for k in range(nodes)]
-
-
-def at(dae: Dae, expression: ca.SX, x: ca.SX, z: ca.SX, reference: ca.SX) -> ca.SX:
-    """Evaluate an expression of a `Dae` at other unknowns and another instant."""
-    old = ca.vertcat(dae.x, dae.z, ca.vec(dae.gamma[:, : reference.size2()]))
-    return ca.substitute(expression, old, ca.vertcat(x, z, ca.vec(reference)))
-
-
-def scales(dae: Dae, h: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the magnitudes of unknowns and equations, by which Newton's system becomes well conditioned.
-
-    An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index one
-    or less nothing is divided by h, and nothing needs scaling.
-    """
-    if dae.index <= 1:
-        return ca.vertcat(*[each.nominal for each in dae.unknowns]), ca.SX.ones(len(dae.equations))
-    unknowns = [each.nominal * h**-each.level for each in dae.unknowns]
-    equations = [h**-each.level for each in dae.equations]
-    return ca.vertcat(*unknowns), ca.vertcat(*equations)
-
-
 def instantaneous(dae: Dae) -> Discretisation:
     """Return the one discretisation of a `Dae` without differential states: its equations, at the new instant."""
-    reference, (gamma,) = reference_symbols(dae, 1)
-    old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), start_symbols(dae)
-    residual, first = at(dae, dae.h, dae.x, dae.z, gamma), start.values[:, 0]
+    reference, (gamma,) = dae.reference_symbols(1)
+    old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), Start.of(dae)
+    residual, first = dae.at(dae.h, dae.x, dae.z, gamma), start.values[:, 0]
     return on_history(dae, old, residual, h=h, reference=reference, nodes=(1.0,), start=start, first=first)
 
 
@@ -203,10 +174,10 @@ def backward_differences(dae: Dae, alpha: list[float], start: Start) -> Discreti
     size_x, h = dae.x.numel(), ca.SX.sym("h")
     # One column more than the formula needs serves to extrapolate the first guess with its order.
     history = ca.SX.sym("past", size_x + dae.z.numel(), len(alpha))
-    reference, (gamma,) = reference_symbols(dae, 1)
+    reference, (gamma,) = dae.reference_symbols(1)
     past = sum((a * history[:size_x, i] for i, a in enumerate(alpha[1:])), ca.SX.zeros(size_x))
     rate = (alpha[0] * dae.x + past) / h
-    residual = at(dae, ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma)
+    residual = dae.at(ca.vertcat(ca.mtimes(dae.H, rate) - dae.f, dae.h), dae.x, dae.z, gamma)
     first = differenced(dae, start, h, alpha)
     return on_history(dae, history, residual, h=h, reference=reference, nodes=(1.0,), start=start, first=first)
 
@@ -241,7 +212,7 @@ def on_history(
     """
     size_x, places = dae.x.numel(), -np.arange(float(history.size2()))  # in steps
     unknowns, ratio, fraction = ca.vertcat(dae.x, dae.z), ca.SX.sym("ratio"), ca.SX.sym("fraction")
-    unknown_scale, residual_scale = scales(dae, h)
+    unknown_scale, residual_scale = dae.scales(h)
     equations = SquareSystem(
         unknowns=unknowns,
         givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
@@ -265,10 +236,5 @@ def on_history(
         rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(places, [ratio * place for place in places]))),
         fraction=fraction,
         between=ca.vertcat(ca.mtimes(history, symbolic_lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
-        labels=labels(dae),
+        labels=dae.labels,
     )
-
-
-def labels(dae: Dae) -> tuple[str, ...]:
-    """Names of the rows of a `Dae`."""
-    return tuple(each.name for each in dae.equations)

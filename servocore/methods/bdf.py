@@ -8,7 +8,7 @@ from math import comb
 
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
-from servocore.methods.base import Discretisation, Orders, backward_differences, start_symbols
+from servocore.methods.base import Discretisation, Orders, Start, backward_differences
 
 
 def coefficients(order: int) -> tuple[Fraction, ...]:
@@ -58,4 +58,4 @@ class BDF:
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
         alpha = [float(each) for each in coefficients(self.order)]
-        return backward_differences(dae, alpha, start_symbols(dae, 2 * self.order + 1))
+        return backward_differences(dae, alpha, Start.of(dae, 2 * self.order + 1))

@@ -11,15 +11,7 @@ from numpy.polynomial import legendre
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import (
-    Discretisation,
-    Orders,
-    at,
-    labels,
-    reference_symbols,
-    scales,
-    start_symbols,
-)
+from servocore.methods.base import Discretisation, Orders, Start
 from servocore.numerics.interpolation import Array, lagrange, symbolic_lagrange
 from servocore.numerics.square_systems import SquareSystem
 
@@ -159,16 +151,16 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     s, size_x = len(method.c), dae.x.numel()
     size = size_x + dae.z.numel()
     old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)
-    h, start, state = ca.SX.sym("h"), start_symbols(dae), ca.vertcat(old, ca.vec(past))
-    reference, at_nodes = reference_symbols(dae, s)
+    h, start, state = ca.SX.sym("h"), Start.of(dae), ca.vertcat(old, ca.vec(past))
+    reference, at_nodes = dae.reference_symbols(s)
     W, fraction = np.linalg.inv(method.A), ca.SX.sym("fraction")
     residual = []
     for i, gamma in enumerate(at_nodes):
         rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
         x, z = unknowns[:size_x, i], unknowns[size_x:, i]
-        H, f, algebraic = (at(dae, each, x, z, gamma) for each in (dae.H, dae.f, dae.h))
+        H, f, algebraic = (dae.at(each, x, z, gamma) for each in (dae.H, dae.f, dae.h))
         residual.append(ca.vertcat(ca.mtimes(H, rate) - f, algebraic))
-    unknown_scale, residual_scale = scales(dae, h)
+    unknown_scale, residual_scale = dae.scales(h)
     equations = SquareSystem(
         unknowns=ca.vec(unknowns),
         givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
@@ -196,5 +188,5 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         step=h,
         fraction=fraction,
         between=ca.vertcat(ca.mtimes(past, symbolic_lagrange(method.c, [fraction])), ca.vec(past)),
-        labels=labels(dae) * s,
+        labels=dae.labels * s,
     )

@@ -8,15 +8,7 @@ import casadi as ca
 
 from servocore.dae import Dae
 from servocore.errors import InvalidModel, InvalidSetting
-from servocore.methods.base import (
-    Discretisation,
-    Orders,
-    at,
-    labels,
-    reference_symbols,
-    scales,
-    start_symbols,
-)
+from servocore.methods.base import Discretisation, Orders, Start
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -63,19 +55,19 @@ class GeneralizedAlpha:
         q0, v0, z0, a0, rate0 = ca.vertsplit(old, [0, n, 2 * n, 2 * n + size_z, 3 * n + size_z, 4 * n + size_z])
         a1, rate1, h = ca.SX.sym("a", n), ca.SX.sym("v_dot", n), ca.SX.sym("h")
         q1, v1 = dae.x[places_q], dae.x[places_v]
-        reference, (at_end,) = reference_symbols(dae, 1)
+        reference, (at_end,) = dae.reference_symbols(1)
         x_dot = ca.SX.zeros(2 * n)
         x_dot[places_q], x_dot[places_v] = v1, rate1
-        balance = at(dae, ca.mtimes(dae.H, x_dot) - dae.f, dae.x, dae.z, at_end)
+        balance = dae.at(ca.mtimes(dae.H, x_dot) - dae.f, dae.x, dae.z, at_end)
         kept = [k for k in range(balance.numel()) if not balance[k].is_zero()]  # q_dot = v holds by construction
         residual = ca.vertcat(
             (q1 - q0 - h * v0) / h**2 - (0.5 - beta) * a0 - beta * a1,
             (v1 - v0) / h - (1 - gamma) * a0 - gamma * a1,
             (1 - alpha_m) * a1 + alpha_m * a0 - (1 - alpha_f) * rate1 - alpha_f * rate0,
             balance[kept],
-            at(dae, dae.h, dae.x, dae.z, at_end),
+            dae.at(dae.h, dae.x, dae.z, at_end),
         )
-        unknown_scale, residual_scale = scales(dae, h)
+        unknown_scale, residual_scale = dae.scales(h)
         accelerations = h**-2 if dae.index > 1 else ca.SX(1)
         unknowns = ca.vertcat(dae.x, dae.z, a1, rate1)
         rows = [*kept, *range(balance.numel(), residual_scale.numel())]
@@ -87,7 +79,7 @@ class GeneralizedAlpha:
             unknown_scale=ca.vertcat(unknown_scale, ca.repmat(accelerations, 2 * n, 1)),
             residual_scale=ca.vertcat(ca.repmat(accelerations, 3 * n, 1), residual_scale[rows]),
         )
-        start, fraction = start_symbols(dae), ca.SX.sym("fraction")
+        start, fraction = Start.of(dae), ca.SX.sym("fraction")
         back = (1 - fraction) * h
         x_first, rate_first = start.values[: 2 * n, 0], start.rates[places_v]
         return Discretisation(
@@ -111,7 +103,7 @@ class GeneralizedAlpha:
                     for kind in ("position", "velocity", "acceleration")
                     for k in places_q
                 ),
-                *(labels(dae)[k] for k in rows),
+                *(dae.labels[k] for k in rows),
             ),
         )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.methods.base import Discretisation, Orders, at, on_history, reference_symbols, start_symbols
+from servocore.methods.base import Discretisation, Orders, Start, on_history
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,12 @@ class Trapezoidal:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        size_x, h, start = dae.x.numel(), ca.SX.sym("h"), start_symbols(dae)
+        size_x, h, start = dae.x.numel(), ca.SX.sym("h"), Start.of(dae)
         history = ca.SX.sym("past", size_x + dae.z.numel(), 2)
-        reference, (gamma0, gamma1) = reference_symbols(dae, 2)
+        reference, (gamma0, gamma1) = dae.reference_symbols(2)
         old_x, old_z = history[:size_x, 0], history[size_x:, 0]
-        H = (at(dae, dae.H, old_x, old_z, gamma0) + at(dae, dae.H, dae.x, dae.z, gamma1)) / 2
-        f = (at(dae, dae.f, old_x, old_z, gamma0) + at(dae, dae.f, dae.x, dae.z, gamma1)) / 2
-        residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, at(dae, dae.h, dae.x, dae.z, gamma1))
+        H = (dae.at(dae.H, old_x, old_z, gamma0) + dae.at(dae.H, dae.x, dae.z, gamma1)) / 2
+        f = (dae.at(dae.f, old_x, old_z, gamma0) + dae.at(dae.f, dae.x, dae.z, gamma1)) / 2
+        residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, dae.at(dae.h, dae.x, dae.z, gamma1))
         first = ca.repmat(start.values[:, 0], 1, 2)
         return on_history(dae, history, residual, h=h, reference=reference, nodes=(0.0, 1.0), start=start, first=first)

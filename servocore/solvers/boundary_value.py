@@ -18,8 +18,7 @@ import numpy.typing as npt
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import at, reference_symbols
-from servocore.methods.collocation import RadauIIA, tableau
+from servocore.methods.collocation import Gauss, RadauIIA, tableau
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
@@ -154,22 +153,13 @@ def _interval(resolved: ResolvedSystem, stages: int) -> tuple[ca.Function, ca.Fu
     Returns (values, gamma, h, p) -> residual, the same -> nonzeros of its Jacobian by values, and their (row, column)
     places; values are [x at the left; stages; x at the right].
     """
-    dae, method = resolved.dae(Reduced()), tableau("gauss", stages)
-    size_x, size = dae.x.numel(), dae.x.numel() + dae.z.numel()
-    left, right, stage = ca.SX.sym("left", size_x), ca.SX.sym("right", size_x), ca.SX.sym("stage", size, stages)
-    h, (reference, at_nodes) = ca.SX.sym("h"), reference_symbols(dae, stages)
-    W = np.linalg.inv(method.A)
-    travel = stage[:size_x, :] - ca.repmat(left, 1, stages)
-    rows = []
-    for i, gamma in enumerate(at_nodes):
-        x, z = stage[:size_x, i], stage[size_x:, i]
-        rows.append(ca.mtimes(travel, ca.DM(W[i])) / h - at(dae, dae.f, x, z, gamma))
-        rows.append(at(dae, dae.h, x, z, gamma))
-    rows.append(left + ca.mtimes(travel, ca.DM(method.b @ W)) - right)
-    values = ca.vertcat(left, ca.vec(stage), right)
-    residual = ca.vertcat(*rows)
+    dae = resolved.dae(Reduced())
+    step = Gauss(stages).discretise(dae)
+    right = ca.SX.sym("right", dae.x.numel())
+    values = ca.vertcat(step.x, step.equations.unknowns, right)
+    residual = ca.vertcat(step.equations.residual, step.next_state[: dae.x.numel()] - right)
     jacobian = ca.jacobian(residual, values)
-    arguments = [values, reference, h, dae.p]
+    arguments = [values, step.reference, step.step, dae.p]
     places = np.array(jacobian.sparsity().get_triplet(), dtype=np.int64)
     return (
         ca.Function("sc_interval", arguments, [ca.densify(residual)], {"cse": True}),

@@ -11,9 +11,9 @@ import numpy.typing as npt
 from servocore.checks.limits import require_feasible
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
-from servocore.methods.base import Method
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Method, instantaneous
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
@@ -21,7 +21,7 @@ from servocore.solution import Solution
 from servocore.solvers.loop import Progress, run
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
-from servocore.structure.derivative_array import DerivativeArray
+from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
 
@@ -159,36 +159,18 @@ def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.F
 
     gamma has shape (m, reference_order + 1).
     """
-    system, array, inverse = resolved.system, resolved.array, resolved.once(inversion)
-    gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    y = ca.SX.sym("y", len(array.unknowns))
-    read = ca.Function("sc_read", [y, gamma, p], [_wanted(array, y, gamma, p)], {"cse": True})
+    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
+    wanted = [(quantity, each) for quantity, each in system.observables.items() if quantity.positive]
+    wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
+    order = resolved.array.reference_order
+    read = compile_observation(system, dae, instantaneous(dae), wanted, order)
+    gamma, p = system.gamma[:, : order + 1], system.p
     G, P = ca.MX.sym("gamma", *gamma.shape), ca.MX.sym("p", p.numel())
-    seeking = ca.Function("sc_inputs", [G, P], [read(inverse.function(G, P)[0], G, P)])
+    seeking = ca.Function("sc_inputs", [G, P], [read(inverse.function(G, P)[0], G, P)[0]])
     quick, flat = seeking, inverse.expression
     if flat is not None:
-        quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)], {"cse": True})
+        quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)[0]], {"cse": True})
     if native:
         made = compiled({"quick": quick, "seeking": seeking}, system.name)
         quick, seeking = made["quick"], made["seeking"]
     return quick, seeking
-
-
-def _wanted(array: DerivativeArray, y: ca.SX, gamma: ca.SX, p: ca.SX) -> ca.SX:
-    """Return the inputs and the observables that must be positive, in terms of the unknowns of the array."""
-    system = array.system
-    signs = [expression for quantity, expression in system.observables.items() if quantity.positive]
-    variables = _variables(system)
-    known = dict(zip(array.unknowns, ca.vertsplit(y), strict=True))
-    values = [known.get((j, order), ca.SX(0)) for j, order, _ in variables]
-    symbols = ca.vertcat(*[symbol for _, _, symbol in variables], ca.vec(system.gamma[:, : gamma.size2()]), system.p)
-    found = ca.substitute(ca.vertcat(system.u, *signs), symbols, ca.vertcat(*values, ca.vec(gamma), p))
-    return ca.densify(found)
-
-
-def _variables(system: MechanicalSystem) -> list[tuple[int, int, ca.SX]]:
-    """Return place, order of derivative and symbol of q, v, lam and u."""
-    n = len(system.coordinates)
-    positions = [(k, order, symbol[k]) for order, symbol in enumerate((system.q, system.v)) for k in range(n)]
-    forces = ca.vertsplit(ca.vertcat(system.lam, system.u))
-    return [*positions, *((n + k, 0, each) for k, each in enumerate(forces))]

@@ -6,15 +6,13 @@ CasADi only, so that an FMU can carry it with the saved functions.
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
 import casadi as ca
 
-from servocore.errors import ServocoreError
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, Call
+from servocore.numerics.saved import from_json, to_json
 
 _FUNCTIONS = ("step", "held_step", "observe", "held_observe", "linearise")
 _FORMAT = "servocore plant 2"
@@ -80,27 +78,9 @@ class Plant:
 
     def to_json(self) -> str:
         """Serialise, with the functions in CasADi's own format."""
-        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__}
-        for attribute in (each.name for each in fields(self) if each.init):
-            value = getattr(self, attribute)
-            if attribute in _FUNCTIONS:
-                document[attribute] = value.serialize()
-            else:
-                document[attribute] = [asdict(each) for each in value] if attribute == "channels" else value
-        return json.dumps(document)
+        return to_json(self, _FORMAT)
 
     @classmethod
     def from_json(cls, text: str) -> Plant:
         """Undo `to_json`; raises `ServocoreError` if the text is not a plant."""
-        try:
-            document = json.loads(text)
-            if document.pop("format") != _FORMAT:
-                raise ServocoreError("the saved plant has another format")
-            del document["casadi"]
-            for attribute in _FUNCTIONS:
-                document[attribute] = ca.Function.deserialize(document[attribute])
-            document["channels"] = tuple(Quantity(**each) for each in document["channels"])
-            document["parameters"] = tuple(document["parameters"])
-            return cls(**document)
-        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-            raise ServocoreError(f"the saved plant cannot be read: {error}") from error
+        return from_json(cls, text, _FORMAT, {"channels": Quantity})

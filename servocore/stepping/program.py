@@ -6,10 +6,8 @@ the modelling side. The state is one flat float64 vector, history included: copy
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -17,6 +15,7 @@ import numpy as np
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, Call
+from servocore.numerics.saved import from_json, to_json
 
 _FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
 _FORMAT = "servocore program 3"
@@ -165,31 +164,12 @@ class Program:
         """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
         if self.step.is_a("External", True):
             raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
-        functions = ca.StringSerializer()
-        functions.pack([getattr(self, name) for name in _FUNCTIONS])  # together: what they share is saved once
-        document: dict[str, Any] = {"format": _FORMAT, "casadi": ca.__version__, "functions": functions.encode()}
-        for attribute in (each.name for each in fields(self) if each.init and each.name not in _FUNCTIONS):
-            value = getattr(self, attribute)
-            document[attribute] = [asdict(each) for each in value] if attribute in ("channels", "limits") else value
-        return json.dumps(document)
+        return to_json(self, _FORMAT)
 
     @classmethod
     def from_json(cls, text: str) -> Program:
         """Undo `to_json`; raises `ServocoreError` if the text is not a program."""
-        try:
-            document = json.loads(text)
-            if document.pop("format") != _FORMAT:
-                raise ServocoreError("the saved program has another format")
-            document.pop("casadi")  # for humans
-            functions = ca.StringDeserializer(document.pop("functions")).unpack()
-            document |= zip(_FUNCTIONS, functions, strict=True)
-            document["channels"] = tuple(Quantity(**each) for each in document["channels"])
-            document["limits"] = tuple(LimitText(**each) for each in document["limits"])
-            for attribute in ("nodes", "start_instants", "parameters", "equations"):
-                document[attribute] = tuple(document[attribute])
-            return cls(**document)
-        except (KeyError, TypeError, ValueError, RuntimeError, AttributeError) as error:
-            raise ServocoreError(f"the saved program cannot be read: {error}") from error
+        return from_json(cls, text, _FORMAT, {"channels": Quantity, "limits": LimitText})
 
 
 def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:
