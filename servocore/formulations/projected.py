@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from servocore.dae import Dae, Equation
 from servocore.formulations.base import mechanical_unknowns, physical_variables
 from servocore.model.system import MechanicalSystem
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.projection import project
-from servocore.structure.signature import Signature
 
 
 @dataclass(frozen=True)
@@ -54,16 +54,21 @@ class Projected:
                 *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
             ),
             physical=physical_variables(system),
-            index=_index(derivative_array(system).signature, len(system.coordinates), len(system.outputs)),
+            index=_index(system, projection.W),
         )
 
 
-def _index(signature: Signature, n: int, m: int) -> int:
+def _index(system: MechanicalSystem, W: ca.SX) -> int:
     """Return the differentiation index of (29) from what (1) has to be differentiated.
 
     The second derivative of c = 0 stands among the rows of (29) already, which saves two differentiations of it. But
-    c = 0 itself has to be differentiated twice, whatever else: v_dot along C occurs nowhere else.
+    c = 0 itself has to be differentiated twice, for v_dot along C occurs nowhere else, and once more unless that row
+    determines all forces: others follow from rows with v_dot.
     """
+    signature, n, m = derivative_array(system).signature, len(system.coordinates), len(system.outputs)
+    by_input = ca.Function("sc_by_input", [system.q, system.p], [ca.mtimes(W.T, system.input_matrix.T)])
+    rank = np.linalg.matrix_rank(np.asarray(by_input(*system.home_configuration())))
+    forces_follow = rank == m and not system.lam.numel()
     offsets = signature.equation_offsets
     others = max((*offsets[:n], *offsets[n + m :]), default=0)
-    return max(2, max(others, max(offsets[n : n + m]) - 2) + signature.algebraic)
+    return max(2 if forces_follow else 3, max(others, max(offsets[n : n + m]) - 2) + signature.algebraic)

@@ -23,6 +23,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters
 from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
+from servocore.numerics.pivoting import last_good_columns
 
 MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
@@ -280,6 +281,20 @@ class MechanicalSystem:
         gamma[:, 0] = self.home
         guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
         return np.asarray(guess(gamma, p)).ravel(), p
+
+    def dependent_coordinates(self) -> list[int]:
+        """Return the coordinates that the servo constraints are solved for: of C the columns of a minor far from zero.
+
+        Raises
+        ------
+        InvalidModel
+            If C loses rank at home.
+        """
+        C = np.asarray(ca.Function("C", [self.q, self.p], [self.C])(*self.home_configuration()))
+        found = last_good_columns(C * self.coordinates.nominal)
+        if found is None:
+            raise InvalidModel(f"{self.name}: the servo outputs are dependent at the home configuration")
+        return found
 
     def require_full_rank(self, q: Array, p: Array) -> None:
         """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""

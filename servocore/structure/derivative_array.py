@@ -17,7 +17,7 @@ import numpy as np
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.numerics.expressions import highest_derivative
-from servocore.structure.projection import pivot_columns
+from servocore.numerics.pivoting import pivot_columns
 from servocore.structure.signature import Signature
 from servocore.structure.structural_analysis import analyse_structure, jacobian_at_probes
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,10 +9,6 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
-
-_MOST_MINORS = 2000  # beyond that many candidates the dependent coordinates are chosen greedily
-_GOOD_ENOUGH = 0.5  # of the largest minor: among such choices the last coordinates are the dependent ones
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +50,7 @@ def project(system: MechanicalSystem) -> Projection:
     if selected is not None:
         free = [k for k in range(C.size2()) if k not in selected]
         return Projection(C, ca.SX.eye(C.size2())[:, free], W, boolean=True)
-    dependent = dependent_columns(system)
+    dependent = system.dependent_coordinates()
     free = [k for k in range(C.size2()) if k not in dependent]
     D = ca.SX.zeros(C.size2(), len(free))
     D[free, :] = ca.SX.eye(len(free))
@@ -74,30 +68,6 @@ def _boolean_columns(C: ca.SX) -> list[int] | None:
     if not (is_selection and (values.sum(axis=0) <= 1).all()):
         return None
     return [int(column) for column in values.argmax(axis=1)]
-
-
-def dependent_columns(system: MechanicalSystem) -> list[int]:
-    """Choose the columns of C that are solved for: a minor that is far from singular at the system's home."""
-    q, p = system.home_configuration()
-    C = np.asarray(ca.Function("C", [system.q, system.p], [system.C])(q, p)) * system.coordinates.nominal
-    m, n = C.shape
-    candidates: list[tuple[int, ...]]
-    if math.comb(n, m) <= _MOST_MINORS:
-        candidates = list(itertools.combinations(range(n), m))
-    else:
-        candidates = [tuple(sorted(pivot_columns(C)))]
-    minors = np.array([abs(np.linalg.det(C[:, columns])) for columns in candidates])
-    if not minors.max(initial=0.0) > 1e-9 * max(1.0, float(np.abs(C).max(initial=0.0))) ** m:
-        raise InvalidModel(f"{system.name}: the servo outputs are dependent at the home configuration")
-    good = [k for k, minor in enumerate(minors) if minor >= _GOOD_ENOUGH * minors.max()]
-    return list(candidates[good[-1]])
-
-
-def pivot_columns(C: Array) -> list[int]:
-    """Return as many columns as there are rows, far from dependent: QR with column pivoting."""
-    import scipy.linalg  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    return [int(column) for column in scipy.linalg.qr(C, mode="r", pivoting=True)[1][: len(C)]]
 
 
 def mass_inverse_times(system: MechanicalSystem, right: ca.SX) -> ca.SX:

@@ -17,7 +17,6 @@ import numpy.typing as npt
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
-from servocore.structure.projection import dependent_columns
 from servocore.structure.signature import SecondOrderEquations, Signature, equilibrated, signature
 
 _COPIES, _TREMOR = 16, 1e-7  # of each point, to tell a coefficient from the round-off of terms that cancel
@@ -152,7 +151,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
     unactuated = [k for k in range(n) if not system.input_matrix[:, k].nnz()]
     if not unactuated:
         return None
-    dependent = dependent_columns(system)
+    dependent = system.dependent_coordinates()
     acceleration = y[:n, 2]
     servo = (
         ca.mtimes(system.C, acceleration)
