@@ -51,7 +51,7 @@ def at_rest(problem: sc.Problem, dae: sc.Dae) -> tuple[np.ndarray, np.ndarray]:
 
 def differentiations(E: np.ndarray, A: np.ndarray) -> int:
     """Count the sweeps of the shuffle algorithm until E is regular."""
-    for count in range(len(E)):
+    for count in range(len(E) + 1):
         size = np.abs(np.hstack([E, A])).max(axis=1, keepdims=True)
         E, A = E / size, A / size
         left, values, _ = np.linalg.svd(E)
