@@ -8,8 +8,10 @@ BIN := .venv/bin
 RUN := $(BIN)/python -m
 INSTALLED := .venv/.installed
 PEERS := .venv/peers
+NEWEST := .venv/newest
+LOWEST := .venv/lowest
 
-.PHONY: help demo test hostile load check format fmu bench chart atlas pictures clean
+.PHONY: help demo test versions hostile load check format fmu bench chart atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -20,6 +22,13 @@ demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tabl
 
 test: $(INSTALLED)  ## run the whole test suite
 	$(RUN) pytest -n $(TEST_PROCESSES)
+
+versions: $(NEWEST)/.installed $(LOWEST)/.installed  ## run the tests on Python 3.13 with the newest releases, on 3.11 with the lowest allowed
+	@status=0; for each in $(NEWEST) $(LOWEST); do \
+		$$each/bin/python -c "import sys, casadi, numpy, scipy; print('Python', sys.version.split()[0], 'CasADi', \
+		casadi.__version__, 'NumPy', numpy.__version__, 'SciPy', scipy.__version__)"; \
+		$$each/bin/python -m pytest -n $(TEST_PROCESSES) -p no:cacheprovider || status=1; \
+	done; exit $$status
 
 hostile: $(INSTALLED)  ## ask each FMU ten thousand random sequences of calls (some 15 minutes)
 	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest -s --durations=0 tests/test_hostile.py
@@ -83,6 +92,21 @@ $(PEERS)/.installed: pyproject.toml | $(INSTALLED)
 	['optional-dependencies']['peers'])"); do \
 		install "$$each" >/dev/null 2>&1 || echo "$$each cannot be installed here; the page says so"; \
 	done
+	@touch $@
+
+# Both ends of what pyproject.toml allows. Only uv can look for the lowest releases; where it is not there it gets an
+# environment of its own. An interpreter that the machine lacks is fetched by uv.
+$(NEWEST)/.installed: version = 3.13
+$(NEWEST)/.installed: resolution = highest
+$(LOWEST)/.installed: version = 3.11
+$(LOWEST)/.installed: resolution = lowest-direct
+$(NEWEST)/.installed $(LOWEST)/.installed: pyproject.toml | $(INSTALLED)
+	@echo "Installing servocore and its tools into $(@D), Python $(version), resolution $(resolution) (a minute or two)"
+	@set -eu; uv=$$(command -v uv || echo .venv/uv/bin/uv); \
+	if ! command -v "$$uv" >/dev/null 2>&1; then \
+		$(RUN) venv .venv/uv; .venv/uv/bin/python -m pip install --quiet --disable-pip-version-check uv; fi; \
+	"$$uv" venv --quiet --clear --python $(version) $(@D); \
+	"$$uv" pip install --quiet --python $(@D)/bin/python --resolution $(resolution) -e '.[dev]'
 	@touch $@
 
 $(BIN)/python:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -45,7 +45,15 @@ class Tableau:
 
 
 def tableau(family: str, stages: int) -> Tableau:
-    """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven."""
+    """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven.
+
+    Raises
+    ------
+    InvalidSetting
+        If that many stages are not offered.
+    """
+    if stages not in range(1, _MOST_STAGES + 1):
+        raise InvalidSetting(f"{stages} stages are not offered; use 1 to {_MOST_STAGES}")
     polynomial = np.zeros(stages + 1)
     polynomial[stages] = 1.0
     if family == "radau":
@@ -67,11 +75,6 @@ def _solve(matrix: Array, right: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
 
 
-def _require_stages(stages: int) -> None:
-    if stages not in range(1, _MOST_STAGES + 1):
-        raise InvalidSetting(f"{stages} stages are not offered; use 1 to {_MOST_STAGES}")
-
-
 @dataclass(frozen=True)
 class RadauIIA:
     """Radau IIA with s stages: collocation at nodes of which the last is the end of the step.
@@ -84,9 +87,10 @@ class RadauIIA:
     """
 
     stages: int = 3
+    tableau: Tableau = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        _require_stages(self.stages)
+        object.__setattr__(self, "tableau", tableau("radau", self.stages))
 
     @property
     def name(self) -> str:
@@ -108,7 +112,7 @@ class RadauIIA:
         """Return the equations of one step; with one stage they are those of backward Euler."""
         if self.stages == 1:
             return BackwardEuler().discretise(dae)
-        return _discretise(dae, tableau("radau", self.stages))
+        return _discretise(dae, self.tableau)
 
 
 @dataclass(frozen=True)
@@ -121,9 +125,10 @@ class Gauss:
     """
 
     stages: int = 1
+    tableau: Tableau = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        _require_stages(self.stages)
+        object.__setattr__(self, "tableau", tableau("gauss", self.stages))
 
     @property
     def name(self) -> str:
@@ -143,7 +148,7 @@ class Gauss:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        return _discretise(dae, tableau("gauss", self.stages))
+        return _discretise(dae, self.tableau)
 
 
 def _discretise(dae: Dae, method: Tableau) -> Discretisation:

@@ -89,10 +89,9 @@ def sampled(
     (derivatives 1 to k zero) if the samples agree with that as well as without; the path then rests outside,
     otherwise the end polynomial goes on.
 
-    What the samples say is checked against itself: the path is fitted twice more, each time to every second
-    sample. Derivative k must be the same within a fraction `doubt` of its peak; corners, jumps and noise fail,
-    since there it grows with the density of the samples. The distance of the samples left out is the `fit_error`,
-    an upper estimate.
+    What the samples say is checked against itself: the path is fitted twice more, each time to every second sample.
+    Derivative k must be the same within a fraction `doubt` of its peak; corners, jumps and noise fail, since there it
+    grows with the density of the samples. The distance of the samples left out is the `fit_error`, an upper estimate.
 
     Parameters
     ----------
@@ -116,8 +115,7 @@ def sampled(
     Raises
     ------
     InvalidReference
-        If samples are not finite, too few, not increasing in time, or too rough (naming the time), or a setting makes
-        no sense.
+        If samples are not finite, too few, not increasing in time, too rough (naming the time), or a setting is wrong.
     """
     free = Ends(start=False, end=False, order=rest_order)
     table = points(positions, "sample")

@@ -144,8 +144,8 @@ class Assembly:
         outputs : mapping of Quantity to casadi.SX
             For every component of the servo output the function of q that follows the reference.
         guess : callable
-            The configuration near a reference y: a function of y, shape (m,), that returns what `configuration`
-            takes. Newton's method starts there, so it decides between branches.
+            Function of a reference y, shape (m,), that returns what `configuration` takes: the configuration near it.
+            Newton's method starts there, so it decides between branches.
         home : tuple of float, optional
             A regular value of the servo output; ones when not given.
         multipliers : mapping of str to casadi.SX, optional
@@ -155,10 +155,9 @@ class Assembly:
         force : casadi.SX, optional
             Applied forces f(q, v, p), shape (n,).
         """
-        q, m = self.coordinates.q, len(inputs)
+        q, driven = self.coordinates.q, ca.vertcat(ca.SX(0, 1), *inputs.values())
         lam = self.multipliers(constraints) if multipliers is None else multipliers
-        gamma = ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1)
-        driven = ca.vertcat(ca.SX(0, 1), *inputs.values())
+        gamma = ca.SX.sym("gamma", len(inputs), MAX_REFERENCE_ORDER + 1)
         return MechanicalSystem(
             name=name,
             coordinates=self.coordinates,
