@@ -177,7 +177,7 @@ OutputFolder = Annotated[
 @app.command("build", epilog="The same as [cyan]python build_fmu.py[/cyan].")
 def build(output: OutputFolder = Path()) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
-    from crane_fmu.build import build_fmu  # noqa: PLC0415
+    from crane_fmu.build.fmu import build_fmu  # noqa: PLC0415
 
     with PatientProgress("building the FMU") as progress:
         file = build_fmu(output, progress.describe)
@@ -197,7 +197,7 @@ def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) ->
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s.
     """
-    from crane_fmu.ssp import build_ssp  # noqa: PLC0415
+    from crane_fmu.build.ssp import build_ssp  # noqa: PLC0415
 
     with PatientProgress("building the system") as progress:
         files = build_ssp(output, progress.describe, reference)

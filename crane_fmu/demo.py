@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
+from crane_fmu.build.ssp import FILE_NAME, STEP, build_ssp
+from crane_fmu.catalogue.kinds import ROTARY_CRANE
 from crane_fmu.feedforward import csv_text
-from crane_fmu.kinds import ROTARY_CRANE
+from crane_fmu.files import filled_folder
 from crane_fmu.report import contents
 from crane_fmu.report.closed_loop import LoopRun
 from crane_fmu.report.closed_loop import table as loop_table
 from crane_fmu.report.page import Section, Table, page
 from crane_fmu.report.study import STEPS, Announce, Cycle, fmu_run, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
-from crane_fmu.ssp import FILE_NAME, STEP, build_ssp
-from crane_fmu.writing import filled_folder
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from fmpy.ssp.simulation import simulate_ssp
 
 import servocore as sc
-from crane_fmu.interface import DIMENSION, FEEDBACK_INPUTS, ORDERS
+from crane_fmu.slave.interface import DIMENSION, FEEDBACK_INPUTS, ORDERS
 
 Array = npt.NDArray[np.float64]
 

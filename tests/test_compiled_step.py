@@ -10,10 +10,10 @@ import pytest
 from fmu_host import extracted, fmu_file
 
 import servocore as sc
-from crane_fmu import compiled_step, shim
-from crane_fmu.kinds import ROTARY_CRANE
-from crane_fmu.slave_motion import begin
-from crane_fmu.slave_quick import QuickStep, quick_step, usual_step
+from crane_fmu.build import compiled_step, shim
+from crane_fmu.catalogue.kinds import ROTARY_CRANE
+from crane_fmu.slave.motion import begin
+from crane_fmu.slave.quick import QuickStep, quick_step, usual_step
 from servocore import Program
 
 CRANE = sc.scenes.rotary_crane()

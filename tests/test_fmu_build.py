@@ -16,9 +16,9 @@ from fmpy.validation import validate_fmu
 from fmu_host import Host, extracted, fmu_file, in_a_process, interface, scratch
 
 import servocore as sc
-from crane_fmu import build
-from crane_fmu.description import UNITS
-from crane_fmu.description_page import user_page
+from crane_fmu.build import fmu as build
+from crane_fmu.build.description import UNITS
+from crane_fmu.build.page import user_page
 
 ROOT = Path(__file__).parents[1]
 
@@ -54,7 +54,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(tmp_path, ca
 
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(tmp_path, monkeypatch):
     content = build.collect()
-    broken = replace(content, files={**content.files, "crane_fmu/slave_motion.py": "raise RuntimeError('broken')\n"})
+    broken = replace(content, files={**content.files, "crane_fmu/slave/motion.py": "raise RuntimeError('broken')\n"})
     monkeypatch.setattr(build, "collect", lambda _: broken)
     (tmp_path / "RotaryCrane.fmu").write_text("older")
     # PythonFMU's own look at the slave meets it first
@@ -151,11 +151,11 @@ def test_the_identifier_changes_with_the_interface_only():
 
 def test_two_builds_of_different_content_live_in_one_process():
     content = build.collect()
-    checks = content.files["crane_fmu/slave_checks.py"]
+    checks = content.files["crane_fmu/slave/checks.py"]
     assert "LONGEST_STEP = 3600.0" in checks
     impatient = checks.replace("LONGEST_STEP = 3600.0", "LONGEST_STEP = 0.05")
     other = scratch() / "impatient.fmu"
-    other.write_bytes(build.packed(replace(content, files={**content.files, "crane_fmu/slave_checks.py": impatient})))
+    other.write_bytes(build.packed(replace(content, files={**content.files, "crane_fmu/slave/checks.py": impatient})))
     with Host() as patient, Host(other) as hasty:
         assert patient.start().step(0.0, 0.1)
         assert not hasty.start().step(0.0, 0.1)

@@ -13,7 +13,7 @@ from fmpy import simulate_fmu
 from fmu_host import JET, Host, fmu_file, follow, in_a_process
 
 import servocore as sc
-from crane_fmu.description_page import REFUSALS
+from crane_fmu.build.page import REFUSALS
 
 CRANE = sc.scenes.rotary_crane()
 REST = np.zeros((5, 3))
@@ -335,7 +335,7 @@ from fmu_host import Host
 with Host(Path(sys.argv[1])) as host:
     host.start()
     assert host.step(0.0, 0.1)
-    (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave")]
+    (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave.crane")]
     kind = slave.CraneSlave
     state = host.fmu.getFMUState()
     def fail(*_, **__):

@@ -11,8 +11,8 @@ from fmpy.validation import validate_fmu
 from fmu_host import Host, fmu_file, in_a_process, interface
 
 import servocore as sc
-from crane_fmu.description_page import refusals, user_page
-from crane_fmu.kinds import KINDS
+from crane_fmu.build.page import refusals, user_page
+from crane_fmu.catalogue.kinds import KINDS
 
 CRANE = sc.scenes.rotary_crane()
 OTHERS = ("LoadTrajectory", "CranePlant")

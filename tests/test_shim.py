@@ -17,7 +17,7 @@ from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmu_host import Host, extracted, fmu_file, in_a_process, scratch
 
-from crane_fmu import shim
+from crane_fmu.build import shim
 
 COMPILER = shim.c_compiler()
 pytestmark = pytest.mark.skipif(

@@ -1,7 +1,7 @@
 """A table of variables describes an FMU; slave, model description, user page and tests are generated from it.
 
 The module travels into the FMUs and needs the standard library only. Value references are positions in the table;
-`crane_fmu.tables` writes the tables.
+`crane_fmu.catalogue.variables` writes the tables.
 """
 
 from __future__ import annotations

@@ -17,9 +17,9 @@ from struct import Struct
 import casadi as ca
 import numpy as np
 
-from crane_fmu.interface import DIMENSION
-from crane_fmu.slave_motion import JITTER, SHORTEST_STEP, Snapshot
-from crane_fmu.slave_paths import ROWS, Array
+from crane_fmu.slave.interface import DIMENSION
+from crane_fmu.slave.motion import JITTER, SHORTEST_STEP, Snapshot
+from crane_fmu.slave.paths import ROWS, Array
 from servocore import Program
 
 _NAME = "usual_step"

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import DIMENSION, FROM_FILE, ORDERS, THREE_PHASE
-from crane_fmu.slave_base import TableSlave
+from crane_fmu.slave.base import TableSlave
+from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, THREE_PHASE
 from servocore import (
     DEGREE9,
     DEGREE13,

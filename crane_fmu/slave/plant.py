@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION
-from crane_fmu.slave_base import TableSlave, load_once
-from crane_fmu.slave_checks import internal_steps, require_finite
-from crane_fmu.slave_paths import Array
+from crane_fmu.slave.base import TableSlave, load_once
+from crane_fmu.slave.checks import internal_steps, require_finite
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION
+from crane_fmu.slave.paths import Array
 from servocore import IntegrationFailed, InvalidReference, InvalidSetting, Plant
 
 PLANT_FILE = "plant.json"

@@ -1,6 +1,6 @@
 """Put a small C library in front of PythonFMU's binary, so that hosts that are not Python can run the FMU.
 
-`native/shim.c` says what the library does. It is compiled against the FMI headers that come with FMPy, where a C
+`shim.c` says what the library does. It is compiled against the FMI headers that come with FMPy, where a C
 compiler is found; without one the FMU keeps PythonFMU's binary alone and works in Python hosts.
 """
 
@@ -30,7 +30,7 @@ REAL_BINARY = "pythonfmu.so"
 REQUIRED_PACKAGES = ("numpy", "casadi")
 """Packages that the Python of the host must have."""
 
-_SOURCE = Path(__file__).parent / "native" / "shim.c"
+_SOURCE = Path(__file__).with_name("shim.c")
 _HEADERS = Path(fmpy.__file__).parent / "c-code"
 _COMPILERS = ("cc", "gcc", "clang")
 _VERSIONS = ((3, 13), (3, 12), (3, 11))  # that the FMU runs on

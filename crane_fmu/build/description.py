@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from crane_fmu.interface import Interface, Variable
+    from crane_fmu.slave.interface import Interface, Variable
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
-from crane_fmu.interface import ORDERS
-from crane_fmu.slave_estimate import amplification
+from crane_fmu.slave.estimate import amplification
+from crane_fmu.slave.interface import ORDERS
 
 if TYPE_CHECKING:
-    from crane_fmu.interface import Causality, Interface, Variable
+    from crane_fmu.slave.interface import Causality, Interface, Variable
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
 _TEMPLATES = Path(__file__).parent / "resources"

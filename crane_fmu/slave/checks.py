@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from crane_fmu.interface import Variable
+from crane_fmu.slave.interface import Variable
 from servocore import InvalidReference, InvalidSetting
 
 LONGEST_STEP = 3600.0

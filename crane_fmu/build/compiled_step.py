@@ -16,8 +16,8 @@ from pathlib import Path
 
 import casadi as ca
 
-from crane_fmu.shim import c_compiler, is_shim_platform
-from crane_fmu.slave_quick import usual_step
+from crane_fmu.build.shim import c_compiler, is_shim_platform
+from crane_fmu.slave.quick import usual_step
 from servocore import Program
 
 # As the interpreter computes: no fused operations, nothing reordered, any 64-bit processor. Nothing of the machine or

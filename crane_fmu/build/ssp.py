@@ -14,11 +14,11 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build import build_fmu, zipped
-from crane_fmu.crosscheck import cross_check
-from crane_fmu.interface import FEEDBACK_INPUTS, Interface
-from crane_fmu.kinds import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE, Progress
-from crane_fmu.writing import filled_folder
+from crane_fmu.build.crosscheck import cross_check
+from crane_fmu.build.fmu import build_fmu, zipped
+from crane_fmu.catalogue.kinds import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE, Progress
+from crane_fmu.files import filled_folder
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, Interface
 
 FILE_NAME = "Crane.ssp"
 COMPONENTS: Mapping[str, str] = {

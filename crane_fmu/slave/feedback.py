@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.slave_paths import Array
+from crane_fmu.slave.paths import Array
 from servocore import Plant
 
 WEIGHT = 1000.0

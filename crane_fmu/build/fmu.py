@@ -25,14 +25,14 @@ from pathlib import Path
 from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
-from crane_fmu.compiled_step import compiled_steps
-from crane_fmu.description import complete
-from crane_fmu.description_page import documentation_page, user_page
-from crane_fmu.interface import Interface
-from crane_fmu.kinds import FORMULATIONS, KINDS, ROTARY_CRANE, Kind, Progress
-from crane_fmu.shim import add_shim
-from crane_fmu.slave_base import INTERFACE_FILE
-from crane_fmu.slave_trajectory import PATH_FILE
+from crane_fmu.build.compiled_step import compiled_steps
+from crane_fmu.build.description import complete
+from crane_fmu.build.page import documentation_page, user_page
+from crane_fmu.build.shim import add_shim
+from crane_fmu.catalogue.kinds import FORMULATIONS, KINDS, ROTARY_CRANE, Kind, Progress
+from crane_fmu.slave.base import INTERFACE_FILE
+from crane_fmu.slave.interface import Interface
+from crane_fmu.slave.trajectory import PATH_FILE
 from servocore.writing import write_together
 
 __all__ = ["FORMULATIONS", "build_fmu", "collect", "interface", "main", "packed"]
@@ -153,7 +153,7 @@ def collect(tell: Progress = lambda _: None, kind: Kind = ROTARY_CRANE) -> Conte
         "crane_fmu/__init__.py": "",
         "servocore/__init__.py": kind.face,
     }
-    files |= {f"crane_fmu/{name}.py": _text(_HERE / f"{name}.py") for name in kind.own_sources}
+    files |= {f"crane_fmu/slave/{name}.py": _text(_HERE.parent / "slave" / f"{name}.py") for name in kind.own_sources}
     servocore = Path(sc.__file__).parent
     for name in kind.servocore_sources:
         for file in sorted((servocore / name).glob("*.py")) or [servocore / f"{name}.py"]:

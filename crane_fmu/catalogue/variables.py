@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import servocore as sc
-from crane_fmu.interface import (
+from crane_fmu.slave.interface import (
     DIMENSION,
     FEEDBACK_INPUTS,
     FROM_FILE,

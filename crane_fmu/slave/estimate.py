@@ -13,8 +13,8 @@ from math import factorial
 
 import numpy as np
 
-from crane_fmu.interface import ORDERS
-from crane_fmu.slave_paths import ROWS, Array
+from crane_fmu.slave.interface import ORDERS
+from crane_fmu.slave.paths import ROWS, Array
 
 Sample = tuple[float, tuple[float, ...]]
 """Time in s, and the highest connected derivative then."""

@@ -8,9 +8,9 @@ from functools import cache
 from itertools import product
 
 import servocore as sc
-from crane_fmu import tables
-from crane_fmu.interface import REST, Interface
-from crane_fmu.slave import PLANT_FILE, program_file
+from crane_fmu.catalogue import variables as tables
+from crane_fmu.slave.crane import PLANT_FILE, program_file
+from crane_fmu.slave.interface import REST, Interface
 
 FORMULATIONS: Mapping[str, sc.Formulation] = {
     "reduced": sc.Reduced(),
@@ -23,7 +23,7 @@ Progress = Callable[[str], None]
 """Called with what is being done."""
 
 _ERRORS = "from servocore.errors import {}\n"
-_TABLE_SOURCES = ("interface", "slave_base", "slave_checks", "slave_guard")
+_TABLE_SOURCES = ("__init__", "interface", "base", "checks", "guard")
 _PLANT_MODEL = "generalized"
 
 
@@ -111,10 +111,10 @@ _AT_REST = {"phi": 0.0, "s": REST[0], "l": -REST[2], "tension": 981.0}
 
 ROTARY_CRANE = Kind(
     name="RotaryCrane",
-    module="slave",
+    module="slave.crane",
     slave="CraneSlave",
     own_sources=(
-        *_TABLE_SOURCES, "slave", "slave_estimate", "slave_feedback", "slave_motion", "slave_paths", "slave_quick",
+        *_TABLE_SOURCES, "crane", "estimate", "feedback", "motion", "paths", "quick",
     ),
     servocore_sources=("calls", "errors", "plant", "program"),
     face=_face(
@@ -137,9 +137,9 @@ ROTARY_CRANE = Kind(
 
 LOAD_TRAJECTORY = Kind(
     name="LoadTrajectory",
-    module="slave_trajectory",
+    module="slave.trajectory",
     slave="TrajectorySlave",
-    own_sources=(*_TABLE_SOURCES, "slave_trajectory"),
+    own_sources=(*_TABLE_SOURCES, "trajectory"),
     servocore_sources=("errors", "references"),
     face=_face(
         "InvalidReference, InvalidSetting, ServocoreError",
@@ -155,9 +155,9 @@ LOAD_TRAJECTORY = Kind(
 
 CRANE_PLANT = Kind(
     name="CranePlant",
-    module="slave_plant",
+    module="slave.plant",
     slave="PlantSlave",
-    own_sources=(*_TABLE_SOURCES, "slave_paths", "slave_plant"),
+    own_sources=(*_TABLE_SOURCES, "paths", "plant"),
     servocore_sources=("calls", "errors", "plant", "program"),
     face=_face(
         "IntegrationFailed, InvalidReference, InvalidSetting, ServocoreError", "from servocore.plant import Plant"

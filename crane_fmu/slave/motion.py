@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_fmu.interface import DIMENSION
-from crane_fmu.slave_paths import ROWS, Array, taylor
+from crane_fmu.slave.interface import DIMENSION
+from crane_fmu.slave.paths import ROWS, Array, taylor
 from servocore import InconsistentStart, IntegrationFailed, Program
 
 if TYPE_CHECKING:
-    from crane_fmu.slave_paths import LoadPath
+    from crane_fmu.slave.paths import LoadPath
 
 JITTER = 1e-6
 """Relative change of the step up to which it counts as the same: hosts compute it from rounded times."""

@@ -17,16 +17,16 @@ from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
 from pythonfmu.variables import Real, String
 
-from crane_fmu.interface import Interface, Variable
-from crane_fmu.slave_checks import require_legal, require_step
-from crane_fmu.slave_guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
+from crane_fmu.slave.checks import require_legal, require_step
+from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
+from crane_fmu.slave.interface import Interface, Variable
 from servocore import InvalidSetting
 
 INTERFACE_FILE = "interface.json"
 _STATE_FORMAT = "servocore fmu state 1"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
-_BUNDLE = Path(__file__).parents[1].name
+_BUNDLE = Path(__file__).parents[2].name
 
 
 def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:

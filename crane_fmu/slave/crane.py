@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS
-from crane_fmu.slave_base import INTERFACE_FILE, TableSlave, load_once
-from crane_fmu.slave_checks import internal_steps, require_finite
-from crane_fmu.slave_estimate import Sample, completed, contradiction, kept_samples
-from crane_fmu.slave_feedback import Control, controlled
-from crane_fmu.slave_motion import SHORTEST_STEP, Snapshot, advance, begin, told
-from crane_fmu.slave_paths import ROWS, Array, LoadPath, hermite, taylor
-from crane_fmu.slave_quick import quick_step
+from crane_fmu.slave.base import INTERFACE_FILE, TableSlave, load_once
+from crane_fmu.slave.checks import internal_steps, require_finite
+from crane_fmu.slave.estimate import Sample, completed, contradiction, kept_samples
+from crane_fmu.slave.feedback import Control, controlled
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS
+from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
+from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
+from crane_fmu.slave.quick import quick_step
 from servocore import InvalidSetting, Plant, Program
 
 __all__ = ["INTERFACE_FILE", "PLANT_FILE", "CraneSlave", "program_file"]
