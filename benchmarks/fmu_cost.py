@@ -26,7 +26,7 @@ from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
-from crane_fmu.build.fmu import build_fmu
+from crane_fmu.build import build_fmu
 
 BATCHES, CYCLES, STEP = 200, 20, 0.005
 SETTINGS: dict[str, dict[str, str]] = {

@@ -12,6 +12,7 @@ import rich.table
 import typer
 
 import servocore as sc
+from crane_fmu import catalogue
 from crane_fmu import feedforward as ff
 from servocore.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
 from servocore.writing import require_places, write_together
@@ -60,22 +61,22 @@ Duration = Annotated[float | None, _option(_LINE, "--duration", metavar="T", tex
 ProfileName = Annotated[
     str | None,
     _option(_LINE, "--profile", metavar="NAME",
-            text=f"Time law: {', '.join(ff.PROFILES)}. Default: {next(iter(ff.PROFILES))}."),
+            text=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
 ]  # fmt: skip
 Ramp = Annotated[
     float | None,
     _option(_LINE, "--ramp", metavar="TAU0",
-            text=f"Time to accelerate (s), only for {ff.THREE_PHASE}. Default: duration/4."),
+            text=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
 ]  # fmt: skip
 ParametersFile = Annotated[
     Path | None,
     _option(_CRANE, "--parameters", metavar="FILE.toml", text=f"Any of {_PARAMETERS} (SI units)."),
 ]
-ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(ff.MODELS)}.")]
+ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(catalogue.MODELS)}.")]
 FormulationName = Annotated[
-    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(ff.FORMULATIONS)}.")
+    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(catalogue.FORMULATIONS)}.")
 ]
-MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(ff.METHODS)}.")]
+MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(catalogue.METHODS)}.")]
 Step = Annotated[
     float | None,
     _option(_CRANE, "--step", metavar="H", text="Step (s); divides the duration. Default: duration/200."),
@@ -152,7 +153,7 @@ def feedforward(
         solution = ff.feedforward(
             path, changed, ff.Route(model, formulation, method, step, rtol, atol, output_step), progress
         )
-        table = ff.csv_text(solution)
+        table = ff.table(solution)
         if plot is not None:
             contents[plot] = _drawn(solution, plot.suffix.lower())
     if output is not None:
@@ -177,7 +178,7 @@ OutputFolder = Annotated[
 @app.command("build", epilog="The same as [cyan]python build_fmu.py[/cyan].")
 def build(output: OutputFolder = Path()) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
-    from crane_fmu.build.fmu import build_fmu  # noqa: PLC0415
+    from crane_fmu.build import build_fmu  # noqa: PLC0415
 
     with PatientProgress("building the FMU") as progress:
         file = build_fmu(output, progress.describe)
@@ -197,7 +198,7 @@ def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) ->
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s.
     """
-    from crane_fmu.build.ssp import build_ssp  # noqa: PLC0415
+    from crane_fmu.build import build_ssp  # noqa: PLC0415
 
     with PatientProgress("building the system") as progress:
         files = build_ssp(output, progress.describe, reference)
@@ -263,7 +264,7 @@ def path_request(reference: Path | None, tolerance: float | None, line: LineOpti
             raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
         missing = [name for name in names[:3] if name not in given]
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
-    profile = next(iter(ff.PROFILES)) if line.profile is None else line.profile
+    profile = next(iter(catalogue.PROFILES)) if line.profile is None else line.profile
     return ff.LineRequest(line.start, line.end, line.duration, profile, line.ramp)
 
 

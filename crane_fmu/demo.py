@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.ssp import FILE_NAME, STEP, build_ssp
-from crane_fmu.catalogue.kinds import ROTARY_CRANE
-from crane_fmu.feedforward import csv_text
-from crane_fmu.files import filled_folder
+from crane_fmu.build import STEP, SYSTEM_FILE, build_ssp
+from crane_fmu.catalogue import ROTARY_CRANE
+from crane_fmu.feedforward import table
+from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
 from crane_fmu.report.closed_loop import LoopRun
 from crane_fmu.report.closed_loop import table as loop_table
@@ -92,7 +92,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
-        (draft / INPUTS_FILE).write_text(csv_text(found.base), encoding="utf-8")
+        put(draft, {INPUTS_FILE: table(found.base)})
         announce("drawing figures")
         write_report(draft, contents.sections(found, run, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
@@ -111,8 +111,8 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
 def build_system(folder: Path, announce: Announce) -> Path:
     """Build the FMUs and the system; the inverse model lies beside the report too."""
     files = build_ssp(folder / SYSTEM, lambda stage: announce(f"building the FMUs: {stage}"))
-    (folder / ROTARY_CRANE.file_name).write_bytes((folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes())
-    return next(each for each in files if each.name == FILE_NAME)
+    put(folder, {ROTARY_CRANE.file_name: (folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes()})
+    return next(each for each in files if each.name == SYSTEM_FILE)
 
 
 def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[LoopRun]:
@@ -131,14 +131,10 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Loop
 
 def write_report(folder: Path, sections: Sequence[Section]) -> None:
     """Write the page and, in a folder of their own, its pictures."""
-    drawings: dict[str, bytes] = {}
-    for section in sections:
-        for each in section.illustrations:
-            drawings |= each.files()
-    (folder / FIGURES).mkdir()
-    for name, content in drawings.items():
-        (folder / FIGURES / name).write_bytes(content)
-    (folder / REPORT).write_text(page(contents.TITLE, sections, drawings), encoding="utf-8")
+    illustrations = [each for section in sections for each in section.illustrations]
+    drawings = {name: drawing for each in illustrations for name, drawing in each.files().items()}
+    put(folder / FIGURES, drawings)
+    put(folder, {REPORT: page(contents.TITLE, sections, drawings)})
 
 
 def examples_folder() -> Path | None:

@@ -13,8 +13,9 @@ import pytest
 from command_lines import CommandLine, write
 
 import servocore as sc
+from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
 from crane_fmu.cli import app
-from crane_fmu.feedforward import FORMULATIONS, METHODS, MODELS, PROFILES, LineRequest
+from crane_fmu.feedforward import LineRequest
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]

@@ -18,7 +18,7 @@ from crane_fmu.build.page import REFUSALS
 CRANE = sc.scenes.rotary_crane()
 REST = np.zeros((5, 3))
 REST[0] = 5.0, 0.0, -5.0
-SENTENCES = [sentence for _, sentence in REFUSALS]
+SENTENCES = [sentence for _, sentence in REFUSALS["RotaryCrane"]]
 
 
 def moved(**changes):

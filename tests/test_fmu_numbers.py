@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import servocore as sc
-from crane_fmu.catalogue.kinds import FORMULATIONS
+from crane_fmu.catalogue import FORMULATIONS
 from crane_fmu.slave.paths import hermite, taylor
 
 CRANE = sc.scenes.rotary_crane()

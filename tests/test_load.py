@@ -18,7 +18,7 @@ import pytest
 from fmu_host import Host, extracted, fmu_file, in_a_process
 
 import servocore as sc
-from crane_fmu.catalogue.kinds import KINDS
+from crane_fmu.catalogue import KINDS
 
 FILES = {name: partial(fmu_file, name) for name in KINDS}
 FULL = os.environ.get("SERVOCORE_LOAD") == "full"

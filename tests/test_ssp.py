@@ -18,8 +18,9 @@ from fmu_host import Host, fmu_file, in_a_process, scratch
 from typer.testing import CliRunner
 
 import servocore as sc
-from crane_fmu.build.ssp import COMPONENTS, build_ssp, connections, table_of
-from crane_fmu.catalogue.kinds import KINDS
+from crane_fmu.build import build_ssp
+from crane_fmu.build.ssp import COMPONENTS, connections, table_of
+from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
 from crane_fmu.run import forgotten_modules
 

@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Kind
 from crane_fmu.slave.estimate import amplification
-from crane_fmu.slave.interface import ORDERS
-
-if TYPE_CHECKING:
-    from crane_fmu.slave.interface import Causality, Interface, Variable
+from crane_fmu.slave.interface import ORDERS, Causality, Variable
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
 _TEMPLATES = Path(__file__).parent / "resources"
 
-REFUSALS: tuple[tuple[str, str], ...] = (
+_Refusals = tuple[tuple[str, str], ...]
+
+_BAD_STEP = (
+    "a step that is not positive, NaN, or longer than an hour",
+    "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
+)
+_TIME_BACK = (
+    "time goes back",
+    "the communication point t = 0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
+)
+_CRANE_REFUSALS: _Refusals = (
     ("an input is NaN or infinite", "at t = 0 s the input load.jerk[2] is nan, not a finite number"),
     (
         "the load falls as fast as it would without a rope, or faster",
@@ -34,15 +42,8 @@ REFUSALS: tuple[tuple[str, str], ...] = (
         "at t = 0 s the trolley reaches the slewing axis: the trolley's distance from the slewing axis is 0 m,"
         " it must stay above 0.001 m",
     ),
-    (
-        "a step that is not positive, NaN, or longer than an hour",
-        "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
-    ),
-    (
-        "time goes back",
-        "the communication point t = 0 s lies behind the FMU's time 0.1 s;"
-        " to repeat a step restore the FMU's state first",
-    ),
+    _BAD_STEP,
+    _TIME_BACK,
     (
         "time is skipped",
         "the communication point t = 0.5 s lies ahead of the FMU's time 0 s;"
@@ -63,9 +64,7 @@ REFUSALS: tuple[tuple[str, str], ...] = (
         " than the one wanted; a smaller step keeps to its own",
     ),
 )
-"""What the FMU refuses, with the sentence for one example; the tests provoke them all."""
-
-PLANT_REFUSALS: tuple[tuple[str, str], ...] = (
+_PLANT_REFUSALS: _Refusals = (
     ("an input is NaN or infinite", "at t = 0 s the input F is nan, not a finite number"),
     (
         "the rope would have to push",
@@ -76,13 +75,10 @@ PLANT_REFUSALS: tuple[tuple[str, str], ...] = (
         "the step from t = 0 s to 0.1 s has no finite result: the inputs are too large, or internal_step is",
     ),
     ("a start that no crane can take", "the load starts at z = 1 m, it must be below the girder"),
-    (
-        "a step that is not positive, NaN, or longer than an hour",
-        "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
-    ),
+    _BAD_STEP,
     ("a parameter outside its range", "mass_error = -2 is outside its range [-0.9, 10]"),
 )
-TRAJECTORY_REFUSALS: tuple[tuple[str, str], ...] = (
+_TRAJECTORY_REFUSALS: _Refusals = (
     ("a `ramp` for another profile", "a ramp belongs to the profile three-phase, not to degree9"),
     (
         "a `ramp` longer than half of the duration",
@@ -90,23 +86,14 @@ TRAJECTORY_REFUSALS: tuple[tuple[str, str], ...] = (
     ),
     ("`file` without a table", "the profile file needs a table resources/path.csv in the FMU"),
     ("a parameter outside its range", "duration = nan s is outside its range [0.001, 1e+09] s"),
-    (
-        "time goes back",
-        "the communication point t = 0 s lies behind the FMU's time 0.1 s;"
-        " to repeat a step restore the FMU's state first",
-    ),
+    _TIME_BACK,
 )
-_REFUSALS = {
-    "fmu.md.j2": REFUSALS,
-    "crane_plant.md.j2": PLANT_REFUSALS,
-    "load_trajectory.md.j2": TRAJECTORY_REFUSALS,
+REFUSALS: Mapping[str, _Refusals] = {
+    LOAD_TRAJECTORY.name: _TRAJECTORY_REFUSALS,
+    ROTARY_CRANE.name: _CRANE_REFUSALS,
+    CRANE_PLANT.name: _PLANT_REFUSALS,
 }
-
-
-def refusals(template_file: str) -> tuple[tuple[str, str], ...]:
-    """Return what an FMU refuses: situation and sentence."""
-    return _REFUSALS[template_file]
-
+"""What each FMU refuses: situation, and the sentence for one example; the tests provoke them all."""
 
 _STYLE = (
     "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
@@ -115,30 +102,23 @@ _STYLE = (
 )
 
 
-def user_page(interface: Interface, template_file: str = "fmu.md.j2") -> str:
-    """Return the page as Markdown.
-
-    Parameters
-    ----------
-    interface : Interface
-        The FMU's variables.
-    template_file : str
-        Name of the page's template in `resources`.
-    """
+def user_page(kind: Kind) -> str:
+    """Return the page of an FMU as Markdown."""
+    table = kind.interface()
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
-    template = environment.from_string((_TEMPLATES / template_file).read_text(encoding="utf-8"))
+    template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
     return template.render(
-        table=lambda causality: _table(interface.of(causality)),
-        refusals=refusals(template_file),
+        table=lambda causality: _table(table.of(causality)),
+        refusals=REFUSALS[kind.name],
         amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
     )
 
 
-def documentation_page(page: str, title: str = "RotaryCrane.fmu") -> str:
-    """Return the Markdown page as a complete HTML document."""
-    alone = _LOCAL_LINK.sub(r"\1", page)  # inside the FMU there are no other pages
+def documentation_page(kind: Kind) -> str:
+    """Return the page as a complete HTML document."""
+    alone = _LOCAL_LINK.sub(r"\1", user_page(kind))  # inside the FMU there are no other pages
     body = MarkdownIt("commonmark").enable("table").render(alone)
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{_STYLE}</style>'
+    head = f'<meta charset="utf-8"><title>{kind.file_name}</title><style>{_STYLE}</style>'
     return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
 
 

@@ -19,10 +19,9 @@ from pythonfmu.variables import Real, String
 
 from crane_fmu.slave.checks import require_legal, require_step
 from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
-from crane_fmu.slave.interface import Interface, Variable
+from crane_fmu.slave.interface import INTERFACE_FILE, Interface, Variable
 from servocore import InvalidSetting
 
-INTERFACE_FILE = "interface.json"
 _STATE_FORMAT = "servocore fmu state 1"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"

@@ -9,27 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.slave.base import INTERFACE_FILE, TableSlave, load_once
+from crane_fmu.slave.base import TableSlave, load_once
 from crane_fmu.slave.checks import internal_steps, require_finite
 from crane_fmu.slave.estimate import Sample, completed, contradiction, kept_samples
 from crane_fmu.slave.feedback import Control, controlled
-from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS, PLANT_FILE, program_file
 from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
 from crane_fmu.slave.quick import quick_step
 from servocore import InvalidSetting, Plant, Program
 
-__all__ = ["INTERFACE_FILE", "PLANT_FILE", "CraneSlave", "program_file"]
-
-PLANT_FILE = "plant.json"
 _INPUTS = ROWS * DIMENSION
 _NOTHING_TOLD = [0.0] * _INPUTS
 _ACTUATORS = 3  # the first channels of a program, and the first outputs
-
-
-def program_file(model: str, formulation: str) -> str:
-    """Name of the file with the compiled functions."""
-    return f"{model}-{formulation}.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +143,7 @@ class CraneSlave(TableSlave):
         usual = quick(motion, jet, 0.0 if self._at_end else h, h, p) if quick else None
         after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, p)
         control = self._feedback(now, jet, p, h, after.time) if gain > 0.0 else None
-        state = object.__new__(CraneState)  # see slave_quick: its own way takes three times as long
+        state = object.__new__(CraneState)  # see `quick`: its own way takes three times as long
         state.__dict__.update(motion=after, heard=heard, samples=samples, control=control, gain=gain, said=said)
         return state
 

@@ -31,7 +31,6 @@ EFFORT = (1.5, 0.7, 1.0)
 RATE_OF_LEARNING = 0.5
 """Fraction of a missed velocity of the load by which the estimated force is corrected in a step."""
 
-MEASURED = ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")
 _FEWEST_DOUBLINGS, _MOST_DOUBLINGS = 4, 60
 _TERMS = 12
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import json
 import math
 import uuid
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
@@ -38,8 +37,16 @@ FEEDBACK_INPUTS = (
 )
 """What the feedback has to be told of the crane."""
 
-THREE_PHASE, FROM_FILE = "three-phase", "file"
-"""Time laws of a trajectory that have parameters of their own."""
+FROM_FILE = "file"
+"""What a trajectory is told in place of a time law to follow the table that it carries."""
+
+INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
+"""Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
+
+
+def program_file(model: str, formulation: str) -> str:
+    """Name of the file with the compiled functions of a model in a formulation."""
+    return f"{model}-{formulation}.json"
 
 
 @dataclass(frozen=True)
@@ -54,9 +61,6 @@ class Variable:
         As in FMI 2.0.
     description : str
         One line for tool tips.
-    reads : str
-        Where the slave takes the value from, or what it hands it to: ``path derivative 2, component 1``,
-        ``channel M_b``, ``parameter load_mass``, ``setting model``.
     unit, display_unit : str
         SI unit, and the unit that tools should show; empty for texts.
     start : float or str, optional
@@ -71,7 +75,6 @@ class Variable:
     causality: Causality
     variability: Variability
     description: str
-    reads: str
     unit: str = ""
     display_unit: str = ""
     start: Value | None = None
@@ -101,9 +104,21 @@ class Variable:
 
 @dataclass(frozen=True)
 class Interface:
-    """All variables of an FMU in the order of their value references."""
+    """All variables of an FMU in the order of their value references.
+
+    Attributes
+    ----------
+    variables : tuple of Variable
+        The table.
+    guid : str
+        Identifier that changes when, and only when, the table does.
+    """
 
     variables: tuple[Variable, ...]
+    guid: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "guid", str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json())))
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
@@ -111,19 +126,13 @@ class Interface:
 
     def index(self, name: str) -> int:
         """Value reference of the variable called `name`; raises KeyError if there is none."""
-        return self._places[name]
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {each.name: k for k, each in enumerate(self.variables)}
+        for k, each in enumerate(self.variables):
+            if each.name == name:
+                return k
+        raise KeyError(name)
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[self.index(name)]
-
-    @cached_property
-    def guid(self) -> str:
-        """Identifier that changes when, and only when, the table does."""
-        return str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json()))
 
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""

@@ -11,11 +11,10 @@ import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once
 from crane_fmu.slave.checks import internal_steps, require_finite
-from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, PLANT_FILE
 from crane_fmu.slave.paths import Array
 from servocore import IntegrationFailed, InvalidReference, InvalidSetting, Plant
 
-PLANT_FILE = "plant.json"
 SMALLEST_RADIUS = 1e-3
 _COORDINATES = ("phi", "s", "l", "swing_in", "swing_out")
 _INPUTS = 3

@@ -1,7 +1,7 @@
-"""The usual communication step as one compiled call, where `slave_motion` takes several.
+"""The usual communication step as one compiled call, where `motion` takes several.
 
 A step that is like the one before, not divided and within all limits needs no decision: the path's continuation,
-limits, step and outputs become one function. Anything else, mistakes included, is left to `slave_motion`, which
+limits, step and outputs become one function. Anything else, mistakes included, is left to `motion`, which
 finds the words; so this module changes what a step costs and nothing that a host can see.
 """
 

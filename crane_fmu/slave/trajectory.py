@@ -9,21 +9,9 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.slave.base import TableSlave
-from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, THREE_PHASE
-from servocore import (
-    DEGREE9,
-    DEGREE13,
-    InvalidReference,
-    InvalidSetting,
-    Profile,
-    Reference,
-    from_csv,
-    rest_to_rest,
-    three_phase,
-)
-
-PATH_FILE = "path.csv"
-PROFILES: dict[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, THREE_PHASE: three_phase()}
+from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE
+from crane_fmu.slave.lines import straight_line
+from servocore import InvalidReference, InvalidSetting, Reference, from_csv
 
 
 @dataclass(frozen=True)
@@ -54,11 +42,9 @@ class TrajectorySlave(TableSlave):
         self._path = None
         if profile == FROM_FILE:
             self._path = self._from_file()
-            return
-        if ramp > 0.0 and profile != THREE_PHASE:
-            raise InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {profile}")
-        law = three_phase(ramp) if ramp > 0.0 else PROFILES[profile]
-        self._path = rest_to_rest(points[:DIMENSION], points[DIMENSION:], duration, law, start_time)
+        else:
+            start, end = points[:DIMENSION], points[DIMENSION:]
+            self._path = straight_line(start, end, duration, profile, ramp if ramp > 0.0 else None, start_time)
 
     def _from_file(self) -> Reference:
         file = self._resources / PATH_FILE
