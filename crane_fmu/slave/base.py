@@ -11,7 +11,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
@@ -41,6 +41,7 @@ def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:
 
 
 load_once = _loader()
+Found = TypeVar("Found")
 
 
 class State(Protocol):
@@ -53,10 +54,22 @@ class State(Protocol):
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
 
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Self:
+        """Undo `to_plain`."""
+
+
+def required(found: Found | None) -> Found:
+    """Return what an initialisation has made; raises `InvalidSetting` if there was none."""
+    if found is None:
+        raise InvalidSetting("the FMU is not initialised")
+    return found
+
 
 class TableSlave(GuardedSlave):
     """Phases, variables, refusals and states of an FMU; subclasses say what a start and a step are."""
 
+    state_type: type[State]
     author = None
     license = "MIT"
     stop_time = 20.0
@@ -103,10 +116,6 @@ class TableSlave(GuardedSlave):
     @abstractmethod
     def _output_values(self, state: Any) -> Sequence[float]:
         """Return the outputs of a state in the order of the table."""
-
-    @abstractmethod
-    def _restored(self, plain: dict[str, Any]) -> State:
-        """Undo `State.to_plain`."""
 
     def remark(self, sentence: str) -> None:
         """Log something that is no reason to refuse a step."""
@@ -293,7 +302,7 @@ class TableSlave(GuardedSlave):
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
             raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
-        snapshot = None if state["snapshot"] is None else self._restored(state["snapshot"])
+        snapshot = None if state["snapshot"] is None else self.state_type.from_plain(state["snapshot"])
         reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
         phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
         start_time = float(state["start_time"])

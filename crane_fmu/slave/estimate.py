@@ -57,7 +57,7 @@ def completed(samples: Sequence[Sample], jet: Array, order: int, step: float) ->
     return full
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=256)  # steps have nearly always the same few patterns, and an inverse costs as much as a step
 def _weights(nodes: tuple[float, ...]) -> Array:
     """Return the matrix from values at the nodes to the coefficients of their polynomial."""
     weights: Array = np.linalg.inv(np.vander(nodes, increasing=True))

@@ -8,27 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.slave.base import TableSlave
+from crane_fmu.slave.base import TableSlave, required
 from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE
 from crane_fmu.slave.lines import straight_line
+from crane_fmu.slave.state import PlainState
 from servocore import InvalidReference, InvalidSetting, Reference, from_csv
 
 
-@dataclass(frozen=True)
-class Instant:
+@dataclass(frozen=True, eq=False)
+class Instant(PlainState):
     """The state of a trajectory is the time."""
 
     time: float
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers."""
-        return {"time": self.time}
 
 
 class TrajectorySlave(TableSlave):
     """A load path with its derivatives."""
 
     description = "Path of a crane's load with its derivatives up to snap: a straight line from rest to rest, or a file"
+    state_type = Instant
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
@@ -67,12 +65,7 @@ class TrajectorySlave(TableSlave):
     def _advance(self, now: Instant, h: float) -> Instant:
         return Instant(now.time + h)
 
-    def _restored(self, plain: dict[str, Any]) -> Instant:
-        return Instant(float(plain["time"]))
-
     def _output_values(self, state: Instant) -> Sequence[float]:
-        if self._path is None:
-            raise InvalidSetting("the FMU is not initialised")
-        jet = self._path.jet(np.array([state.time]), len(ORDERS) - 1)
+        jet = required(self._path).jet(np.array([state.time]), len(ORDERS) - 1)
         values: list[float] = jet.ravel().tolist()
         return values
