@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import rich.box
 import rich.table
@@ -29,11 +31,6 @@ app = typer.Typer(
     help="Inputs that make the load of a rotary crane follow its path, and that crane as an FMU.",
     **SETTINGS,
 )
-
-
-@app.callback()
-def _commands() -> None:
-    """Keep the commands named even if there is one only; the text of the help is that of `app`."""
 
 
 def _option(panel: str, *names: str, metavar: str, text: str) -> Any:
@@ -142,7 +139,7 @@ def feedforward(
     The path is either a file (--reference) or a straight line from rest to rest (--from, --to, --duration).
     The table has the columns time,M_b,F,M_w,phi,s,l,x,y,z,tension in SI units and one row a step.
     """
-    line = LineOptions(start, end, duration, profile, ramp)
+    line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
     path = path_request(reference, tolerance, line)
     require_places({"--output": output, "--plot": plot}, [reference, parameters])
     if plot is not None and plot.suffix.lower() not in ff.PICTURES:
@@ -233,39 +230,29 @@ def _terminal_table(table: Table) -> rich.table.Table:
     return shown
 
 
-class LineOptions(NamedTuple):
-    """The options of a straight line as they were given."""
-
-    start: Point | None
-    end: Point | None
-    duration: float | None
-    profile: str | None
-    ramp: float | None
-
-
-def path_request(reference: Path | None, tolerance: float | None, line: LineOptions) -> ff.PathRequest:
-    """Turn the options that describe a path into one description.
+def path_request(
+    reference: Path | None, tolerance: float | None, line: Mapping[str, Any]
+) -> Callable[[], sc.Reference]:
+    """Turn the options that describe a path, a straight line by their names, into a function that makes it.
 
     Raises
     ------
     InvalidSetting
         If they describe no path, two, or half of one.
     """
-    names = ("--from", "--to", "--duration", "--profile", "--ramp")
-    given = [name for name, value in zip(names, line, strict=True) if value is not None]
+    given = [name for name, value in line.items() if value is not None]
     if reference is not None:
         if given:
             raise sc.InvalidSetting(f"a path is given either by --reference or by {given[0]}, not by both")
-        return ff.FileRequest(reference, tolerance)
+        return partial(sc.from_csv, reference, tolerance)
     if tolerance is not None:
         raise sc.InvalidSetting("--tolerance belongs to --reference")
-    if line.start is None or line.end is None or line.duration is None:
-        if not given:
-            raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
-        missing = [name for name in names[:3] if name not in given]
+    if not given:
+        raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
+    missing = [name for name in ("--from", "--to", "--duration") if name not in given]
+    if missing:
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
-    profile = next(iter(catalogue.PROFILES)) if line.profile is None else line.profile
-    return ff.LineRequest(line.start, line.end, line.duration, profile, line.ramp)
+    return partial(ff.line, *line.values())
 
 
 def main() -> None:

@@ -5,10 +5,8 @@ What the command line calls, in pieces that are of use without it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -30,55 +28,34 @@ LONGEST_DURATION = 1e9
 """In s; beyond it the derivatives of a path vanish in rounding."""
 
 
-class PathRequest(Protocol):
-    """A description of a load path that can be turned into one."""
+def line(
+    start: Sequence[float], end: Sequence[float], duration: float, profile: str | None = None, ramp: float | None = None
+) -> sc.Reference:
+    """Return a straight line from rest to rest.
 
-    def reference(self) -> sc.Reference:
-        """Return the path; raises `InvalidReference` or `InvalidSetting` if there is none."""
-
-
-@dataclass(frozen=True)
-class LineRequest:
-    """A straight line from rest to rest.
-
-    Attributes
+    Parameters
     ----------
-    start, end : tuple of float
+    start, end : sequence of float
         End points (x, y, z) in m.
     duration : float
         Time of the motion in s.
-    profile : str
-        One of `PROFILES` of the catalogue.
-    ramp : float or None
+    profile : str, optional
+        One of `PROFILES` of the catalogue; the first unless it is given.
+    ramp : float, optional
         Time to accelerate in s, for the profile three-phase only.
+
+    Raises
+    ------
+    InvalidReference, InvalidSetting
+        If there is no such line.
     """
-
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    duration: float
-    profile: str = next(iter(PROFILES))
-    ramp: float | None = None
-
-    def reference(self) -> sc.Reference:
-        """Return the line; see `PathRequest`."""
-        if self.duration > LONGEST_DURATION:
-            raise sc.InvalidReference(
-                f"the duration of {self.duration:g} s is longer than {LONGEST_DURATION:g} s: nothing would move"
-            )
-        chosen(PROFILES, self.profile, "profile")
-        return straight_line(self.start, self.end, self.duration, self.profile, self.ramp)
-
-
-@dataclass(frozen=True)
-class FileRequest:
-    """A path from a CSV file, as `servocore.from_csv` reads it."""
-
-    path: Path
-    tolerance: float | None = None
-
-    def reference(self) -> sc.Reference:
-        """Return the path; see `PathRequest`."""
-        return sc.from_csv(self.path, self.tolerance)
+    if duration > LONGEST_DURATION:
+        raise sc.InvalidReference(
+            f"the duration of {duration:g} s is longer than {LONGEST_DURATION:g} s: nothing would move"
+        )
+    name = next(iter(PROFILES)) if profile is None else profile
+    chosen(PROFILES, name, "profile")
+    return straight_line(start, end, duration, name, ramp)
 
 
 @dataclass(frozen=True)
@@ -117,7 +94,7 @@ class Route:
 
 
 def feedforward(
-    path: PathRequest,
+    path: Callable[[], sc.Reference],
     parameters: Mapping[str, float],
     route: Route,
     progress: Callable[[int, int], None] | None = None,
@@ -126,8 +103,8 @@ def feedforward(
 
     Parameters
     ----------
-    path : LineRequest or FileRequest
-        Where the load shall go.
+    path : callable
+        Makes the path on which the load shall go, once all names are known to be right.
     parameters : mapping of str to float
         Parameters of the crane that differ from the defaults.
     route : Route
@@ -151,7 +128,7 @@ def feedforward(
     method = chosen(METHODS, route.method, "method")
     accuracy = route.accuracy()
     with np.errstate(all="ignore"):  # what is not finite is refused below with a sentence, not warned of
-        scene = scene.with_reference(path.reference())
+        scene = scene.with_reference(path())
         _require_few_rows(scene.reference.duration, route.step if route.output_step is None else route.output_step)
         return sc.solve(
             scene,

@@ -340,10 +340,10 @@ with Host(Path(sys.argv[1])) as host:
     state = host.fmu.getFMUState()
     def fail(*_, **__):
         raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")
-    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_required_jet"):
+    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_finite_inputs"):
         kept = getattr(kind, place)
         setattr(kind, place, fail)
-        assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_required_jet")
+        assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_finite_inputs")
         host.set(load_mass=100.0, model="points")
         host.fmu.setFMUState(state)
         host.outputs()

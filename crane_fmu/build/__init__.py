@@ -2,6 +2,6 @@
 
 from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.fmu import build_fmu, main
-from crane_fmu.build.ssp import STEP, SYSTEM_FILE, build_ssp
+from crane_fmu.build.ssp import STEP, build_ssp
 
-__all__ = ["STEP", "SYSTEM_FILE", "build_fmu", "build_ssp", "cross_check", "main"]
+__all__ = ["STEP", "build_fmu", "build_ssp", "cross_check", "main"]

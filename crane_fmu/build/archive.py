@@ -25,6 +25,7 @@ from crane_fmu.build.description import complete
 from crane_fmu.build.page import documentation_page
 from crane_fmu.build.shim import with_shim
 from crane_fmu.files import put
+from crane_fmu.run import forgotten_modules
 from crane_fmu.slave.interface import PATH_FILE
 
 _ICON = Path(__file__).parent / "resources" / "model.png"
@@ -37,7 +38,8 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
     members |= {
         "modelDescription.xml": complete(members["modelDescription.xml"], content.interface, notes),
-        "resources/requirements.txt": "\n".join([*_requirements(), ""]).encode(),
+        # CasADi reads functions that it, or an older version, has saved
+        "resources/requirements.txt": f"numpy>=1.26\ncasadi>={notes['casadi']}\n".encode(),
         "documentation/index.html": documentation_page(content.kind).encode(),
         "documentation/licenses/pythonfmu.txt": _licence("pythonfmu"),
         "model.png": _ICON.read_bytes(),
@@ -69,11 +71,6 @@ def _licence(package: str) -> bytes:
     return found[0].read_binary()
 
 
-def _requirements() -> tuple[str, ...]:
-    """Return what the host's Python must have: CasADi reads functions that it, or an older version, has saved."""
-    return "numpy>=1.26", f"casadi>={metadata.version('casadi')}"
-
-
 def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
     """Stage the bundle, let PythonFMU pack it and return the members of its archive."""
     bundled = {
@@ -81,7 +78,7 @@ def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
         for path, text in content.files.items()
     }
     options = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
-    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch, _no_traces():
+    with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
         folder, entry = Path(scratch), f"{content.name}.py"
         put(folder, {**bundled, entry: content.entry})
         archive = FmuBuilder.build_FMU(
@@ -98,25 +95,20 @@ def _privately(source: str, bundle: str, packages: str = "crane_fmu|servocore") 
 
 @contextmanager
 def _no_traces() -> Iterator[None]:
-    """Undo what PythonFMU's builder leaves behind: its search path and the modules of the FMU.
+    """Keep what PythonFMU's builder imports and writes out of this process and of the bundle.
 
     Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
     for those it packs, and find no slave that is its own.
     """
-    search_path, write_bytecode = list(sys.path), sys.dont_write_bytecode
-    sys.dont_write_bytecode = True
-    _forget_modules()
-    try:
-        yield
-    finally:
-        sys.path[:] = search_path
-        sys.dont_write_bytecode = write_bytecode
-        _forget_modules()
-
-
-def _forget_modules() -> None:
     for name in [each for each in sys.modules if each.startswith(PREFIX)]:
         del sys.modules[name]
+    write_bytecode = sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
+    try:
+        with forgotten_modules():
+            yield
+    finally:
+        sys.dont_write_bytecode = write_bytecode
 
 
 def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:

@@ -81,33 +81,25 @@ def description() -> bytes:
     ET.register_namespace("ssd", _SSD)
     ET.register_namespace("ssc", _SSC)
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
-    system = ET.SubElement(root, f"{{{_SSD}}}System", name="Crane")
-    elements = ET.SubElement(system, f"{{{_SSD}}}Elements")
-    wires = connections()
+    system = _child(root, "System", name="Crane")
+    elements, wires = _child(system, "Elements"), connections()
     for name, component in COMPONENTS.items():
-        element = ET.SubElement(
-            elements,
-            f"{{{_SSD}}}Component",
-            name=component,
-            type="application/x-fmu-sharedlibrary",
-            source=f"resources/{name}.fmu",
-        )
-        connectors = ET.SubElement(element, f"{{{_SSD}}}Connectors")
+        source = f"resources/{name}.fmu"
+        element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
+        connectors = _child(element, "Connectors")
         for connector, kind, unit in _connectors(component, KINDS[name].interface(), wires):
-            place = ET.SubElement(connectors, f"{{{_SSD}}}Connector", name=connector, kind=kind)
+            place = _child(connectors, "Connector", name=connector, kind=kind)
             ET.SubElement(place, f"{{{_SSC}}}Real", unit=unit)
-    joints = ET.SubElement(system, f"{{{_SSD}}}Connections")
+    joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
-        ET.SubElement(
-            joints,
-            f"{{{_SSD}}}Connection",
-            startElement=source,
-            startConnector=output,
-            endElement=sink,
-            endConnector=given,
-        )
-    ET.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0", stopTime="20")
+        ends = {"startElement": source, "startConnector": output, "endElement": sink, "endConnector": given}
+        _child(joints, "Connection", **ends)
+    _child(root, "DefaultExperiment", startTime="0", stopTime="20")
     return document(root)
+
+
+def _child(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, f"{{{_SSD}}}{tag}", attributes)
 
 
 Wire = tuple[tuple[str, str], tuple[str, str]]

@@ -8,7 +8,7 @@ from itertools import product
 
 from crane_fmu.catalogue import variables
 from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
-from crane_fmu.slave.interface import REST, Interface
+from crane_fmu.slave.interface import REST, Interface, components
 from crane_fmu.slave.lines import PROFILES
 
 Route = tuple[str, str]
@@ -58,7 +58,7 @@ class Kind:
         return f"{self.name}.fmu"
 
 
-_LOAD_AT_REST = {f"load.position[{k}]": value for k, value in enumerate(REST, start=1)}
+_LOAD_AT_REST = dict(zip(components("load.position"), REST, strict=True))
 _CRANE_AT_REST = {"phi": 0.0, "s": REST[0], "l": -REST[2], "tension": 981.0}
 _ROUTES = tuple(product(MODELS, FORMULATIONS))
 

@@ -16,6 +16,7 @@ from crane_fmu.slave.interface import (
     Interface,
     Variability,
     Variable,
+    components,
 )
 from crane_fmu.slave.lines import PROFILES, THREE_PHASE
 
@@ -160,7 +161,7 @@ def _crane_parameters() -> Iterator[Variable]:
 
 def _components(name: str) -> Iterator[tuple[str, str]]:
     """Yield the names of a vector's components with their axes."""
-    return ((f"{name}[{k}]", axis) for k, axis in enumerate("xyz", start=1))
+    return zip(components(name), "xyz", strict=True)
 
 
 def _fixed_vector(name: str, unit: str, start: Sequence[float], text: str) -> Iterator[Variable]:

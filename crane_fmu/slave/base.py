@@ -17,7 +17,7 @@ from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
 from pythonfmu.variables import Real, String
 
-from crane_fmu.slave.checks import require_legal, require_step
+from crane_fmu.slave.checks import require_finite, require_legal, require_step
 from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
 from crane_fmu.slave.interface import INTERFACE_FILE, Interface, Variable
 from servocore import InvalidSetting
@@ -28,20 +28,15 @@ _DAMAGED = "the state to restore is damaged; nothing was changed"
 _BUNDLE = Path(__file__).parents[2].name
 
 
-def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:
-    """Return a function that reads each file once in a process; they do not change."""
-    loaded: dict[Path, Any] = {}
-
-    def load(file: Path, read: Callable[[str], Any]) -> Any:
-        if file not in loaded:
-            loaded[file] = read(file.read_text(encoding="utf-8"))
-        return loaded[file]
-
-    return load
-
-
-load_once = _loader()
+_LOADED: dict[Path, Any] = {}
 Found = TypeVar("Found")
+
+
+def load_once(file: Path, read: Callable[[str], Any]) -> Any:
+    """Return what `read` makes of a file's text, once in a process for all instances; the files do not change."""
+    if file not in _LOADED:
+        _LOADED[file] = read(file.read_text(encoding="utf-8"))
+    return _LOADED[file]
 
 
 class State(Protocol):
@@ -212,6 +207,12 @@ class TableSlave(GuardedSlave):
         for k, value in zip(references, values, strict=True):
             require_legal(self._interface.variables[k], value)
         return values
+
+    def _finite_inputs(self, count: int, time: float) -> list[float]:
+        """Return the first inputs of the table, which shall be those of an instant."""
+        inputs = self._reals[:count]
+        require_finite(inputs, self._interface.variables, time)
+        return inputs
 
     def _references(self, *names: str) -> list[int]:
         return [self._interface.index(name) for name in names]

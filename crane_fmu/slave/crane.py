@@ -58,17 +58,6 @@ class CraneState(PlainState):
         """In s."""
         return self.motion.time
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
-        return {
-            "motion": self.motion.to_plain(),
-            "heard": list(self.heard),
-            "samples": [[time, list(value)] for time, value in self.samples],
-            "control": None if self.control is None else self.control.to_plain(),
-            "gain": self.gain,
-            "said": self.said,
-        }
-
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> CraneState:
         """Undo `to_plain`."""
@@ -117,7 +106,7 @@ class CraneSlave(TableSlave):
         return program
 
     def _begin(self, time: float) -> CraneState:
-        program, heard = required(self._program), self._required_jet(time)
+        program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
         samples = kept_samples((), time, self._highest(heard), self._order) if self._order < ROWS - 1 else ()
         return CraneState(begin(program, self._connected(heard), self._required_parameters()[0], time), (), samples)
 
@@ -130,7 +119,7 @@ class CraneSlave(TableSlave):
         program, motion = required(self._program), now.motion
         p, internal_step, gain = self._required_parameters()
         time = motion.time + h if self._at_end else motion.time
-        heard = self._required_jet(time)
+        heard = self._finite_inputs(_INPUTS, time)
         if not now.heard and heard == _NOTHING_TOLD:  # some masters pass connected values on after the first step only
             heard = motion.jet.ravel().tolist()
         said = now.said or self._remarked(now.heard, heard, time)
@@ -197,11 +186,6 @@ class CraneSlave(TableSlave):
         return outputs
 
     # --- what the variables say ----------------------------------------------------------------------------------
-
-    def _required_jet(self, time: float) -> list[float]:
-        inputs = self._reals[:_INPUTS]
-        require_finite(inputs, self._interface.variables, time)
-        return inputs
 
     def _highest(self, heard: Sequence[float]) -> tuple[float, ...]:
         return tuple(heard[DIMENSION * self._order : DIMENSION * (self._order + 1)])

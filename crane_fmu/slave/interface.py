@@ -7,7 +7,6 @@ The module travels into the FMUs and needs the standard library only. Value refe
 from __future__ import annotations
 
 import json
-import math
 import uuid
 from dataclasses import asdict, dataclass, field
 from typing import Literal
@@ -31,9 +30,18 @@ INPUT_TIMES = ("start", "end")
 CRANE_PARAMETERS = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia", "winch_radius", "gravity")
 """Parameters of the crane in the order in which a plant takes them."""
 
+
+def components(*vectors: str) -> tuple[str, ...]:
+    """Return the names of the components of vectors, one vector after the other."""
+    return tuple(f"{name}[{k}]" for name in vectors for k in range(1, DIMENSION + 1))
+
+
+PATH_INPUTS = components(*(f"load.{order}" for order in ORDERS))
+"""What the inverse model has to be told of the load path, order by order."""
+
 FEEDBACK_INPUTS = (
     *(f"measured.{name}" for name in ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")),
-    *(f"measured.{name}[{k}]" for name in ("position", "velocity") for k in (1, 2, 3)),
+    *components("measured.position", "measured.velocity"),
 )
 """What the feedback has to be told of the crane."""
 
@@ -87,19 +95,6 @@ class Variable:
     def is_text(self) -> bool:
         """True for a String, False for a Real."""
         return bool(self.choices)
-
-    def complaint(self, value: Value) -> str | None:
-        """Say in a sentence why `value` is not legal for this variable, or return None."""
-        if self.is_text:
-            legal = value in self.choices
-            return None if legal else f"{self.name} = {value!r} is unknown; it may be {', '.join(self.choices)}"
-        low, high = self.minimum, self.maximum
-        number = float(value)
-        if math.isfinite(number) and (low is None or number >= low) and (high is None or number <= high):
-            return None
-        bounds = f"[{'-inf' if low is None else f'{low:g}'}, {'inf' if high is None else f'{high:g}'}]"
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.name} = {number:g}{unit} is outside its range {bounds}{unit}"
 
 
 @dataclass(frozen=True)

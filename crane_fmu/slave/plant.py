@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once, required
-from crane_fmu.slave.checks import internal_steps, require_finite
-from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, PLANT_FILE
+from crane_fmu.slave.checks import internal_steps
+from crane_fmu.slave.interface import CRANE_PARAMETERS, PLANT_FILE, components
 from crane_fmu.slave.paths import Array
 from crane_fmu.slave.state import PlainState
 from servocore import IntegrationFailed, InvalidReference, Plant
 
 SMALLEST_RADIUS = 1e-3
-_COORDINATES = ("phi", "s", "l", "swing_in", "swing_out")
 _INPUTS = 3
 
 
@@ -75,18 +74,10 @@ class PlantSlave(TableSlave):
         super().__init__(**kwargs)
         self._plant: Plant | None = None
         self._at_end = self._held = self._brakes = False
-        three = range(1, DIMENSION + 1)
         self._own = self._references(*CRANE_PARAMETERS, "mass_error")
-        self._weather = self._references(
-            *(f"{name}[{k}]" for name in ("wind", "gust") for k in three),
-            "gust_start",
-            "gust_duration",
-            "internal_step",
-        )
-        self._initial = self._references(
-            *(f"start.{name}[{k}]" for name in ("position", "velocity") for k in three),
-            "start.swing[1]", "start.swing[2]",
-        )  # fmt: skip
+        vectors = components("wind", "gust"), components("start.position", "start.velocity")
+        self._weather = self._references(*vectors[0], "gust_start", "gust_duration", "internal_step")
+        self._initial = self._references(*vectors[1], "start.swing[1]", "start.swing[2]")
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -99,7 +90,7 @@ class PlantSlave(TableSlave):
     def _begin(self, time: float) -> PlantState:
         start = self._checked(self._initial)
         state = _hanging(np.array(start[:3]), np.array(start[3:6]), start[6:])
-        u, around = self._required_inputs(time), self._surroundings()
+        u, around = np.array(self._finite_inputs(_INPUTS, time)), self._surroundings()
         moving = bool(state[5:].any() or around.force(time).any() or state[3:5].any())
         released = bool(u.any()) or moving or not self._brakes
         found = PlantState(time, state, released, u, 0.0, u)
@@ -112,7 +103,7 @@ class PlantSlave(TableSlave):
     # --- steps ----------------------------------------------------------------------------------------------------
 
     def _advance(self, now: PlantState, h: float) -> PlantState:
-        u = self._required_inputs(now.time + h if self._at_end else now.time)
+        u = np.array(self._finite_inputs(_INPUTS, now.time + h if self._at_end else now.time))
         around, end = self._surroundings(), now.time + h
         first = not now.released
         if first and not u.any():
@@ -189,11 +180,6 @@ class PlantSlave(TableSlave):
         return [values[self._interface.variables[k].name] for k in self._outputs]
 
     # --- what the variables say ----------------------------------------------------------------------------------
-
-    def _required_inputs(self, time: float) -> Array:
-        inputs = self._reals[:_INPUTS]
-        require_finite(inputs, self._interface.variables, time)
-        return np.array(inputs)
 
     def _surroundings(self) -> Surroundings:
         """Return what parameters say, checked when they have changed."""

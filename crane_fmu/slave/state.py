@@ -15,6 +15,12 @@ def _array(value: Any) -> Array:
     return np.array(value, dtype=float)
 
 
+def _plain(value: Any) -> Any:
+    if isinstance(value, PlainState):
+        return value.to_plain()
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
 _READ: Mapping[Any, Callable[[Any], Any]] = {"Array": _array, "float": float, "bool": bool}
 
 
@@ -24,8 +30,7 @@ class PlainState:
 
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers and lists."""
-        values = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()}
+        return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.slave.base import TableSlave, required
-from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE
+from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE, components
 from crane_fmu.slave.lines import straight_line
 from crane_fmu.slave.state import PlainState
 from servocore import InvalidReference, InvalidSetting, Reference, from_csv
@@ -31,8 +31,7 @@ class TrajectorySlave(TableSlave):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._path: Reference | None = None
-        names = [f"{end}[{k + 1}]" for end in ("start", "end") for k in range(DIMENSION)]
-        self._numbers = self._references(*names, "duration", "start_time", "ramp")
+        self._numbers = self._references(*components("start", "end"), "duration", "start_time", "ramp")
 
     def _prepare(self) -> None:
         profile = self._setting("profile")
