@@ -97,7 +97,8 @@ def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeyp
     monkeypatch.setenv("CC", "false")
     text, said = (bundle() / "points-reduced.json").read_text(), []
     assert compiled_steps({"a.json": text, "b.json": text}, said.append) == {}
-    assert said == ["false does not compile CasADi's C; the FMU will take more time for its steps"]
+    (notice,) = said
+    assert notice.startswith("false does not compile")
 
 
 def test_without_a_compiler_nothing_is_compiled(monkeypatch):

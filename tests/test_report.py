@@ -213,10 +213,8 @@ class TestPage:
         assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 7)]
         assert all(re.findall(r'alt="([^"]*)"', html))
 
-    def test_it_declares_its_data_an_assumption_and_claims_no_printed_curve(self, html):
-        text = " ".join(html.split())
-        assert "declared assumption" in text
-        assert "no figure here claims to reproduce a printed curve" in text
+    def test_it_declares_its_data_an_assumption(self, html):
+        assert "declared assumption" in " ".join(html.split())
 
     def test_it_names_no_machine_and_no_day(self, html):
         assert not re.search(r"/(home|root|tmp|usr|work)/|\b20[12]\d-\d\d", html)
