@@ -62,6 +62,7 @@ atlas: $(INSTALLED)  ## measure how integration fails and what survives, into do
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
+	$(BIN)/python docs/draw_icon.py
 
 clean:  ## remove everything that was made but .venv
 	rm -rf build dist "$(OUT)" .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks *.fmu

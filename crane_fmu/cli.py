@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import rich.box
 import rich.table
 import typer
-from servocore.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
-from servocore.writing import require_places, write_together
 
 import servocore as sc
+from crane_fmu import catalogue
 from crane_fmu import feedforward as ff
+from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
+from servocore.files import require_places, write_together
 
 if TYPE_CHECKING:
     from crane_fmu.report.page import Table
@@ -28,11 +31,6 @@ app = typer.Typer(
     help="Inputs that make the load of a rotary crane follow its path, and that crane as an FMU.",
     **SETTINGS,
 )
-
-
-@app.callback()
-def _commands() -> None:
-    """Keep the commands named even if there is one only; the text of the help is that of `app`."""
 
 
 def _option(panel: str, *names: str, metavar: str, text: str) -> Any:
@@ -60,22 +58,22 @@ Duration = Annotated[float | None, _option(_LINE, "--duration", metavar="T", tex
 ProfileName = Annotated[
     str | None,
     _option(_LINE, "--profile", metavar="NAME",
-            text=f"Time law: {', '.join(ff.PROFILES)}. Default: {next(iter(ff.PROFILES))}."),
+            text=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
 ]  # fmt: skip
 Ramp = Annotated[
     float | None,
     _option(_LINE, "--ramp", metavar="TAU0",
-            text=f"Time to accelerate (s), only for {ff.THREE_PHASE}. Default: duration/4."),
+            text=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
 ]  # fmt: skip
 ParametersFile = Annotated[
     Path | None,
     _option(_CRANE, "--parameters", metavar="FILE.toml", text=f"Any of {_PARAMETERS} (SI units)."),
 ]
-ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(ff.MODELS)}.")]
+ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(catalogue.MODELS)}.")]
 FormulationName = Annotated[
-    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(ff.FORMULATIONS)}.")
+    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(catalogue.FORMULATIONS)}.")
 ]
-MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(ff.METHODS)}.")]
+MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(catalogue.METHODS)}.")]
 Step = Annotated[
     float | None,
     _option(_CRANE, "--step", metavar="H", text="Step (s); divides the duration. Default: duration/200."),
@@ -141,7 +139,7 @@ def feedforward(
     The path is either a file (--reference) or a straight line from rest to rest (--from, --to, --duration).
     The table has the columns time,M_b,F,M_w,phi,s,l,x,y,z,tension in SI units and one row a step.
     """
-    line = LineOptions(start, end, duration, profile, ramp)
+    line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
     path = path_request(reference, tolerance, line)
     require_places({"--output": output, "--plot": plot}, [reference, parameters])
     if plot is not None and plot.suffix.lower() not in ff.PICTURES:
@@ -152,7 +150,7 @@ def feedforward(
         solution = ff.feedforward(
             path, changed, ff.Route(model, formulation, method, step, rtol, atol, output_step), progress
         )
-        table = ff.csv_text(solution)
+        table = ff.table(solution)
         if plot is not None:
             contents[plot] = _drawn(solution, plot.suffix.lower())
     if output is not None:
@@ -197,7 +195,7 @@ def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) ->
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s.
     """
-    from crane_fmu.ssp import build_ssp  # noqa: PLC0415
+    from crane_fmu.build import build_ssp  # noqa: PLC0415
 
     with PatientProgress("building the system") as progress:
         files = build_ssp(output, progress.describe, reference)
@@ -232,39 +230,29 @@ def _terminal_table(table: Table) -> rich.table.Table:
     return shown
 
 
-class LineOptions(NamedTuple):
-    """The options of a straight line as they were given."""
-
-    start: Point | None
-    end: Point | None
-    duration: float | None
-    profile: str | None
-    ramp: float | None
-
-
-def path_request(reference: Path | None, tolerance: float | None, line: LineOptions) -> ff.PathRequest:
-    """Turn the options that describe a path into one description.
+def path_request(
+    reference: Path | None, tolerance: float | None, line: Mapping[str, Any]
+) -> Callable[[], sc.Reference]:
+    """Turn the options that describe a path, a straight line by their names, into a function that makes it.
 
     Raises
     ------
     InvalidSetting
         If they describe no path, two, or half of one.
     """
-    names = ("--from", "--to", "--duration", "--profile", "--ramp")
-    given = [name for name, value in zip(names, line, strict=True) if value is not None]
+    given = [name for name, value in line.items() if value is not None]
     if reference is not None:
         if given:
             raise sc.InvalidSetting(f"a path is given either by --reference or by {given[0]}, not by both")
-        return ff.FileRequest(reference, tolerance)
+        return partial(sc.from_csv, reference, tolerance)
     if tolerance is not None:
         raise sc.InvalidSetting("--tolerance belongs to --reference")
-    if line.start is None or line.end is None or line.duration is None:
-        if not given:
-            raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
-        missing = [name for name in names[:3] if name not in given]
+    if not given:
+        raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
+    missing = [name for name in ("--from", "--to", "--duration") if name not in given]
+    if missing:
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
-    profile = next(iter(ff.PROFILES)) if line.profile is None else line.profile
-    return ff.LineRequest(line.start, line.end, line.duration, profile, line.ramp)
+    return partial(ff.line, *line.values())
 
 
 def main() -> None:

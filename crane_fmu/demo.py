@@ -9,16 +9,15 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
-from crane_fmu.feedforward import csv_text
-from crane_fmu.kinds import ROTARY_CRANE
+from crane_fmu.build import STEP, build_ssp
+from crane_fmu.catalogue import ROTARY_CRANE
+from crane_fmu.feedforward import table
+from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
-from crane_fmu.report.closed_loop import LoopRun
-from crane_fmu.report.closed_loop import table as loop_table
 from crane_fmu.report.page import Section, Table, page
-from crane_fmu.report.study import STEPS, Announce, Cycle, fmu_run, study, working_cycle
+from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, fmu_run, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
-from crane_fmu.ssp import FILE_NAME, STEP, build_ssp
-from crane_fmu.writing import filled_folder
+from crane_fmu.slave.interface import components
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
 
@@ -92,7 +91,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
-        (draft / INPUTS_FILE).write_text(csv_text(found.base), encoding="utf-8")
+        put(draft, {INPUTS_FILE: table(found.base)})
         announce("drawing figures")
         write_report(draft, contents.sections(found, run, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
@@ -100,8 +99,8 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         contents.error_table(found, factors=False),
         contents.difference_table(found),
         contents.fmu_table(run),
-        contents.tracking_table(found),
-        loop_table(loop),
+        contents.tracking_table(found.tracking),
+        contents.loop_table(loop),
         *([] if cycle is None else [contents.cycle_table(cycle)]),
     )
     missing = "the working cycle is left out: its example files are not installed"
@@ -111,34 +110,30 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
 def build_system(folder: Path, announce: Announce) -> Path:
     """Build the FMUs and the system; the inverse model lies beside the report too."""
     files = build_ssp(folder / SYSTEM, lambda stage: announce(f"building the FMUs: {stage}"))
-    (folder / ROTARY_CRANE.file_name).write_bytes((folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes())
-    return next(each for each in files if each.name == FILE_NAME)
+    put(folder, {ROTARY_CRANE.file_name: (folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes()})
+    return files[-1]
 
 
-def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[LoopRun]:
+def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[LoadRun]:
     """Run the connected FMUs along the default manoeuvre, undisturbed and disturbed."""
     runs = []
     for label, parameters in LOOPS.items():
         announce(f"running the connected FMUs, {label}")
         found = run_ssp(system, scene.reference.duration, STEP, parameters)
         places = [
-            np.column_stack([found[f"{component}.load.position[{k}]"] for k in (1, 2, 3)])
+            np.column_stack([found[name] for name in components(f"{component}.load.position")])
             for component in ("trajectory", "plant")
         ]
-        runs.append(LoopRun(label, found["time"], *places))
+        runs.append(LoadRun(label, found["time"], *places))
     return runs
 
 
 def write_report(folder: Path, sections: Sequence[Section]) -> None:
     """Write the page and, in a folder of their own, its pictures."""
-    drawings: dict[str, bytes] = {}
-    for section in sections:
-        for each in section.illustrations:
-            drawings |= each.files()
-    (folder / FIGURES).mkdir()
-    for name, content in drawings.items():
-        (folder / FIGURES / name).write_bytes(content)
-    (folder / REPORT).write_text(page(contents.TITLE, sections, drawings), encoding="utf-8")
+    illustrations = [each for section in sections for each in section.illustrations]
+    drawings = {name: drawing for each in illustrations for name, drawing in each.files().items()}
+    put(folder / FIGURES, drawings)
+    put(folder, {REPORT: page(contents.TITLE, sections, drawings)})
 
 
 def examples_folder() -> Path | None:

@@ -5,43 +5,18 @@ What the command line calls, in pieces that are of use without it.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol, TypeVar
 
 import numpy as np
 
 import servocore as sc
+from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
+from crane_fmu.files import csv_text
+from crane_fmu.slave.lines import straight_line
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 """Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
-
-FORMULATIONS: Mapping[str, sc.Formulation] = {
-    "reduced": sc.Reduced(),
-    "projected": sc.Projected(),
-    "original": sc.Original(),
-}
-"""Formulations that can be asked for by name; the first is the default."""
-
-METHODS: Mapping[str, sc.Method] = {
-    "backward-euler": sc.BackwardEuler(),
-    **{f"bdf{order}": sc.BDF(order) for order in range(1, 7)},
-    **{f"radau{stages}": sc.RadauIIA(stages) for stages in range(1, 6)},
-    "trapezoidal": sc.Trapezoidal(),
-    **{f"gauss{stages}": sc.Gauss(stages) for stages in range(1, 6)},
-    "generalized-alpha": sc.GeneralizedAlpha(),
-}
-"""Methods that can be asked for by name, BDF by order, Radau and Gauss by stages; the first is the default."""
-
-THREE_PHASE = "three-phase"
-PROFILES: Mapping[str, sc.Profile] = {
-    "degree9": sc.DEGREE9,
-    "degree13": sc.DEGREE13,
-    THREE_PHASE: sc.three_phase(),
-}
-"""Time laws of a straight line from rest to rest; the first is the default."""
 
 PICTURES = (".png", ".svg", ".pdf")
 """Kinds of files that a picture of the result can be."""
@@ -52,77 +27,40 @@ MOST_ROWS = 1e7
 LONGEST_DURATION = 1e9
 """In s; beyond it the derivatives of a path vanish in rounding."""
 
-MODELS = tuple(sc.scenes.rotary_crane().models)
-"""Models of the crane; the first, and smallest, is the default."""
 
-Choice = TypeVar("Choice")
+def line(
+    start: Sequence[float], end: Sequence[float], duration: float, profile: str | None = None, ramp: float | None = None
+) -> sc.Reference:
+    """Return a straight line from rest to rest.
 
-
-def choose(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
-    """Look a name up; raises `InvalidSetting` with the names there are."""
-    if name not in table:
-        raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
-    return table[name]
-
-
-class PathRequest(Protocol):
-    """A description of a load path that can be turned into one."""
-
-    def reference(self) -> sc.Reference:
-        """Return the path; raises `InvalidReference` or `InvalidSetting` if there is none."""
-
-
-@dataclass(frozen=True)
-class LineRequest:
-    """A straight line from rest to rest.
-
-    Attributes
+    Parameters
     ----------
-    start, end : tuple of float
+    start, end : sequence of float
         End points (x, y, z) in m.
     duration : float
         Time of the motion in s.
-    profile : str
-        One of `PROFILES`.
-    ramp : float or None
+    profile : str, optional
+        One of `PROFILES` of the catalogue; the first unless it is given.
+    ramp : float, optional
         Time to accelerate in s, for the profile three-phase only.
+
+    Raises
+    ------
+    InvalidReference, InvalidSetting
+        If there is no such line.
     """
-
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    duration: float
-    profile: str = "degree9"
-    ramp: float | None = None
-
-    def reference(self) -> sc.Reference:
-        """Return the line; see `PathRequest`."""
-        if self.duration > LONGEST_DURATION:
-            raise sc.InvalidReference(
-                f"the duration of {self.duration:g} s is longer than {LONGEST_DURATION:g} s: nothing would move"
-            )
-        law = choose(PROFILES, self.profile, "profile")
-        if self.ramp is not None:
-            if self.profile != THREE_PHASE:
-                raise sc.InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {self.profile}")
-            law = sc.three_phase(self.ramp)
-        return sc.rest_to_rest(self.start, self.end, self.duration, law)
-
-
-@dataclass(frozen=True)
-class FileRequest:
-    """A path from a CSV file, as `servocore.from_csv` reads it."""
-
-    path: Path
-    tolerance: float | None = None
-
-    def reference(self) -> sc.Reference:
-        """Return the path; see `PathRequest`."""
-        return sc.from_csv(self.path, self.tolerance)
+    if duration > LONGEST_DURATION:
+        raise sc.InvalidReference(
+            f"the duration of {duration:g} s is longer than {LONGEST_DURATION:g} s: nothing would move"
+        )
+    name = next(iter(PROFILES)) if profile is None else profile
+    chosen(PROFILES, name, "profile")
+    return straight_line(start, end, duration, name, ramp)
 
 
 @dataclass(frozen=True)
 class Route:
-    """How the inputs are computed: names of `MODELS`, `FORMULATIONS` and `METHODS`, and the step or a tolerance.
+    """How the inputs are computed: names of the catalogue, and the step or a tolerance.
 
     Attributes
     ----------
@@ -156,7 +94,7 @@ class Route:
 
 
 def feedforward(
-    path: PathRequest,
+    path: Callable[[], sc.Reference],
     parameters: Mapping[str, float],
     route: Route,
     progress: Callable[[int, int], None] | None = None,
@@ -165,8 +103,8 @@ def feedforward(
 
     Parameters
     ----------
-    path : LineRequest or FileRequest
-        Where the load shall go.
+    path : callable
+        Makes the path on which the load shall go, once all names are known to be right.
     parameters : mapping of str to float
         Parameters of the crane that differ from the defaults.
     route : Route
@@ -185,12 +123,12 @@ def feedforward(
         If a name, the path, a parameter or the step cannot be used, or a step is not solved.
     """
     scene = sc.scenes.rotary_crane().with_parameters(**parameters)
-    choose(scene.models, route.model, "model")
-    formulation = choose(FORMULATIONS, route.formulation, "formulation")
-    method = choose(METHODS, route.method, "method")
+    chosen(scene.models, route.model, "model")
+    formulation = chosen(FORMULATIONS, route.formulation, "formulation")
+    method = chosen(METHODS, route.method, "method")
     accuracy = route.accuracy()
     with np.errstate(all="ignore"):  # what is not finite is refused below with a sentence, not warned of
-        scene = scene.with_reference(path.reference())
+        scene = scene.with_reference(path())
         _require_few_rows(scene.reference.duration, route.step if route.output_step is None else route.output_step)
         return sc.solve(
             scene,
@@ -210,9 +148,6 @@ def _require_few_rows(duration: float, step: float | None) -> None:
         )
 
 
-def csv_text(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:
-    """Return the table as the text of a CSV file, in full double precision."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "inputs.csv"
-        solution.to_csv(file, columns)
-        return file.read_text(encoding="utf-8")
+def table(solution: sc.Solution) -> str:
+    """Return `COLUMNS` of a solution as the text of a CSV file, in full double precision."""
+    return csv_text({"time": solution.t, **{name: solution[name] for name in COLUMNS}})

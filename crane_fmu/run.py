@@ -15,7 +15,7 @@ import numpy.typing as npt
 from fmpy.ssp.simulation import simulate_ssp
 
 import servocore as sc
-from crane_fmu.interface import DIMENSION, FEEDBACK_INPUTS, ORDERS
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, ORDERS, PATH_INPUTS
 
 Array = npt.NDArray[np.float64]
 
@@ -130,10 +130,9 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
     count = round(reference.duration / step)
     t = np.linspace(reference.start_time, reference.end_time, count + 1)
     jets = reference.jet(t, len(ORDERS) - 1)
-    names = [f"load.{order}[{k + 1}]" for order in ORDERS for k in range(DIMENSION)]
-    rows = np.zeros(len(t), dtype=[(name, np.float64) for name in ("time", *names, *FEEDBACK_INPUTS)])
+    rows = np.zeros(len(t), dtype=[(name, np.float64) for name in ("time", *PATH_INPUTS, *FEEDBACK_INPUTS)])
     rows["time"] = t
-    for name, column in zip(names, jets.reshape(len(t), -1).T, strict=True):
+    for name, column in zip(PATH_INPUTS, jets.reshape(len(t), -1).T, strict=True):
         rows[name] = column
     return rows
 

@@ -21,9 +21,8 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2Ca
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from crane_fmu.interface import ORDERS, Interface
-from crane_fmu.kinds import KINDS
-from crane_fmu.slave_base import INTERFACE_FILE
+from crane_fmu.catalogue import KINDS
+from crane_fmu.slave.interface import INTERFACE_FILE, ORDERS, Interface
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")

@@ -13,8 +13,9 @@ import pytest
 from command_lines import CommandLine, write
 
 import servocore as sc
+from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
 from crane_fmu.cli import app
-from crane_fmu.feedforward import FORMULATIONS, METHODS, MODELS, PROFILES, LineRequest
+from crane_fmu.feedforward import line
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
@@ -313,8 +314,8 @@ def test_the_file_that_is_read_is_never_overwritten():
     assert Path(path).read_bytes() == before
 
 
-def test_a_line_request_is_of_use_without_the_command_line():
-    assert LineRequest((5, 0, -5), (-2, 2, -2), 20.0).reference().duration == 20.0
+def test_a_line_is_of_use_without_the_command_line():
+    assert line((5, 0, -5), (-2, 2, -2), 20.0).duration == 20.0
 
 
 def test_no_command_and_an_unknown_one_are_refused():

@@ -10,17 +10,18 @@ import pytest
 from fmu_host import extracted, fmu_file
 
 import servocore as sc
-from crane_fmu import compiled_step, shim
-from crane_fmu.kinds import ROTARY_CRANE
-from crane_fmu.slave_motion import begin
-from crane_fmu.slave_quick import QuickStep, quick_step, usual_step
+from crane_fmu.build.compiled_step import compiled_steps
+from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries
+from crane_fmu.catalogue import ROTARY_CRANE
+from crane_fmu.slave.motion import begin
+from crane_fmu.slave.quick import QuickStep, quick_step, usual_step
 from servocore import Program
 
 CRANE = sc.scenes.rotary_crane()
-NAMES = [Path(each).stem for each in ROTARY_CRANE.to_machine_code]
+NAMES = ["-".join(route) for route in ROTARY_CRANE.to_machine_code]
 H = 0.05
 
-CAN_COMPILE = shim.c_compiler() is not None and shim.is_shim_platform()
+CAN_COMPILE = c_compiler() is not None and makes_linux_binaries()
 compiles = pytest.mark.skipif(not CAN_COMPILE, reason="steps are compiled by a C compiler on 64-bit Linux")
 
 
@@ -87,10 +88,7 @@ def test_a_library_of_another_program_is_done_without():
 @compiles
 def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
     text = (bundle() / "points-reduced.json").read_text()
-    made = []
-    for _ in range(2):
-        compiled_step._library.cache_clear()
-        made.append(compiled_step.compiled_steps({"a": text}, pytest.fail)["a"])
+    made = [compiled_steps({"a.json": text}, pytest.fail)["a.so"] for _ in range(2)]
     assert made[0] == made[1] == (bundle() / "points-reduced.so").read_bytes()
 
 
@@ -98,13 +96,14 @@ def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
 def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeypatch):
     monkeypatch.setenv("CC", "false")
     text, said = (bundle() / "points-reduced.json").read_text(), []
-    assert compiled_step.compiled_steps({"a": text, "b": text}, said.append) == {}
-    assert said == ["false does not compile CasADi's C; the FMU will take more time for its steps"]
+    assert compiled_steps({"a.json": text, "b.json": text}, said.append) == {}
+    (notice,) = said
+    assert notice.startswith("false does not compile")
 
 
 def test_without_a_compiler_nothing_is_compiled(monkeypatch):
-    monkeypatch.setenv("CC", "there is no such compiler")
-    assert compiled_step.compiled_steps({"a": "not even read"}, pytest.fail) == {}
+    monkeypatch.setenv("PATH", "")
+    assert compiled_steps({"a.json": "not even read"}, pytest.fail) == {}
 
 
 @compiles

@@ -13,12 +13,12 @@ from typer.testing import CliRunner
 
 import crane_fmu.demo
 import servocore as sc
+from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
 from crane_fmu.demo import demo, example_cycle, examples_folder
-from crane_fmu.kinds import KINDS
-from crane_fmu.report.closed_loop import LoopRun
+from crane_fmu.files import filled_folder
+from crane_fmu.report.study import LoadRun
 from crane_fmu.run import input_rows, run_fmu
-from crane_fmu.writing import filled_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (0.2, 0.1)
@@ -94,7 +94,7 @@ def _make_light(monkeypatch, done):
 
     monkeypatch.setattr(crane_fmu.demo, "build_system", copied)
     monkeypatch.setattr(
-        crane_fmu.demo, "closed_loops", lambda *_: [LoopRun("none", np.arange(2.0), *np.ones((2, 2, 3)))]
+        crane_fmu.demo, "closed_loops", lambda *_: [LoadRun("none", np.arange(2.0), *np.ones((2, 2, 3)))]
     )
     monkeypatch.setattr(crane_fmu.demo, "write_report", counted)
 

@@ -16,9 +16,11 @@ from fmpy.validation import validate_fmu
 from fmu_host import Host, extracted, fmu_file, in_a_process, interface, scratch
 
 import servocore as sc
-from crane_fmu import build
-from crane_fmu.description import UNITS
-from crane_fmu.description_page import user_page
+from crane_fmu.build import fmu as build
+from crane_fmu.build.bundle import collect, travelling
+from crane_fmu.build.description import UNITS
+from crane_fmu.build.page import user_page
+from crane_fmu.catalogue import KINDS, ROTARY_CRANE
 
 ROOT = Path(__file__).parents[1]
 
@@ -26,6 +28,11 @@ ROOT = Path(__file__).parents[1]
 def members(file):
     with zipfile.ZipFile(file) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
+
+
+@pytest.fixture(scope="module")
+def content():
+    return collect()
 
 
 def test_fmpy_finds_no_problems():
@@ -52,10 +59,9 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(tmp_path, ca
     assert capsys.readouterr().err.startswith("build_fmu.py: cannot make the folder")
 
 
-def test_an_fmu_that_fails_its_check_is_not_put_in_place(tmp_path, monkeypatch):
-    content = build.collect()
-    broken = replace(content, files={**content.files, "crane_fmu/slave_motion.py": "raise RuntimeError('broken')\n"})
-    monkeypatch.setattr(build, "collect", lambda _: broken)
+def test_an_fmu_that_fails_its_check_is_not_put_in_place(content, tmp_path, monkeypatch):
+    broken = replace(content, files={**content.files, "crane_fmu/slave/motion.py": "raise RuntimeError('broken')\n"})
+    monkeypatch.setattr(build, "collect", lambda *_: broken)
     (tmp_path / "RotaryCrane.fmu").write_text("older")
     # PythonFMU's own look at the slave meets it first
     with pytest.raises(RuntimeError, match="broken"):
@@ -66,7 +72,7 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(tmp_path, monkeypatch):
     assert [each.read_text() for each in tmp_path.iterdir()] == ["older"]
 
 
-def test_a_file_missing_from_the_bundle_is_found_by_the_check(tmp_path, monkeypatch):
+def test_a_file_missing_from_the_bundle_is_found_by_the_check(content, tmp_path, monkeypatch):
     packed = build.packed
 
     def without_one_program(content, _):
@@ -77,15 +83,16 @@ def test_a_file_missing_from_the_bundle_is_found_by_the_check(tmp_path, monkeypa
                     archive.writestr(name, data)
         return stream.getvalue()
 
+    monkeypatch.setattr(build, "collect", lambda *_: content)
     monkeypatch.setattr(build, "packed", without_one_program)
     with pytest.raises(sc.ServocoreError, match=r"bodies, projected.*No such file"):
         build.build_fmu(tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_building_leaves_no_traces_in_the_process():
+def test_building_leaves_no_traces_in_the_process(content):
     path, modules = list(sys.path), set(sys.modules)
-    build.packed(build.collect())
+    build.packed(content)
     assert sys.path == path
     assert not {each for each in set(sys.modules) - modules if each.startswith("rotary_crane")}
 
@@ -102,6 +109,25 @@ def test_the_archive_holds_what_is_needed_and_nothing_else():
     assert not [name for name in found if "__pycache__" in name]
     assert str(ROOT).encode() not in b"".join(found.values())
     assert fmu_file().stat().st_size < 2_000_000
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+def test_what_the_slave_imports_travels_and_nothing_else(kind):
+    sources = travelling(f"crane_fmu.slave.{kind.module}")
+    assert f"crane_fmu/slave/{kind.module}.py" in sources
+    assert "servocore/errors.py" in sources
+    unused = {
+        "crane_fmu/cli.py",
+        "servocore/solve.py",
+        "servocore/scenes/__init__.py",
+        "servocore/references/periodic.py",
+    }
+    assert not unused & set(sources)
+    # packages bring no more of themselves than names that are asked of them
+    assert sources["crane_fmu/__init__.py"] == sources["crane_fmu/slave/__init__.py"] == ""
+    offered = sources["servocore/__init__.py"].splitlines()
+    assert "from servocore.errors import InvalidSetting" in offered
+    assert not [line for line in offered if "solve" in line]
 
 
 def test_all_variables_have_units_with_their_dimension():
@@ -140,22 +166,20 @@ def test_the_description_offers_states_and_variable_steps():
     assert not offered.canBeInstantiatedOnlyOncePerProcess
 
 
-def test_the_identifier_changes_with_the_interface_only():
+def test_the_identifier_changes_with_the_interface_only(content):
     table = interface()
     assert read_model_description(str(fmu_file())).guid.strip("{}") == table.guid
     changed = replace(table.variables[0], description="something else")
     assert replace(table, variables=(changed, *table.variables[1:])).guid != table.guid
-    content = build.collect()
     assert replace(content, files={**content.files, "more.py": ""}).name != content.name
 
 
-def test_two_builds_of_different_content_live_in_one_process():
-    content = build.collect()
-    checks = content.files["crane_fmu/slave_checks.py"]
+def test_two_builds_of_different_content_live_in_one_process(content):
+    checks = content.files["crane_fmu/slave/checks.py"]
     assert "LONGEST_STEP = 3600.0" in checks
     impatient = checks.replace("LONGEST_STEP = 3600.0", "LONGEST_STEP = 0.05")
     other = scratch() / "impatient.fmu"
-    other.write_bytes(build.packed(replace(content, files={**content.files, "crane_fmu/slave_checks.py": impatient})))
+    other.write_bytes(build.packed(replace(content, files={**content.files, "crane_fmu/slave/checks.py": impatient})))
     with Host() as patient, Host(other) as hasty:
         assert patient.start().step(0.0, 0.1)
         assert not hasty.start().step(0.0, 0.1)
@@ -231,7 +255,7 @@ def test_it_runs_from_a_path_with_a_space(tmp_path):
 
 
 def test_the_page_in_the_documentation_is_the_one_in_the_fmu():
-    page = user_page(build.interface())
+    page = user_page(ROTARY_CRANE)
     written = (ROOT / "docs" / "fmu.md").read_text(encoding="utf-8")
     assert written == page, "run: python build_fmu.py --page docs/fmu.md"
     html = members(fmu_file())["documentation/index.html"].decode()

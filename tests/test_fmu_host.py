@@ -13,12 +13,12 @@ from fmpy import simulate_fmu
 from fmu_host import JET, Host, fmu_file, follow, in_a_process
 
 import servocore as sc
-from crane_fmu.description_page import REFUSALS
+from crane_fmu.build.page import REFUSALS
 
 CRANE = sc.scenes.rotary_crane()
 REST = np.zeros((5, 3))
 REST[0] = 5.0, 0.0, -5.0
-SENTENCES = [sentence for _, sentence in REFUSALS]
+SENTENCES = [sentence for _, sentence in REFUSALS["RotaryCrane"]]
 
 
 def moved(**changes):
@@ -335,15 +335,15 @@ from fmu_host import Host
 with Host(Path(sys.argv[1])) as host:
     host.start()
     assert host.step(0.0, 0.1)
-    (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave")]
+    (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave.crane")]
     kind = slave.CraneSlave
     state = host.fmu.getFMUState()
     def fail(*_, **__):
         raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")
-    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_required_jet"):
+    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_finite_inputs"):
         kept = getattr(kind, place)
         setattr(kind, place, fail)
-        assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_required_jet")
+        assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_finite_inputs")
         host.set(load_mass=100.0, model="points")
         host.fmu.setFMUState(state)
         host.outputs()

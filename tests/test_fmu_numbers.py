@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import servocore as sc
-from crane_fmu.build import FORMULATIONS
-from crane_fmu.slave_paths import hermite, taylor
+from crane_fmu.catalogue import FORMULATIONS
+from crane_fmu.slave.paths import hermite, taylor
 
 CRANE = sc.scenes.rotary_crane()
 MODELS = tuple(CRANE.models)

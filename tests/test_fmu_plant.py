@@ -11,8 +11,8 @@ from fmpy.validation import validate_fmu
 from fmu_host import Host, fmu_file, in_a_process, interface
 
 import servocore as sc
-from crane_fmu.description_page import refusals, user_page
-from crane_fmu.kinds import KINDS
+from crane_fmu.build.page import REFUSALS, user_page
+from crane_fmu.catalogue import KINDS
 
 CRANE = sc.scenes.rotary_crane()
 OTHERS = ("LoadTrajectory", "CranePlant")
@@ -163,7 +163,7 @@ def mistakes():
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_refusal_is_the_sentence_that_the_page_promises(name):
-    promised = [sentence for _, sentence in refusals(KINDS[name].template)]
+    promised = [sentence for _, sentence in REFUSALS[name]]
     for mistake, sentence in zip(mistakes()[name], promised, strict=True):
         with Host(fmu_file(name)) as host:
             assert not mistake(host)
@@ -263,7 +263,7 @@ def test_the_page_in_the_documentation_is_the_one_in_the_fmu(name):
 
     kind = KINDS[name]
     written = (ROOT / "docs" / kind.page).read_text(encoding="utf-8")
-    wanted = user_page(kind.interface(), kind.template)
+    wanted = user_page(kind)
     assert written == wanted, f"run: python build_fmu.py --fmu {name} --page docs/{kind.page}"
     html = members(fmu_file(name))["documentation/index.html"].decode()
     assert html.startswith("<!DOCTYPE html>")

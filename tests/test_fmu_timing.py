@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import servocore as sc
-from crane_fmu.interface import ORDERS
-from crane_fmu.slave_estimate import amplification, completed, contradiction, kept_samples
+from crane_fmu.slave.estimate import amplification, completed, contradiction, kept_samples
+from crane_fmu.slave.interface import ORDERS
 
 CRANE = sc.scenes.rotary_crane()
 RATE, SIZE = 1.0, 0.5

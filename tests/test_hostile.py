@@ -12,7 +12,7 @@ from functools import partial
 import pytest
 from fmu_host import fmu_file, in_a_process
 
-from crane_fmu.kinds import KINDS
+from crane_fmu.catalogue import KINDS
 
 FILES = {name: partial(fmu_file, name) for name in KINDS}
 SEQUENCES = int(os.environ.get("SERVOCORE_HOSTILE_SEQUENCES", "200"))

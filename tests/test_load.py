@@ -18,7 +18,7 @@ import pytest
 from fmu_host import Host, extracted, fmu_file, in_a_process
 
 import servocore as sc
-from crane_fmu.kinds import KINDS
+from crane_fmu.catalogue import KINDS
 
 FILES = {name: partial(fmu_file, name) for name in KINDS}
 FULL = os.environ.get("SERVOCORE_LOAD") == "full"
@@ -93,7 +93,7 @@ def test_every_step_but_the_first_is_one_compiled_call(monkeypatch):
     with Host() as host:
         host.start(PATH[0]).tell(PATH[0])
         assert host.step(0.0, 0.05)
-        slave = bundled("crane_fmu.slave")
+        slave = bundled("crane_fmu.slave.crane")
         monkeypatch.setattr(slave, "advance", None)
         for name in ("begin", "advance", "values", "require_within_limits"):
             monkeypatch.setattr(slave.Program, name, None)
@@ -104,7 +104,7 @@ def test_every_step_but_the_first_is_one_compiled_call(monkeypatch):
 def test_later_instances_read_no_file_again(monkeypatch):
     with Host() as first, monkeypatch.context() as patch:
         assert first.start().step(0.0, 0.1)
-        patch.setattr(bundled("crane_fmu.slave_base").Interface, "from_json", None)
-        patch.setattr(bundled("crane_fmu.slave").Program, "from_json", None)
+        patch.setattr(bundled("crane_fmu.slave.base").Interface, "from_json", None)
+        patch.setattr(bundled("crane_fmu.slave.crane").Program, "from_json", None)
         with Host() as second:
             assert second.start().step(0.0, 0.1)

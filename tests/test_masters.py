@@ -21,7 +21,7 @@ from fmpy import read_model_description
 from fmu_host import JET, OUTPUTS, fmu_file, in_a_process, scratch
 
 import servocore as sc
-from crane_fmu.kinds import KINDS
+from crane_fmu.catalogue import KINDS
 
 CRANE = sc.scenes.rotary_crane()
 STEP, COUNT = 0.1, 60

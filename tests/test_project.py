@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PACKAGES = ("servocore", "crane_fmu")
 SHARED_MODULES = {"servocore.cli.console", "servocore.files"}
-"""What programs around the library share with its own command line."""
+"""What programs around the library share with its own command line, and its compiler finder."""
 LONGEST_FUNCTION, LONGEST_FILE = 60, 400
 CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PUBLIC = [(name, getattr(sc, name)) for name in sc.__all__]

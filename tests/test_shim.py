@@ -17,9 +17,10 @@ from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmu_host import Host, extracted, fmu_file, in_a_process, scratch
 
-from crane_fmu import shim
+from crane_fmu.build import shim
+from crane_fmu.build.machine_code import c_compiler
 
-COMPILER = shim.c_compiler()
+COMPILER = c_compiler()
 pytestmark = pytest.mark.skipif(
     COMPILER is None or sys.platform != "linux", reason="native hosts need a C compiler on Linux"
 )
@@ -199,19 +200,23 @@ def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
 
 
 @pytest.mark.parametrize(
-    ("compiler", "sentence"),
-    [("no-such-compiler", "no C compiler is found"), ("false", "false does not compile the library for native hosts")],
+    ("variable", "value", "sentence"),
+    [
+        ("PATH", "", "no C compiler is found"),
+        ("CC", "false", "false does not compile the library for native hosts"),
+    ],
 )
-def test_without_a_working_compiler_there_is_a_notice_and_the_folder_stays_as_it_was(monkeypatch, compiler, sentence):
-    monkeypatch.setenv("CC", compiler)
-    folder = unpacked("without a compiler")
-    before = {each: each.read_bytes() for each in folder.rglob("*") if each.is_file()}
+def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_was(
+    monkeypatch, variable, value, sentence
+):
+    monkeypatch.setenv(variable, value)
+    folder = unpacked()
+    before = {each.relative_to(folder).as_posix(): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
     said: list[str] = []
-    assert not shim.add_shim(folder, said.append)
+    assert shim.with_shim(before, said.append) == before
     (notice,) = said
     assert notice.startswith(sentence)
     assert notice.endswith("the FMU will run in hosts that are Python only")
-    assert before == {each: each.read_bytes() for each in folder.rglob("*") if each.is_file()}
 
 
 def test_a_place_on_the_building_machine_is_never_the_only_one_that_is_tried():

@@ -18,10 +18,11 @@ from fmu_host import Host, fmu_file, in_a_process, scratch
 from typer.testing import CliRunner
 
 import servocore as sc
+from crane_fmu.build import build_ssp
+from crane_fmu.build.ssp import COMPONENTS, connections, table_of
+from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
-from crane_fmu.kinds import KINDS
 from crane_fmu.run import forgotten_modules
-from crane_fmu.ssp import COMPONENTS, build_ssp, connections, table_of
 
 STEP = 0.01
 GUSTS = [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0), (-14.14, -14.14, 0.0)]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-from crane_fmu.report import closed_loop, convergence, postures, trajectories
-from crane_fmu.report.page import Illustration, Section, Table, number, parameter_table, percent
-from crane_fmu.report.study import INPUTS, MOTION, Cycle, ErrorRow, FmuRun, Study
+from crane_fmu.report import convergence, postures, trajectories
+from crane_fmu.report.page import Illustration, Section, Table, number, parameter_table
+from crane_fmu.report.study import INPUTS, MOTION, Cycle, ErrorRow, FmuRun, LoadRun, Study
 
 _PERCENT = tuple(f"{name} (%)" for name in INPUTS)
 TITLE = "The inputs of a rotary crane whose load follows a prescribed path"
 
 
-def sections(study: Study, fmu: FmuRun, loop: Sequence[closed_loop.LoopRun], cycle: Cycle | None) -> list[Section]:
+def sections(study: Study, fmu: FmuRun, loop: Sequence[LoadRun], cycle: Cycle | None) -> list[Section]:
     """Return the whole page.
 
     Parameters
@@ -21,13 +21,13 @@ def sections(study: Study, fmu: FmuRun, loop: Sequence[closed_loop.LoopRun], cyc
         The default manoeuvre.
     fmu : FmuRun
         The same by the FMU.
-    loop : sequence of LoopRun
+    loop : sequence of LoadRun
         The same by trajectory, inverse model and plant as connected FMUs.
     cycle : Cycle or None
         The working cycle; None if the examples are not at hand.
     """
     parts = (_introduction, _reference, _motion, _inputs, _postures, _errors)
-    written = [*(part(study) for part in parts), _fmu(fmu), _tracking(study), closed_loop.section(loop)]
+    written = [*(part(study) for part in parts), _fmu(fmu), _tracking(study), _loop(loop)]
     return written if cycle is None else [*written, _cycle(cycle)]
 
 
@@ -68,8 +68,7 @@ def _reference(study: Study) -> Section:
     return Section(
         "The manoeuvre",
         (f"The load moves along the straight line from {way} in {reference.duration:g} s, from rest to rest.",),
-        (),
-        (
+        illustrations=(
             Illustration(
                 "reference_function",
                 "Reference function s(t) and its second derivative",
@@ -88,13 +87,12 @@ def _motion(study: Study) -> Section:
             "Bridge angle, trolley position and rope length follow from the path of the load and the equations of"
             " motion of the load alone. They are exact for every step, up to rounding.",
         ),
-        (),
-        (
+        illustrations=(
             Illustration(
                 "motion",
                 "Bridge angle, trolley position and rope length",
                 f"Computed with the model {study.models[0]} and a step of {study.steps[0]:g} s, and in closed form.",
-                trajectories.motion(study.base, study.scene),
+                trajectories.beside_closed_form(MOTION, study.base, study.scene),
             ),
         ),
     )
@@ -109,8 +107,7 @@ def _inputs(study: Study) -> Section:
             "Redundant and generalised coordinates give the same inputs up to the error of the step. That error is of"
             " the first order and seen here as a delay against the closed form; the tables below say how large it is.",
         ),
-        (),
-        (
+        illustrations=(
             Illustration(
                 "inputs",
                 "Slewing torque and trolley force",
@@ -125,8 +122,7 @@ def _postures(study: Study) -> Section:
     return Section(
         "The postures",
         (),
-        (),
-        (
+        illustrations=(
             Illustration(
                 "initial_posture", "Initial posture", "The load hangs at rest.", postures.posture(study.base, 0)
             ),
@@ -240,26 +236,59 @@ def _tracking(study: Study) -> Section:
             " An error of the inputs is integrated twice, so the load strays, by an amount of the first order in the"
             " step; under the inputs of the closed form it stays on its path.",
         ),
-        (tracking_table(study),),
+        (tracking_table(study.tracking),),
         (
             Illustration(
                 "tracking",
                 "The load in forward simulations",
-                "Above: its position and, in grey, the path. Below: its distance from the path.",
-                trajectories.tracking(study.tracking, study.scene.reference),
+                "Above: its position and, in grey, the path. Below: its distance from the path; errors below a"
+                " nanometre are drawn as one.",
+                trajectories.strayed(study.tracking, study.tracking),
             ),
         ),
     )
 
 
-def tracking_table(study: Study) -> Table:
+def tracking_table(runs: Sequence[LoadRun]) -> Table:
     """Return how far the load strays in forward simulations."""
-    rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in study.tracking)
-    return Table("Forward simulation", ("under", "load off its path by at most"), rows)
+    return _strayed("Forward simulation", "under", runs)
+
+
+def _strayed(title: str, of_runs: str, runs: Sequence[LoadRun]) -> Table:
+    rows = tuple((run.label, f"{number(1e3 * run.largest)} mm") for run in runs)
+    return Table(title, (of_runs, "load off its path by at most"), rows)
+
+
+def _loop(runs: Sequence[LoadRun]) -> Section:
+    step = runs[0].t[1] - runs[0].t[0]
+    return Section(
+        "The loop of FMUs",
+        (
+            "Three FMUs, a load trajectory, the inverse model and the crane as a plant, are connected (Crane.ssp) and"
+            f" run by FMPy with a communication step of {step:g} s. Bridge angle, trolley position, rope length and"
+            " load of the plant are fed back: a linear-quadratic regulator about the path, with an estimate of the"
+            " force that disturbs the load, corrects the inputs.",
+        ),
+        (loop_table(runs),),
+        (
+            Illustration(
+                "closed_loop",
+                "The load under trajectory, inverse model and plant",
+                f"Above: the position wanted, in grey, and driven ({runs[-1].label}). Below: the distance of the load"
+                " from where it should be; errors below a nanometre are drawn as one.",
+                trajectories.strayed(runs, runs[-1:]),
+            ),
+        ),
+    )
+
+
+def loop_table(runs: Sequence[LoadRun]) -> Table:
+    """Return how far the load strays under the connected FMUs."""
+    return _strayed("The connected FMUs", "run", runs)
 
 
 def _cycle(cycle: Cycle) -> Section:
-    errors = ", ".join(f"{name} {percent(cycle.row.inputs[name])}" for name in INPUTS)
+    errors = ", ".join(f"{name} {number(100 * cycle.row.inputs[name])} %" for name in INPUTS)
     return Section(
         "A working cycle",
         (
@@ -268,8 +297,7 @@ def _cycle(cycle: Cycle) -> Section:
             f" is at most {number(cycle.apart, 1)} m away. Largest errors of the inputs with a step of"
             f" {cycle.row.step:g} s: {errors}.",
         ),
-        (),
-        (
+        illustrations=(
             Illustration(
                 "cycle_path",
                 "The working cycle",
@@ -280,7 +308,7 @@ def _cycle(cycle: Cycle) -> Section:
                 "cycle_inputs",
                 "Inputs of the working cycle",
                 f"Step {cycle.row.step:g} s.",
-                trajectories.cycle_inputs(cycle.solution, cycle.scene),
+                trajectories.beside_closed_form(INPUTS, cycle.solution, cycle.scene),
             ),
         ),
     )
@@ -288,9 +316,8 @@ def _cycle(cycle: Cycle) -> Section:
 
 def cycle_table(cycle: Cycle) -> Table:
     """Return the errors of the working cycle."""
-    row: Mapping[str, float] = cycle.row.inputs
     return Table(
         "Working cycle: largest errors of the inputs",
         ("h (s)", *_PERCENT),
-        ((f"{cycle.row.step:g}", *(number(100 * row[name]) for name in INPUTS)),),
+        ((f"{cycle.row.step:g}", *(number(100 * cycle.row.inputs[name]) for name in INPUTS)),),
     )

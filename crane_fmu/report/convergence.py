@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter, NullLocator
 
 from crane_fmu.report.study import INPUTS, ErrorRow
-from crane_fmu.report.style import BLACK, BLUE, GREEN, SYMBOLS, VERMILLION, WIDTH, Array, styled
+from crane_fmu.report.style import BLACK, BLUE, GREEN, VERMILLION, WIDTH, Array, styled
 
 _INPUT_LINES: dict[str, tuple[str, Any]] = {"M_b": (BLUE, "-"), "F": (VERMILLION, "--"), "M_w": (GREEN, "-.")}
 _MODEL_MARKS = {"points": ("o", 9.0), "generalized": ("^", 6.0), "bodies": ("x", 5.5)}
@@ -59,8 +59,7 @@ def _slope_one(axes: Axes, steps: Array) -> None:
 
 def _legend(models: Sequence[str]) -> list[Line2D]:
     inputs = [
-        Line2D([], [], color=color, linestyle=style, label=SYMBOLS[name])
-        for name, (color, style) in _INPUT_LINES.items()
+        Line2D([], [], color=color, linestyle=style, label=f"${name}$") for name, (color, style) in _INPUT_LINES.items()
     ]
     marks = [
         Line2D([], [], color=BLACK, linestyle="none", marker=_MODEL_MARKS[model][0], markerfacecolor="none",

@@ -135,8 +135,3 @@ def number(value: float, digits: int = 3) -> str:
     digits = 1 if abs(value) < ROUNDING else min(digits, 2)
     mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
     return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
-
-
-def percent(value: float) -> str:
-    """Return a fraction in per cent."""
-    return f"{number(100 * value)} %"

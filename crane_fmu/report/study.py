@@ -53,24 +53,34 @@ class DifferenceRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Tracking:
-    """A forward simulation under computed inputs: where the load goes without any control.
+class LoadRun:
+    """A run in which the load may leave its path: a forward simulation, or connected FMUs.
 
     Attributes
     ----------
     label : str
-        Whose inputs.
-    simulated : Solution
-        The simulated motion.
+        Whose inputs, or what was different in it.
+    t : ndarray, shape (n,)
+        Times in s.
+    wanted, driven : ndarray, shape (n, 3)
+        Where the load should be and where it is, in m.
     """
 
     label: str
-    simulated: sc.Solution
+    t: Array
+    wanted: Array
+    driven: Array
+
+    @property
+    def error(self) -> Array:
+        """Distance of the load from where it should be, in m, shape (n,)."""
+        distance: Array = np.linalg.norm(self.driven - self.wanted, axis=1)
+        return distance
 
     @property
     def largest(self) -> float:
-        """Largest distance of the load from its path, in m."""
-        return float(self.simulated["tracking_error"].max())
+        """Largest distance, in m."""
+        return float(self.error.max())
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +144,8 @@ class Study:
         See `ErrorRow`, `DifferenceRow`.
     reduced : ErrorRow
         The reduced formulation: exact inversion at every instant.
-    tracking : tuple of Tracking
-        Under inputs of the coarsest step, the finest one and the closed form.
+    tracking : tuple of LoadRun
+        Forward simulations under inputs of the coarsest step, the finest one and the closed form.
     """
 
     scene: sc.Scene
@@ -143,7 +153,7 @@ class Study:
     errors: tuple[ErrorRow, ...]
     differences: tuple[DifferenceRow, ...]
     reduced: ErrorRow
-    tracking: tuple[Tracking, ...]
+    tracking: tuple[LoadRun, ...]
 
     @property
     def models(self) -> tuple[str, ...]:
@@ -227,16 +237,19 @@ def differences(solutions: Mapping[tuple[str, float], sc.Solution]) -> list[Diff
     return rows
 
 
-def track(scene: sc.Scene, solutions: Sequence[sc.Solution], announce: Announce) -> list[Tracking]:
+def track(scene: sc.Scene, solutions: Sequence[sc.Solution], announce: Announce) -> list[LoadRun]:
     """Simulate the crane forward under the inputs of several runs, and under those of the closed form."""
+    under: list[tuple[str, sc.Solution | Callable[[float], Array]]] = [
+        (f"inputs computed with a step of {run.t[1] - run.t[0]:g} s", run) for run in solutions
+    ]
     found = []
-    for run in solutions:
-        label = f"inputs computed with a step of {run.t[1] - run.t[0]:g} s"
+    for label, inputs in [*under, ("inputs of the closed form", exact_inputs(scene))]:
         announce(f"forward simulation, {label}")
-        found.append(Tracking(label, sc.simulate(scene, run)))
-    announce("forward simulation, inputs of the closed form")
-    exact = sc.simulate(scene, exact_inputs(scene), t=solutions[-1].t)
-    return [*found, Tracking("inputs of the closed form", exact)]
+        t = inputs.t if isinstance(inputs, sc.Solution) else solutions[-1].t
+        simulated = sc.simulate(scene, inputs, t=t)
+        driven = np.column_stack([simulated[name] for name in "xyz"])
+        found.append(LoadRun(label, simulated.t, scene.reference.jet(simulated.t, 0)[:, 0], driven))
+    return found
 
 
 def exact_inputs(scene: sc.Scene) -> Callable[[float], Array]:

@@ -55,7 +55,6 @@ LABELS = {
 }
 """Axis labels with the unit that is drawn; angles in degrees."""
 
-SYMBOLS = {"M_b": "$M_b$", "F": "$F$", "M_w": "$M_w$", "phi": "$\\varphi$", "s": "$s$", "l": "$l$"}
 TIME = "time (s)"
 
 
@@ -75,14 +74,14 @@ class Line:
     width: float = 1.5
     marker: str = ""
 
-    def options(self, points: int = 0, phase: float = 0.0) -> dict[str, Any]:
+    def options(self, points: int = 0) -> dict[str, Any]:
         """Return keyword arguments for `Axes.plot`; marks are spread over a curve of `points` points."""
         chosen: dict[str, Any] = {"color": self.color, "linestyle": self.style, "linewidth": self.width}
         if self.marker:
             every = max(1, points // 25)
             chosen |= {
                 "marker": self.marker,
-                "markevery": (int(phase * every), every),
+                "markevery": every,
                 "markersize": 5.0,
                 "markerfacecolor": "none",
                 "markeredgewidth": 1.1,

@@ -10,13 +10,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import servocore as sc
-from crane_fmu.report.study import INPUTS, MOTION, Tracking
+from crane_fmu.report.study import INPUTS, MOTION, LoadRun
 from crane_fmu.report.style import BLACK, BLUE, GREEN, GREY, LABELS, TIME, VERMILLION, Array, Line, panels, styled
 
 EXACT = Line(BLACK, "-", 0.9)
 REDUNDANT = Line(VERMILLION, "none", 0.0, "o")
-GENERALISED = Line(BLUE, "--", 2.2)
+COMPUTED = Line(BLUE, "--", 2.2)
 PLAIN = Line(BLUE, "-", 1.5)
+_RUN_LINES = (Line(BLUE, "--", 1.6), Line(BLACK, "-", 1.2), Line(VERMILLION, "-.", 1.6), Line(GREEN, ":", 1.8))
+
+LEAST_ERROR = 1e-6
+"""In mm; a smaller distance is drawn as this one, since a logarithm needs something."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +31,11 @@ class Curve:
     t: Array
     values: Mapping[str, Array]
     line: Line
-    phase: float = 0.0
 
 
-def curve(label: str, solution: sc.Solution, line: Line, phase: float = 0.0) -> Curve:
+def curve(label: str, solution: sc.Solution, line: Line) -> Curve:
     """Return the inputs and the motion of a solution as a curve."""
-    names = [name for name in (*INPUTS, *MOTION) if name in solution]
-    return Curve(label, solution.t, {name: solution[name] for name in names}, line, phase)
+    return Curve(label, solution.t, {name: solution[name] for name in (*INPUTS, *MOTION)}, line)
 
 
 def shown(name: str, values: Array) -> Array:
@@ -48,7 +50,7 @@ def draw(axes: Axes, name: str, curves: Sequence[Curve]) -> None:
             each.t,
             shown(name, each.values[name]),
             label=each.label,
-            **each.line.options(len(each.t), each.phase),
+            **each.line.options(len(each.t)),
         )
     axes.set_ylabel(LABELS[name])
     axes.margins(x=0.01)
@@ -116,55 +118,48 @@ def reference_function(reference: sc.Reference) -> Figure:
 def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, exact: Curve) -> Figure:
     """Return M_b and F of both sets of coordinates on top of each other, with the closed form."""
     curves = (
-        curve("generalised coordinates (GEN)", generalised, GENERALISED),
+        curve("generalised coordinates (GEN)", generalised, COMPUTED),
         curve("redundant coordinates (RED)", redundant, REDUNDANT),
         exact,
     )
     return stack(("M_b", "F"), curves, height=2.4)
 
 
-def closed_form_curve(scene: sc.Scene, label: str = "closed form") -> Curve:
+def closed_form_curve(scene: sc.Scene) -> Curve:
     """Return the closed form of a scene on a fine grid."""
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, 1601)
-    return Curve(label, t, scene.exact(t), EXACT)
+    return Curve("closed form", t, scene.exact(t), EXACT)
 
 
-def cycle_inputs(solution: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return the three inputs of a run, computed and in closed form."""
-    return stack(INPUTS, (curve("computed", solution, Line(BLUE, "--", 2.2)), closed_form_curve(scene)))
+def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Scene) -> Figure:
+    """Return some quantities of a run, computed and in closed form."""
+    return stack(names, (curve("computed", solution, COMPUTED), closed_form_curve(scene)))
 
 
-def motion(solution: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return bridge angle, trolley position and rope length, computed and in closed form."""
-    return stack(MOTION, (curve("computed", solution, Line(BLUE, "--", 2.2)), closed_form_curve(scene)))
-
-
-def tracking(runs: Sequence[Tracking], reference: sc.Reference) -> Figure:
-    """Return where the load goes in forward simulations, and its distance from the path.
+def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun]) -> Figure:
+    """Return where the load should be and where it goes in some runs, and its distance from its path in all runs.
 
     Parameters
     ----------
-    runs : sequence of Tracking
-        At most four; the last is shown against the path in the upper panel as well as the first.
-    reference : Reference
-        Where the load should be.
+    runs : sequence of LoadRun
+        At most four, on one path.
+    shown : sequence of LoadRun
+        Those of them whose positions are drawn.
     """
-    lines = (Line(VERMILLION, "--", 1.6), Line(BLUE, "-.", 1.6), Line(BLACK, "-", 1.0), Line(GREEN, ":", 1.6))
     with styled():
         figure, (above, below) = panels(2, height=2.5)
-        t = np.linspace(reference.start_time, reference.end_time, 401)
-        for name, values in zip("xyz", reference.jet(t, 0)[:, 0].T, strict=True):
+        t = runs[0].t
+        for name, values in zip("xyz", runs[0].wanted.T, strict=True):
             above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
             above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
-        for run, line in zip(runs, lines, strict=False):
-            found = run.simulated
-            for name in "xyz":
-                above.plot(found.t, found[name], **line.options(), label=run.label if name == "x" else None)
-            below.semilogy(found.t[1:], 1e3 * found["tracking_error"][1:], **line.options())
+        for run, line in zip(runs, _RUN_LINES, strict=False):
+            if run in shown:
+                above.plot(run.t, run.driven, **line.options())
+            below.semilogy(run.t, np.maximum(1e3 * run.error, LEAST_ERROR), label=run.label, **line.options())
         above.set_ylabel("position of the load (m)")
         below.set_ylabel("distance from the path (mm)")
         below.set_xlabel(TIME)
         below.margins(x=0.03)
         figure.align_ylabels([above, below])
-        figure.legend(*above.get_legend_handles_labels(), loc="outside upper center", ncols=2)
+        figure.legend(loc="outside upper center", ncols=2)
     return figure

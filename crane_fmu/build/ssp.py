@@ -5,8 +5,6 @@ A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; no connectors of the
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -14,13 +12,16 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build import build_fmu, zipped
-from crane_fmu.crosscheck import cross_check
-from crane_fmu.interface import FEEDBACK_INPUTS, Interface
-from crane_fmu.kinds import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE, Progress
-from crane_fmu.writing import filled_folder
+from crane_fmu.build.archive import zipped
+from crane_fmu.build.bundle import Progress
+from crane_fmu.build.crosscheck import cross_check
+from crane_fmu.build.description import document
+from crane_fmu.build.fmu import build_fmu
+from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE
+from crane_fmu.files import csv_text, filled_folder, put
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, Interface
 
-FILE_NAME = "Crane.ssp"
+SYSTEM_FILE = "Crane.ssp"
 COMPONENTS: Mapping[str, str] = {
     LOAD_TRAJECTORY.name: "trajectory",
     ROTARY_CRANE.name: "crane",
@@ -64,8 +65,8 @@ def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path |
         progress("writing the cross-check files")
         for fmu in fmus:
             cross_check(fmu)
-        (draft / FILE_NAME).write_bytes(packed_system(fmus))
-        names = [*(each.name for each in fmus), FILE_NAME]
+        put(draft, {SYSTEM_FILE: packed_system(fmus)})
+        names = [*(each.name for each in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
 
 
@@ -80,34 +81,25 @@ def description() -> bytes:
     ET.register_namespace("ssd", _SSD)
     ET.register_namespace("ssc", _SSC)
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
-    system = ET.SubElement(root, f"{{{_SSD}}}System", name="Crane")
-    elements = ET.SubElement(system, f"{{{_SSD}}}Elements")
-    wires = connections()
+    system = _child(root, "System", name="Crane")
+    elements, wires = _child(system, "Elements"), connections()
     for name, component in COMPONENTS.items():
-        element = ET.SubElement(
-            elements,
-            f"{{{_SSD}}}Component",
-            name=component,
-            type="application/x-fmu-sharedlibrary",
-            source=f"resources/{name}.fmu",
-        )
-        connectors = ET.SubElement(element, f"{{{_SSD}}}Connectors")
+        source = f"resources/{name}.fmu"
+        element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
+        connectors = _child(element, "Connectors")
         for connector, kind, unit in _connectors(component, KINDS[name].interface(), wires):
-            place = ET.SubElement(connectors, f"{{{_SSD}}}Connector", name=connector, kind=kind)
+            place = _child(connectors, "Connector", name=connector, kind=kind)
             ET.SubElement(place, f"{{{_SSC}}}Real", unit=unit)
-    joints = ET.SubElement(system, f"{{{_SSD}}}Connections")
+    joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
-        ET.SubElement(
-            joints,
-            f"{{{_SSD}}}Connection",
-            startElement=source,
-            startConnector=output,
-            endElement=sink,
-            endConnector=given,
-        )
-    ET.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0", stopTime="20")
-    ET.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
+        ends = {"startElement": source, "startConnector": output, "endElement": sink, "endConnector": given}
+        _child(joints, "Connection", **ends)
+    _child(root, "DefaultExperiment", startTime="0", stopTime="20")
+    return document(root)
+
+
+def _child(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, f"{{{_SSD}}}{tag}", attributes)
 
 
 Wire = tuple[tuple[str, str], tuple[str, str]]
@@ -148,14 +140,4 @@ def table_of(path: sc.Reference) -> str:
     t = np.interp(np.arange((len(knots) - 1) * parts + 1) / parts, np.arange(len(knots)), knots)
     rows = path.jet(t, 4).reshape(len(t), -1)
     names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s") for axis in "xyz")]
-    text = io.StringIO()
-    text.write(",".join(names) + "\n")
-    for time, row in zip(t, rows, strict=True):
-        text.write(",".join(repr(float(each)) for each in (time, *row)) + "\n")
-    return text.getvalue()
-
-
-def contents(file: Path) -> dict[str, bytes]:
-    """Return the members of a system's archive."""
-    with zipfile.ZipFile(file) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
+    return csv_text(dict(zip(names, [t, *rows.T], strict=True)))

@@ -1,16 +1,14 @@
 """A table of variables describes an FMU; slave, model description, user page and tests are generated from it.
 
 The module travels into the FMUs and needs the standard library only. Value references are positions in the table;
-`crane_fmu.tables` writes the tables.
+`crane_fmu.catalogue.variables` writes the tables.
 """
 
 from __future__ import annotations
 
 import json
-import math
 import uuid
-from dataclasses import asdict, dataclass
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
@@ -32,14 +30,31 @@ INPUT_TIMES = ("start", "end")
 CRANE_PARAMETERS = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia", "winch_radius", "gravity")
 """Parameters of the crane in the order in which a plant takes them."""
 
+
+def components(*vectors: str) -> tuple[str, ...]:
+    """Return the names of the components of vectors, one vector after the other."""
+    return tuple(f"{name}[{k}]" for name in vectors for k in range(1, DIMENSION + 1))
+
+
+PATH_INPUTS = components(*(f"load.{order}" for order in ORDERS))
+"""What the inverse model has to be told of the load path, order by order."""
+
 FEEDBACK_INPUTS = (
     *(f"measured.{name}" for name in ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")),
-    *(f"measured.{name}[{k}]" for name in ("position", "velocity") for k in (1, 2, 3)),
+    *components("measured.position", "measured.velocity"),
 )
 """What the feedback has to be told of the crane."""
 
-THREE_PHASE, FROM_FILE = "three-phase", "file"
-"""Time laws of a trajectory that have parameters of their own."""
+FROM_FILE = "file"
+"""What a trajectory is told in place of a time law to follow the table that it carries."""
+
+INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
+"""Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
+
+
+def program_file(model: str, formulation: str) -> str:
+    """Name of the file with the compiled functions of a model in a formulation."""
+    return f"{model}-{formulation}.json"
 
 
 @dataclass(frozen=True)
@@ -54,9 +69,6 @@ class Variable:
         As in FMI 2.0.
     description : str
         One line for tool tips.
-    reads : str
-        Where the slave takes the value from, or what it hands it to: ``path derivative 2, component 1``,
-        ``channel M_b``, ``parameter load_mass``, ``setting model``.
     unit, display_unit : str
         SI unit, and the unit that tools should show; empty for texts.
     start : float or str, optional
@@ -71,7 +83,6 @@ class Variable:
     causality: Causality
     variability: Variability
     description: str
-    reads: str
     unit: str = ""
     display_unit: str = ""
     start: Value | None = None
@@ -85,25 +96,24 @@ class Variable:
         """True for a String, False for a Real."""
         return bool(self.choices)
 
-    def complaint(self, value: Value) -> str | None:
-        """Say in a sentence why `value` is not legal for this variable, or return None."""
-        if self.is_text:
-            legal = value in self.choices
-            return None if legal else f"{self.name} = {value!r} is unknown; it may be {', '.join(self.choices)}"
-        low, high = self.minimum, self.maximum
-        number = float(value)
-        if math.isfinite(number) and (low is None or number >= low) and (high is None or number <= high):
-            return None
-        bounds = f"[{'-inf' if low is None else f'{low:g}'}, {'inf' if high is None else f'{high:g}'}]"
-        unit = "" if self.unit == "1" else f" {self.unit}"
-        return f"{self.name} = {number:g}{unit} is outside its range {bounds}{unit}"
-
 
 @dataclass(frozen=True)
 class Interface:
-    """All variables of an FMU in the order of their value references."""
+    """All variables of an FMU in the order of their value references.
+
+    Attributes
+    ----------
+    variables : tuple of Variable
+        The table.
+    guid : str
+        Identifier that changes when, and only when, the table does.
+    """
 
     variables: tuple[Variable, ...]
+    guid: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "guid", str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json())))
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
@@ -111,19 +121,13 @@ class Interface:
 
     def index(self, name: str) -> int:
         """Value reference of the variable called `name`; raises KeyError if there is none."""
-        return self._places[name]
-
-    @cached_property
-    def _places(self) -> dict[str, int]:
-        return {each.name: k for k, each in enumerate(self.variables)}
+        for k, each in enumerate(self.variables):
+            if each.name == name:
+                return k
+        raise KeyError(name)
 
     def __getitem__(self, name: str) -> Variable:
         return self.variables[self.index(name)]
-
-    @cached_property
-    def guid(self) -> str:
-        """Identifier that changes when, and only when, the table does."""
-        return str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json()))
 
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from crane_fmu.interface import Interface, Variable
+    from crane_fmu.slave.interface import Interface, Variable
 
 
 @dataclass(frozen=True)
@@ -44,19 +44,19 @@ UNITS: Mapping[str, Unit] = {
 _TOOL = "servocore"
 
 
-def complete(document: bytes, interface: Interface, notes: Mapping[str, str]) -> bytes:
+def complete(written: bytes, interface: Interface, notes: Mapping[str, str]) -> bytes:
     """Return a model description with units, bounds, dependencies and initial unknowns.
 
     Parameters
     ----------
-    document : bytes
+    written : bytes
         What PythonFMU wrote.
     interface : Interface
         Its variables.
     notes : mapping of str to str
         Attributes of the vendor annotation, such as the versions of what was compiled.
     """
-    root = ET.fromstring(document)
+    root = ET.fromstring(written)
     root.attrib.pop("generationDateAndTime", None)  # two builds of one source shall be equal
     root.set("generationTool", f"{_TOOL} with {root.get('generationTool')}")
     root.insert(_position(root, "CoSimulation"), _unit_definitions(interface))
@@ -69,9 +69,13 @@ def complete(document: bytes, interface: Interface, notes: Mapping[str, str]) ->
     if structure is None:
         raise ValueError("the model description has no ModelStructure")
     _complete_structure(structure, interface)
+    return document(root)
+
+
+def document(root: ET.Element) -> bytes:
+    """Return a whole XML document, indented."""
     ET.indent(root)
-    text = ET.tostring(root, "unicode")
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'.encode()
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
 
 
 def _position(root: ET.Element, tag: str) -> int:

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from crane_fmu.interface import DIMENSION
-from crane_fmu.slave_paths import ROWS, Array, taylor
+from crane_fmu.slave.interface import DIMENSION
+from crane_fmu.slave.paths import ROWS, Array, LoadPath, taylor
+from crane_fmu.slave.state import PlainState
 from servocore import InconsistentStart, IntegrationFailed, Program
-
-if TYPE_CHECKING:
-    from crane_fmu.slave_paths import LoadPath
 
 JITTER = 1e-6
 """Relative change of the step up to which it counts as the same: hosts compute it from rounded times."""
@@ -31,7 +28,7 @@ _FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshot:
+class Snapshot(PlainState):
     """All that the crane's motion knows at an instant; never changed in place.
 
     Attributes
@@ -58,23 +55,6 @@ class Snapshot:
         """Return whether the sizes are those of a program."""
         sizes = self.state.size, self.jet.shape, self.values.size
         return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
-        return {
-            "time": self.time,
-            "step": self.step,
-            "state": self.state.tolist(),
-            "jet": self.jet.ravel().tolist(),
-            "values": self.values.tolist(),
-        }
-
-    @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> Snapshot:
-        """Undo `to_plain`."""
-        jet = np.array(plain["jet"], dtype=float).reshape(ROWS, -1)
-        state, values = (np.array(plain[name], dtype=float) for name in ("state", "values"))
-        return cls(float(plain["time"]), float(plain["step"]), state, jet, values)
 
 
 def begin(program: Program, jet: Array, p: Array, time: float) -> Snapshot:

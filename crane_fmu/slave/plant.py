@@ -9,20 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION
-from crane_fmu.slave_base import TableSlave, load_once
-from crane_fmu.slave_checks import internal_steps, require_finite
-from crane_fmu.slave_paths import Array
-from servocore import IntegrationFailed, InvalidReference, InvalidSetting, Plant
+from crane_fmu.slave.base import TableSlave, load_once, required
+from crane_fmu.slave.checks import internal_steps
+from crane_fmu.slave.interface import CRANE_PARAMETERS, PLANT_FILE, components
+from crane_fmu.slave.paths import Array
+from crane_fmu.slave.state import PlainState
+from servocore import IntegrationFailed, InvalidReference, Plant
 
-PLANT_FILE = "plant.json"
 SMALLEST_RADIUS = 1e-3
-_COORDINATES = ("phi", "s", "l", "swing_in", "swing_out")
 _INPUTS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class PlantState:
+class PlantState(PlainState):
     """The crane at an instant.
 
     Attributes
@@ -48,19 +47,6 @@ class PlantState:
     last_step: float
     acting: Array
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
-        plain = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in plain.items()}
-
-    @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> PlantState:
-        """Undo `to_plain`."""
-        arrays = {name: np.array(plain[name], dtype=float) for name in ("state", "inputs", "acting")}
-        return cls(
-            time=float(plain["time"]), released=bool(plain["released"]), last_step=float(plain["last_step"]), **arrays
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
@@ -82,23 +68,16 @@ class PlantSlave(TableSlave):
     """Forward dynamics of the crane."""
 
     description = "Forward dynamics of a rotary crane: where bridge, trolley, winch and load go under their inputs"
+    state_type = PlantState
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._plant: Plant | None = None
         self._at_end = self._held = self._brakes = False
-        three = range(1, DIMENSION + 1)
         self._own = self._references(*CRANE_PARAMETERS, "mass_error")
-        self._weather = self._references(
-            *(f"{name}[{k}]" for name in ("wind", "gust") for k in three),
-            "gust_start",
-            "gust_duration",
-            "internal_step",
-        )
-        self._initial = self._references(
-            *(f"start.{name}[{k}]" for name in ("position", "velocity") for k in three),
-            "start.swing[1]", "start.swing[2]",
-        )  # fmt: skip
+        vectors = components("wind", "gust"), components("start.position", "start.velocity")
+        self._weather = self._references(*vectors[0], "gust_start", "gust_duration", "internal_step")
+        self._initial = self._references(*vectors[1], "start.swing[1]", "start.swing[2]")
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -111,15 +90,12 @@ class PlantSlave(TableSlave):
     def _begin(self, time: float) -> PlantState:
         start = self._checked(self._initial)
         state = _hanging(np.array(start[:3]), np.array(start[3:6]), start[6:])
-        u, around = self._required_inputs(time), self._surroundings()
+        u, around = np.array(self._finite_inputs(_INPUTS, time)), self._surroundings()
         moving = bool(state[5:].any() or around.force(time).any() or state[3:5].any())
         released = bool(u.any()) or moving or not self._brakes
         found = PlantState(time, state, released, u, 0.0, u)
         self._require_well(found)
         return found
-
-    def _restored(self, plain: dict[str, Any]) -> PlantState:
-        return PlantState.from_plain(plain)
 
     def _fits(self, state: PlantState) -> bool:
         return (state.state.shape, state.inputs.shape, state.acting.shape) == ((10,), (3,), (3,))
@@ -127,7 +103,7 @@ class PlantSlave(TableSlave):
     # --- steps ----------------------------------------------------------------------------------------------------
 
     def _advance(self, now: PlantState, h: float) -> PlantState:
-        u = self._required_inputs(now.time + h if self._at_end else now.time)
+        u = np.array(self._finite_inputs(_INPUTS, now.time + h if self._at_end else now.time))
         around, end = self._surroundings(), now.time + h
         first = not now.released
         if first and not u.any():
@@ -159,7 +135,7 @@ class PlantSlave(TableSlave):
         self, state: Array, time: float, h: float, u: Array | None, slope: Array, around: Surroundings
     ) -> Array:
         """Integrate over a step, divided where the gust begins and ends; u is None while the brakes hold."""
-        plant, end = self._present_plant(), time + h
+        plant, end = required(self._plant), time + h
         edges = [each for each in (around.gust_start, around.gust_end) if time < each < end]
         for begin, finish in zip([time, *edges], [*edges, end], strict=True):
             count = internal_steps(around.longest, finish - begin) if finish - begin > around.longest else 1
@@ -177,7 +153,7 @@ class PlantSlave(TableSlave):
     def _values(self, now: PlantState) -> dict[str, float]:
         around = self._surroundings()
         force = around.force(now.time)
-        values = self._present_plant().values(now.state, now.acting if now.released else None, force, around.p)
+        values = required(self._plant).values(now.state, now.acting if now.released else None, force, around.p)
         load = np.array([values[axis] for axis in "xyz"])
         pull = np.array([values[f"{axis}_ddot"] for axis in "xyz"]) * around.p[2] - force
         pull[2] += around.p[2] * around.p[5]
@@ -204,16 +180,6 @@ class PlantSlave(TableSlave):
         return [values[self._interface.variables[k].name] for k in self._outputs]
 
     # --- what the variables say ----------------------------------------------------------------------------------
-
-    def _present_plant(self) -> Plant:
-        if self._plant is None:
-            raise InvalidSetting("the FMU is not initialised")
-        return self._plant
-
-    def _required_inputs(self, time: float) -> Array:
-        inputs = self._reals[:_INPUTS]
-        require_finite(inputs, self._interface.variables, time)
-        return np.array(inputs)
 
     def _surroundings(self) -> Surroundings:
         """Return what parameters say, checked when they have changed."""

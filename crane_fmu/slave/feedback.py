@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from crane_fmu.slave_paths import Array
+from crane_fmu.slave.paths import Array
+from crane_fmu.slave.state import PlainState
 from servocore import Plant
 
 WEIGHT = 1000.0
@@ -31,13 +31,12 @@ EFFORT = (1.5, 0.7, 1.0)
 RATE_OF_LEARNING = 0.5
 """Fraction of a missed velocity of the load by which the estimated force is corrected in a step."""
 
-MEASURED = ("phi", "s", "l", "phi_dot", "s_dot", "l_dot")
 _FEWEST_DOUBLINGS, _MOST_DOUBLINGS = 4, 60
 _TERMS = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Control:
+class Control(PlainState):
     """What the feedback remembers from one step to the next.
 
     Attributes
@@ -54,15 +53,6 @@ class Control:
     force: Array
     now: Array
     before: Array
-
-    def to_plain(self) -> dict[str, list[float]]:
-        """Return plain numbers."""
-        return {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
-
-    @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> Control:
-        """Undo `to_plain`."""
-        return cls(**{name: np.array(plain[name], dtype=float) for name in cls.__dataclass_fields__})
 
 
 def controlled(

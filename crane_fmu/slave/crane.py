@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS
-from crane_fmu.slave_base import INTERFACE_FILE, TableSlave, load_once
-from crane_fmu.slave_checks import internal_steps, require_finite
-from crane_fmu.slave_estimate import Sample, completed, contradiction, kept_samples
-from crane_fmu.slave_feedback import Control, controlled
-from crane_fmu.slave_motion import SHORTEST_STEP, Snapshot, advance, begin, told
-from crane_fmu.slave_paths import ROWS, Array, LoadPath, hermite, taylor
-from crane_fmu.slave_quick import quick_step
+from crane_fmu.slave.base import TableSlave, load_once, required
+from crane_fmu.slave.checks import internal_steps, require_finite
+from crane_fmu.slave.estimate import Sample, completed, contradiction, kept_samples
+from crane_fmu.slave.feedback import Control, controlled
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS, PLANT_FILE, program_file
+from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
+from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
+from crane_fmu.slave.quick import QuickStep, quick_step
+from crane_fmu.slave.state import PlainState
 from servocore import InvalidSetting, Plant, Program
 
-__all__ = ["INTERFACE_FILE", "PLANT_FILE", "CraneSlave", "program_file"]
-
-PLANT_FILE = "plant.json"
 _INPUTS = ROWS * DIMENSION
 _NOTHING_TOLD = [0.0] * _INPUTS
 _ACTUATORS = 3  # the first channels of a program, and the first outputs
 
 
-def program_file(model: str, formulation: str) -> str:
-    """Name of the file with the compiled functions."""
-    return f"{model}-{formulation}.json"
-
-
 @dataclass(frozen=True, eq=False)
-class CraneState:
+class CraneState(PlainState):
     """The crane's motion, and what estimation, feedback and remarks remember.
 
     Attributes
@@ -64,19 +58,8 @@ class CraneState:
         """In s."""
         return self.motion.time
 
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers and lists."""
-        return {
-            "motion": self.motion.to_plain(),
-            "heard": list(self.heard),
-            "samples": [[time, list(value)] for time, value in self.samples],
-            "control": None if self.control is None else self.control.to_plain(),
-            "gain": self.gain,
-            "said": self.said,
-        }
-
     @classmethod
-    def from_plain(cls, plain: dict[str, Any]) -> CraneState:
+    def from_plain(cls, plain: Mapping[str, Any]) -> CraneState:
         """Undo `to_plain`."""
         return cls(
             Snapshot.from_plain(plain["motion"]),
@@ -92,11 +75,12 @@ class CraneSlave(TableSlave):
     """Inputs of the rotary crane for a path of its load."""
 
     description = "Inverse dynamics of a rotary crane: bridge torque, trolley force and winch torque for a load path"
+    state_type = CraneState
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._program: Program | None = None
-        self._library = self._folder
+        self._quick: QuickStep | None = None
         self._at_end = False
         self._order = ROWS - 1
         self._channels: list[int] = []
@@ -113,32 +97,29 @@ class CraneSlave(TableSlave):
         at_end = self._setting("input_time") == "end"
         order = ORDERS.index(self._setting("connected"))
         file = self._folder / program_file(self._setting("model"), self._setting("formulation"))
-        program: Program = load_once(file, Program.from_json)
+        program: Program
+        program, self._quick = load_once(file, partial(_with_quick_step, library=file.with_suffix(".so")))
         names = [channel.name for channel in program.channels]
         self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
         self._numbers = self._references(*program.parameters, "internal_step", "feedback")
-        self._library = file.with_suffix(".so")
         self._at_end, self._order, self._parameters = at_end, order, None
         return program
 
     def _begin(self, time: float) -> CraneState:
-        program, heard = self._present_program(), self._required_jet(time)
+        program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
         samples = kept_samples((), time, self._highest(heard), self._order) if self._order < ROWS - 1 else ()
         return CraneState(begin(program, self._connected(heard), self._required_parameters()[0], time), (), samples)
 
-    def _restored(self, plain: dict[str, Any]) -> CraneState:
-        return CraneState.from_plain(plain)
-
     def _fits(self, state: CraneState) -> bool:
-        return state.motion.fits(self._present_program())
+        return state.motion.fits(required(self._program))
 
     # --- steps ----------------------------------------------------------------------------------------------------
 
     def _advance(self, now: CraneState, h: float) -> CraneState:
-        program, motion = self._present_program(), now.motion
+        program, motion = required(self._program), now.motion
         p, internal_step, gain = self._required_parameters()
         time = motion.time + h if self._at_end else motion.time
-        heard = self._required_jet(time)
+        heard = self._finite_inputs(_INPUTS, time)
         if not now.heard and heard == _NOTHING_TOLD:  # some masters pass connected values on after the first step only
             heard = motion.jet.ravel().tolist()
         said = now.said or self._remarked(now.heard, heard, time)
@@ -147,11 +128,11 @@ class CraneSlave(TableSlave):
             samples = kept_samples(samples, time, self._highest(heard), self._order) if h >= SHORTEST_STEP else samples
             jet = completed(samples, self._connected(heard), self._order, h).ravel().tolist()
         count = internal_steps(internal_step, h)
-        quick = quick_step(program, self._library) if count == 1 else None
+        quick = self._quick if count == 1 else None
         usual = quick(motion, jet, 0.0 if self._at_end else h, h, p) if quick else None
         after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, p)
         control = self._feedback(now, jet, p, h, after.time) if gain > 0.0 else None
-        state = object.__new__(CraneState)  # see slave_quick: its own way takes three times as long
+        state = object.__new__(CraneState)  # see `quick`: its own way takes three times as long
         state.__dict__.update(motion=after, heard=heard, samples=samples, control=control, gain=gain, said=said)
         return state
 
@@ -182,7 +163,7 @@ class CraneSlave(TableSlave):
         plant: Plant = load_once(self._folder / PLANT_FILE, Plant.from_json)
         motion = now.motion
         present = motion.jet if self._at_end else _matrix(jet)
-        values = dict(zip(self._present_program().parameters, p, strict=True))
+        values = dict(zip(required(self._program).parameters, p, strict=True))
         own = np.array([values[name] for name in CRANE_PARAMETERS])
         inputs = motion.values[self._channels[:_ACTUATORS]]
         return controlled(plant, own, present, inputs, np.array(measured), h, now.control)
@@ -206,16 +187,6 @@ class CraneSlave(TableSlave):
 
     # --- what the variables say ----------------------------------------------------------------------------------
 
-    def _present_program(self) -> Program:
-        if self._program is None:
-            raise InvalidSetting("the FMU is not initialised")
-        return self._program
-
-    def _required_jet(self, time: float) -> list[float]:
-        inputs = self._reals[:_INPUTS]
-        require_finite(inputs, self._interface.variables, time)
-        return inputs
-
     def _highest(self, heard: Sequence[float]) -> tuple[float, ...]:
         return tuple(heard[DIMENSION * self._order : DIMENSION * (self._order + 1)])
 
@@ -232,6 +203,12 @@ class CraneSlave(TableSlave):
             self._parameters = np.array(values[:-2]), values[-2], values[-1]
         found: tuple[Array, float, float] = self._parameters
         return found
+
+
+def _with_quick_step(text: str, library: Path) -> tuple[Program, QuickStep | None]:
+    """Return a saved program with its quick step: both are made once in a process, for all instances."""
+    program = Program.from_json(text)
+    return program, quick_step(program, library)
 
 
 def _matrix(jet: Sequence[float]) -> Array:

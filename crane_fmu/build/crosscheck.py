@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import servocore as sc
+from crane_fmu.files import csv_text, put
 from crane_fmu.run import forgotten_modules, input_rows
 
 STEP = 0.01
@@ -32,14 +33,11 @@ def cross_check(fmu: Path) -> tuple[Path, ...]:
     stop, given = STOP[fmu.stem], _inputs(fmu.stem)
     with forgotten_modules():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
-    files = {"_ref.csv": _csv(found), "_ref.opt": _options(stop)}
+    files = {f"{fmu.stem}_ref.csv": _csv(found), f"{fmu.stem}_ref.opt": _options(stop)}
     if given is not None:
-        files["_in.csv"] = _csv(given)
-    places = []
-    for ending, text in files.items():
-        places.append(fmu.with_name(fmu.stem + ending))
-        places[-1].write_text(text, encoding="utf-8")
-    return tuple(places)
+        files[f"{fmu.stem}_in.csv"] = _csv(given)
+    put(fmu.parent, files)
+    return tuple(fmu.with_name(name) for name in files)
 
 
 def _inputs(name: str) -> npt.NDArray[Any] | None:
@@ -56,10 +54,7 @@ def _inputs(name: str) -> npt.NDArray[Any] | None:
 
 
 def _csv(rows: npt.NDArray[Any]) -> str:
-    names = rows.dtype.names or ()
-    lines = [",".join(f'"{name}"' for name in names)]
-    lines += [",".join(repr(float(each)) for each in row) for row in rows]
-    return "\n".join([*lines, ""])
+    return csv_text({f'"{name}"': rows[name] for name in rows.dtype.names or ()})
 
 
 def _options(stop: float) -> str:

@@ -1,7 +1,7 @@
-"""The usual communication step as one compiled call, where `slave_motion` takes several.
+"""The usual communication step as one compiled call, where `motion` takes several.
 
 A step that is like the one before, not divided and within all limits needs no decision: the path's continuation,
-limits, step and outputs become one function. Anything else, mistakes included, is left to `slave_motion`, which
+limits, step and outputs become one function. Anything else, mistakes included, is left to `motion`, which
 finds the words; so this module changes what a step costs and nothing that a host can see.
 """
 
@@ -10,16 +10,15 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from functools import cache
 from pathlib import Path
 from struct import Struct
 
 import casadi as ca
 import numpy as np
 
-from crane_fmu.interface import DIMENSION
-from crane_fmu.slave_motion import JITTER, SHORTEST_STEP, Snapshot
-from crane_fmu.slave_paths import ROWS, Array
+from crane_fmu.slave.interface import DIMENSION
+from crane_fmu.slave.motion import JITTER, SHORTEST_STEP, Snapshot
+from crane_fmu.slave.paths import ROWS, Array, continued
 from servocore import Program
 
 _NAME = "usual_step"
@@ -99,9 +98,8 @@ class QuickStep:
         return after
 
 
-@cache
 def quick_step(program: Program, library: Path) -> QuickStep | None:
-    """Return the quick step of a program, or None if its method has other nodes; it is made once in a process.
+    """Return the quick step of a program, or None if its method has other nodes.
 
     Parameters
     ----------
@@ -149,7 +147,7 @@ def _before(program: Program) -> ca.Function:
     """Return (jet, tau, parameters) -> (jet tau later, what the step reads of it, all margins)."""
     told, tau, p = ca.SX.sym("told", ROWS * DIMENSION), ca.SX.sym("tau"), ca.SX.sym("p", len(program.parameters))
     now = ca.reshape(told, DIMENSION, ROWS)
-    then = _continued(now, tau)
+    then = ca.horzcat(*continued(ca.horzsplit(now), tau))
     margins = [program.margins(_columns(each, program.start_order + 1), p) for each in (now, then)]
     gamma = _columns(then, program.order + 1)
     return ca.Function("before", [told, tau, p], [ca.vec(then), ca.densify(gamma), ca.densify(ca.vertcat(*margins))])
@@ -165,17 +163,6 @@ def _after(program: Program) -> ca.Function:
     limited = ca.fabs(ca.vertcat(state, residual)) <= sys.float_info.max
     good = ca.vertcat(limited, margins > 0.0, positive > 0.0)  # NaN is none of it
     return ca.Function("after", [state, jet, p, residual, margins], [values, ca.sum1(good) == good.numel()])
-
-
-def _continued(jet: ca.SX, tau: ca.SX) -> ca.SX:
-    """Continue a jet by Taylor's polynomial; one column a derivative."""
-    columns = []
-    for k in range(ROWS):
-        column = jet[:, ROWS - 1]
-        for j in reversed(range(k, ROWS - 1)):  # Horner: column becomes jet_j + tau / (j - k + 1) column
-            column = jet[:, j] + tau / (j - k + 1) * column
-        columns.append(column)
-    return ca.horzcat(*columns)
 
 
 def _columns(jet: ca.SX, count: int) -> ca.SX:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from crane_fmu.interface import Variable
+from crane_fmu.slave.interface import Variable
 from servocore import InvalidReference, InvalidSetting
 
 LONGEST_STEP = 3600.0
@@ -59,6 +59,13 @@ def require_finite(inputs: Sequence[float], variables: Sequence[Variable], time:
 
 def require_legal(variable: Variable, value: float | str) -> None:
     """Raise `InvalidSetting` if a parameter's value is outside its range or unknown."""
-    complaint = variable.complaint(value)
-    if complaint:
-        raise InvalidSetting(complaint)
+    if variable.is_text:
+        if value not in variable.choices:
+            raise InvalidSetting(f"{variable.name} = {value!r} is unknown; it may be {', '.join(variable.choices)}")
+        return
+    number = float(value)
+    low = -math.inf if variable.minimum is None else variable.minimum
+    high = math.inf if variable.maximum is None else variable.maximum
+    if not (math.isfinite(number) and low <= number <= high):
+        unit = "" if variable.unit == "1" else f" {variable.unit}"
+        raise InvalidSetting(f"{variable.name} = {number:g}{unit} is outside its range [{low:g}, {high:g}]{unit}")

@@ -1,4 +1,4 @@
-"""Draw ``model.png``, the icon that tools show for the FMU: ``python draw_icon.py``."""
+"""Draw the icon that tools show for the FMUs: ``python docs/draw_icon.py``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ mpl.use("agg")
 from matplotlib import pyplot as plt
 from matplotlib.patches import Circle, Rectangle
 
+TARGET = Path(__file__).parents[1] / "crane_fmu" / "build" / "resources" / "model.png"
+
 
 def main() -> None:
-    """Write the picture beside this file."""
+    """Write the picture into the package."""
     figure = plt.figure(figsize=(2, 2), dpi=100)
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, 10), ylim=(0, 10), aspect="equal")
@@ -26,7 +28,7 @@ def main() -> None:
     axes.plot([6.4, 7.4], [7.3, 3.4], color=dark, linewidth=2.5)
     axes.add_patch(Circle((7.55, 2.7), 0.8, color=orange))
     axes.annotate("", (9.3, 6.6), (7.3, 7.6), arrowprops={"arrowstyle": "-|>", "color": blue, "linewidth": 0})
-    figure.savefig(Path(__file__).with_name("model.png"), transparent=True, metadata={"Software": None})
+    figure.savefig(TARGET, transparent=True, metadata={"Software": None})
 
 
 if __name__ == "__main__":

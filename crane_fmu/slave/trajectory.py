@@ -8,45 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from crane_fmu.interface import DIMENSION, FROM_FILE, ORDERS, THREE_PHASE
-from crane_fmu.slave_base import TableSlave
-from servocore import (
-    DEGREE9,
-    DEGREE13,
-    InvalidReference,
-    InvalidSetting,
-    Profile,
-    Reference,
-    from_csv,
-    rest_to_rest,
-    three_phase,
-)
-
-PATH_FILE = "path.csv"
-PROFILES: dict[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, THREE_PHASE: three_phase()}
+from crane_fmu.slave.base import TableSlave, required
+from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE, components
+from crane_fmu.slave.lines import straight_line
+from crane_fmu.slave.state import PlainState
+from servocore import InvalidReference, InvalidSetting, Reference, from_csv
 
 
-@dataclass(frozen=True)
-class Instant:
+@dataclass(frozen=True, eq=False)
+class Instant(PlainState):
     """The state of a trajectory is the time."""
 
     time: float
-
-    def to_plain(self) -> dict[str, Any]:
-        """Return plain numbers."""
-        return {"time": self.time}
 
 
 class TrajectorySlave(TableSlave):
     """A load path with its derivatives."""
 
     description = "Path of a crane's load with its derivatives up to snap: a straight line from rest to rest, or a file"
+    state_type = Instant
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._path: Reference | None = None
-        names = [f"{end}[{k + 1}]" for end in ("start", "end") for k in range(DIMENSION)]
-        self._numbers = self._references(*names, "duration", "start_time", "ramp")
+        self._numbers = self._references(*components("start", "end"), "duration", "start_time", "ramp")
 
     def _prepare(self) -> None:
         profile = self._setting("profile")
@@ -54,11 +39,9 @@ class TrajectorySlave(TableSlave):
         self._path = None
         if profile == FROM_FILE:
             self._path = self._from_file()
-            return
-        if ramp > 0.0 and profile != THREE_PHASE:
-            raise InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {profile}")
-        law = three_phase(ramp) if ramp > 0.0 else PROFILES[profile]
-        self._path = rest_to_rest(points[:DIMENSION], points[DIMENSION:], duration, law, start_time)
+        else:
+            start, end = points[:DIMENSION], points[DIMENSION:]
+            self._path = straight_line(start, end, duration, profile, ramp if ramp > 0.0 else None, start_time)
 
     def _from_file(self) -> Reference:
         file = self._resources / PATH_FILE
@@ -81,12 +64,7 @@ class TrajectorySlave(TableSlave):
     def _advance(self, now: Instant, h: float) -> Instant:
         return Instant(now.time + h)
 
-    def _restored(self, plain: dict[str, Any]) -> Instant:
-        return Instant(float(plain["time"]))
-
     def _output_values(self, state: Instant) -> Sequence[float]:
-        if self._path is None:
-            raise InvalidSetting("the FMU is not initialised")
-        jet = self._path.jet(np.array([state.time]), len(ORDERS) - 1)
+        jet = required(self._path).jet(np.array([state.time]), len(ORDERS) - 1)
         values: list[float] = jet.ravel().tolist()
         return values

@@ -13,8 +13,8 @@ from math import factorial
 
 import numpy as np
 
-from crane_fmu.interface import ORDERS
-from crane_fmu.slave_paths import ROWS, Array
+from crane_fmu.slave.interface import ORDERS
+from crane_fmu.slave.paths import ROWS, Array
 
 Sample = tuple[float, tuple[float, ...]]
 """Time in s, and the highest connected derivative then."""
@@ -57,7 +57,7 @@ def completed(samples: Sequence[Sample], jet: Array, order: int, step: float) ->
     return full
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=256)  # steps have nearly always the same few patterns, and an inverse costs as much as a step
 def _weights(nodes: tuple[float, ...]) -> Array:
     """Return the matrix from values at the nodes to the coefficients of their polynomial."""
     weights: Array = np.linalg.inv(np.vander(nodes, increasing=True))

@@ -5,8 +5,9 @@ A *jet* is an array of shape (5, 3): position, velocity, acceleration, jerk and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import factorial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ ROWS = 5
 """Rows of a jet: derivatives up to the fourth."""
 
 _COLUMNS = 2 * ROWS
-_INVERSE_FACTORIALS = np.array([1.0 / factorial(k) for k in range(_COLUMNS)])
+_INVERSE_FACTORIALS = np.array([1.0 / factorial(k) for k in range(ROWS)])
 _FALLING = np.array(
     [[factorial(j) / factorial(j - k) if j >= k else 0.0 for j in range(_COLUMNS)] for k in range(ROWS)]
 )
@@ -27,13 +28,28 @@ _EXPONENTS = np.maximum(np.arange(_COLUMNS)[None, :] - np.arange(ROWS)[:, None],
 _END_CONDITIONS = np.linalg.inv(_FALLING[:, ROWS:])
 
 
-def taylor(jet: Array, tau: float) -> Array:
-    """Continue a path by its Taylor polynomial: the error of derivative k is O(tau^(5 - k))."""
-    powers = (tau ** np.arange(ROWS)) * _INVERSE_FACTORIALS[:ROWS]
-    moved = np.empty_like(jet)
+def continued(jet: Sequence[Any] | Array, tau: Any) -> list[Any]:
+    """Continue a path by its Taylor polynomial: the error of derivative k is O(tau^(5 - k)).
+
+    Parameters
+    ----------
+    jet : sequence of ndarray or casadi.SX
+        Position and derivatives: rows of a jet, or symbols for them.
+    tau : float or casadi.SX
+        For how many seconds.
+    """
+    moved = []
     for k in range(ROWS):
-        moved[k] = powers[: ROWS - k] @ jet[k:]
+        value = jet[ROWS - 1]
+        for j in reversed(range(k, ROWS - 1)):  # Horner: value becomes jet_j + tau / (j - k + 1) value
+            value = jet[j] + tau / (j - k + 1) * value
+        moved.append(value)
     return moved
+
+
+def taylor(jet: Array, tau: float) -> Array:
+    """Return a jet `continued`."""
+    return np.stack(continued(jet, tau))
 
 
 def hermite(first: Array, last: Array, h: float) -> LoadPath:
@@ -52,7 +68,7 @@ def hermite(first: Array, last: Array, h: float) -> LoadPath:
         (time after the first jet) -> jet; the error of the position is O(h^10) for a smooth path.
     """
     scales = (h ** np.arange(ROWS))[:, None]
-    low = first * scales * _INVERSE_FACTORIALS[:ROWS, None]
+    low = first * scales * _INVERSE_FACTORIALS[:, None]
     high = _END_CONDITIONS @ (last * scales - _FALLING[:, :ROWS] @ low)
     coefficients = np.vstack([low, high])
 

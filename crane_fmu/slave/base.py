@@ -11,37 +11,32 @@ import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, Self, TypeVar
 
 from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
 from pythonfmu.variables import Real, String
 
-from crane_fmu.interface import Interface, Variable
-from crane_fmu.slave_checks import require_legal, require_step
-from crane_fmu.slave_guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
+from crane_fmu.slave.checks import require_finite, require_legal, require_step
+from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
+from crane_fmu.slave.interface import INTERFACE_FILE, Interface, Variable
 from servocore import InvalidSetting
 
-INTERFACE_FILE = "interface.json"
 _STATE_FORMAT = "servocore fmu state 1"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
-_BUNDLE = Path(__file__).parents[1].name
+_BUNDLE = Path(__file__).parents[2].name
 
 
-def _loader() -> Callable[[Path, Callable[[str], Any]], Any]:
-    """Return a function that reads each file once in a process; they do not change."""
-    loaded: dict[Path, Any] = {}
-
-    def load(file: Path, read: Callable[[str], Any]) -> Any:
-        if file not in loaded:
-            loaded[file] = read(file.read_text(encoding="utf-8"))
-        return loaded[file]
-
-    return load
+_LOADED: dict[Path, Any] = {}
+Found = TypeVar("Found")
 
 
-load_once = _loader()
+def load_once(file: Path, read: Callable[[str], Any]) -> Any:
+    """Return what `read` makes of a file's text, once in a process for all instances; the files do not change."""
+    if file not in _LOADED:
+        _LOADED[file] = read(file.read_text(encoding="utf-8"))
+    return _LOADED[file]
 
 
 class State(Protocol):
@@ -54,10 +49,22 @@ class State(Protocol):
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
 
+    @classmethod
+    def from_plain(cls, plain: dict[str, Any]) -> Self:
+        """Undo `to_plain`."""
+
+
+def required(found: Found | None) -> Found:
+    """Return what an initialisation has made; raises `InvalidSetting` if there was none."""
+    if found is None:
+        raise InvalidSetting("the FMU is not initialised")
+    return found
+
 
 class TableSlave(GuardedSlave):
     """Phases, variables, refusals and states of an FMU; subclasses say what a start and a step are."""
 
+    state_type: type[State]
     author = None
     license = "MIT"
     stop_time = 20.0
@@ -104,10 +111,6 @@ class TableSlave(GuardedSlave):
     @abstractmethod
     def _output_values(self, state: Any) -> Sequence[float]:
         """Return the outputs of a state in the order of the table."""
-
-    @abstractmethod
-    def _restored(self, plain: dict[str, Any]) -> State:
-        """Undo `State.to_plain`."""
 
     def remark(self, sentence: str) -> None:
         """Log something that is no reason to refuse a step."""
@@ -205,6 +208,12 @@ class TableSlave(GuardedSlave):
             require_legal(self._interface.variables[k], value)
         return values
 
+    def _finite_inputs(self, count: int, time: float) -> list[float]:
+        """Return the first inputs of the table, which shall be those of an instant."""
+        inputs = self._reals[:count]
+        require_finite(inputs, self._interface.variables, time)
+        return inputs
+
     def _references(self, *names: str) -> list[int]:
         return [self._interface.index(name) for name in names]
 
@@ -294,7 +303,7 @@ class TableSlave(GuardedSlave):
     def _set_fmu_state(self, state: dict[str, Any]) -> None:
         if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
             raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
-        snapshot = None if state["snapshot"] is None else self._restored(state["snapshot"])
+        snapshot = None if state["snapshot"] is None else self.state_type.from_plain(state["snapshot"])
         reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
         phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
         start_time = float(state["start_time"])

@@ -57,14 +57,11 @@ class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
     # The table has no integers and no booleans; PythonFMU's own methods raise, which would end the host.
 
     @guarded(nothing)
-    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+    def set_integer(self, vrs: list[int], _: list[int]) -> None:
         """Refuse to set."""
-        self._refuse(vrs, values)
+        self._refuse(vrs)
 
-    @guarded(nothing)
-    def set_boolean(self, vrs: list[int], values: list[bool]) -> None:
-        """Refuse to set."""
-        self._refuse(vrs, values)
+    set_boolean = set_integer
 
     @guarded(lambda vrs: [0] * len(vrs))
     def get_integer(self, vrs: list[int]) -> list[int]:
@@ -76,7 +73,7 @@ class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
         """Refuse, with False."""
         return [bool(each) for each in self._refuse(vrs)]
 
-    def _refuse(self, vrs: list[int], _: object = None) -> list[int]:
+    def _refuse(self, vrs: list[int]) -> list[int]:
         if vrs:
             self.log("the FMU has no Integer and no Boolean variables; the call is ignored", Fmi2Status.warning)
         return [0] * len(vrs)

@@ -1,14 +1,45 @@
-"""Folders that appear filled or not at all."""
+"""Tables as texts, files in folders, and folders that appear filled or not at all."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 import servocore as sc
+
+
+def csv_text(columns: Mapping[str, npt.NDArray[np.float64]]) -> str:
+    """Return a table as the text of a CSV file, in full double precision.
+
+    Parameters
+    ----------
+    columns : mapping of str to ndarray, shape (n,)
+        By what stands above each.
+    """
+    rows = zip(*columns.values(), strict=True)
+    return "\n".join([",".join(columns), *(",".join(repr(float(each)) for each in row) for row in rows), ""])
+
+
+def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
+    """Write files into a folder that nobody else sees yet; those that it must have within are made.
+
+    Parameters
+    ----------
+    folder : Path
+        Where to.
+    contents : mapping of str to str or bytes
+        What, by paths in it; texts are written as UTF-8.
+    """
+    for name, content in contents.items():
+        file = folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 @contextmanager

@@ -1,25 +1,22 @@
 """Put a small C library in front of PythonFMU's binary, so that hosts that are not Python can run the FMU.
 
-`native/shim.c` says what the library does. It is compiled against the FMI headers that come with FMPy, where a C
+`shim.c` says what the library does. It is compiled against the FMI headers that come with FMPy, where a C
 compiler is found; without one the FMU keeps PythonFMU's binary alone and works in Python hosts.
 """
 
 from __future__ import annotations
 
 import os
-import platform
 import re
-import shlex
-import shutil
-import subprocess
-import sys
 import sysconfig
-import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import fmpy
+
+import servocore as sc
+from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, shared_library
 
 PLATFORM = "linux64"
 """Folder of the binaries that get a shim; PythonFMU's other binaries stay as they are."""
@@ -30,83 +27,53 @@ REAL_BINARY = "pythonfmu.so"
 REQUIRED_PACKAGES = ("numpy", "casadi")
 """Packages that the Python of the host must have."""
 
-_SOURCE = Path(__file__).parent / "native" / "shim.c"
+_SOURCE = Path(__file__).with_name("shim.c")
 _HEADERS = Path(fmpy.__file__).parent / "c-code"
-_COMPILERS = ("cc", "gcc", "clang")
 _VERSIONS = ((3, 13), (3, 12), (3, 11))  # that the FMU runs on
-_SECONDS = 60.0
-
-# Nothing of the time, the machine or the folder may get into the library: equal sources give equal bytes.
-_OPTIONS = (
-    "-std=gnu11 -O2 -g0 -fPIC -shared -fvisibility=hidden -Wall -Wextra -Werror"
-    " -fno-ident -ffile-prefix-map={folder}=. -frandom-seed=shim -Wl,--build-id=none -Wl,-s -ldl -pthread"
-)
+_OPTIONS = f"-std=gnu11 -O2 -fvisibility=hidden -Wall -Wextra -Werror -isystem {_HEADERS} -ldl -pthread"
 
 
-def add_shim(folder: Path, notice: Callable[[str], None]) -> bool:
-    """Compile the shim into an unpacked FMU and put PythonFMU's binary beside it.
+def with_shim(members: Mapping[str, bytes], notice: Callable[[str], None]) -> dict[str, bytes]:
+    """Put the shim into an FMU and PythonFMU's binary beside it.
 
     Parameters
     ----------
-    folder : Path
-        The FMU's content: `modelDescription.xml` in its final form, `binaries`.
+    members : mapping of str to bytes
+        The FMU's content by path: `modelDescription.xml` in its final form, `binaries`.
     notice : callable
         Called with a sentence when the shim is left out.
 
     Returns
     -------
-    bool
-        False when the shim is left out; the folder is then as it was.
+    dict of str to bytes
+        The content with the shim, or as it was.
     """
-    description = ET.parse(folder / "modelDescription.xml").getroot()
+    description = ET.fromstring(members["modelDescription.xml"])
     kind = description.find("CoSimulation")
     identifier = kind.get("modelIdentifier", "") if kind is not None else ""
-    binary = folder / "binaries" / PLATFORM / f"{identifier}.so"
-    library = compiled_shim(description.get("guid", ""), notice) if binary.is_file() else None
+    binary = f"binaries/{PLATFORM}/{identifier}.so"
+    library = compiled_shim(description.get("guid", ""), notice) if binary in members else None
     if library is None:
-        return False
-    binary.replace(binary.with_name(REAL_BINARY))
-    binary.write_bytes(library)
-    binary.chmod(0o755)
-    return True
+        return dict(members)
+    return {**members, binary: library, f"binaries/{PLATFORM}/{REAL_BINARY}": members[binary]}
 
 
 def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
     """Return the library for an FMU with this GUID, or None, with a notice, where it cannot be made."""
     left_out = "the FMU will run in hosts that are Python only"
-    compiler = c_compiler()
-    if not is_shim_platform():
+    if not makes_linux_binaries():
         notice(f"native hosts are served on 64-bit Linux only; {left_out}")
         return None
+    compiler = c_compiler()
     if compiler is None:
         notice(f"no C compiler is found; {left_out}")
         return None
-    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
-        shutil.copy(_SOURCE, scratch)
-        (Path(scratch) / "shim_config.h").write_text(_configuration(guid), encoding="utf-8")
-        options = _OPTIONS.format(folder=scratch).split()
-        command = [*compiler, "-I.", "-isystem", str(_HEADERS), _SOURCE.name, *options, "-o", "shim.so"]
-        try:
-            subprocess.run(command, cwd=scratch, capture_output=True, text=True, timeout=_SECONDS, check=True)
-        except (OSError, subprocess.SubprocessError) as error:
-            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-            notice(f"{compiler[0]} does not compile the library for native hosts ({said[0]}); {left_out}")
-            return None
-        return (Path(scratch) / "shim.so").read_bytes()
-
-
-def is_shim_platform() -> bool:
-    """Return whether this machine makes binaries of the kind that `PLATFORM` names."""
-    return sys.platform == "linux" and platform.machine() == "x86_64"
-
-
-def c_compiler() -> list[str] | None:
-    """Return the command of a C compiler: the environment variable CC, or what is found."""
-    named = shlex.split(os.environ.get("CC", ""))
-    if named:
-        return named if shutil.which(named[0]) else None
-    found = next((each for each in _COMPILERS if shutil.which(each)), None)
-    return [found] if found else None
+    sources = {_SOURCE.name: _SOURCE.read_text(encoding="utf-8"), "shim_config.h": _configuration(guid)}
+    try:
+        return shared_library(compiler, sources, _OPTIONS)
+    except sc.ServocoreError as error:
+        notice(f"{compiler[0]} does not compile the library for native hosts ({error}); {left_out}")
+        return None
 
 
 def _configuration(guid: str) -> str:

@@ -1,0 +1,194 @@
+"""What goes into an FMU: the sources that its slave imports, compiled functions, the table of variables.
+
+Nobody lists the sources: they are found by following the slave's imports, in this package as in servocore. A package
+travels without its own ``__init__``, which may import what the host lacks; the FMU gets one that offers those names
+only that are asked of it.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+
+import servocore as sc
+from crane_fmu.build.compiled_step import compiled_steps
+from crane_fmu.catalogue import FORMULATIONS, ROTARY_CRANE, Kind
+from crane_fmu.slave.interface import INTERFACE_FILE, PLANT_FILE, Interface, program_file
+
+Progress = Callable[[str], None]
+"""Called with what is being done."""
+
+PREFIX = "rotary_crane_"
+"""How the names of all entry modules begin."""
+
+_OURS = ("crane_fmu", "servocore")
+_PLANT_MODEL = "generalized"
+
+_ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
+
+import ctypes as _ctypes
+
+try:
+    import {bundle}.crane_fmu.slave.{module} as _slave
+except ImportError as error:
+    raise ImportError(
+        f"{name}.fmu needs NumPy and CasADi in the Python that runs it, but: {{error}};"
+        " install what resources/requirements.txt in the FMU lists"
+    ) from error
+
+# For every instance PythonFMU 0.7 gives away a reference to this module's names that it does not own; without one
+# more each time, they would be destroyed when none is left, and a later instance would find an empty module.
+_ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
+
+
+class {name}(_slave.{slave}):
+    """What the host sees; everything else is in the bundle."""
+'''
+
+
+@dataclass(frozen=True)
+class Content:
+    """What goes into an FMU.
+
+    Attributes
+    ----------
+    files : mapping of str to str
+        Texts of the bundle by their path inside it.
+    interface : Interface
+        The table of variables.
+    kind : Kind
+        Which FMU it is.
+    libraries : mapping of str to bytes
+        Steps as machine code, by their path in the bundle; they compute what programs among the files do.
+    path : bytes, optional
+        A table for a trajectory, which is no part of the bundle: users may replace it.
+    """
+
+    files: Mapping[str, str]
+    interface: Interface
+    kind: Kind
+    libraries: Mapping[str, bytes] = field(default_factory=dict)
+    path: bytes | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the entry module, unique to the content."""
+        digest = hashlib.sha256(f"{self.kind.name}{_ENTRY}{metadata.version('pythonfmu')}".encode())
+        for path, text in sorted(self.files.items()):
+            digest.update(f"{path}\0{text}\0".encode())
+        return f"{PREFIX}{digest.hexdigest()[:16]}"
+
+    @property
+    def bundle(self) -> str:
+        """Name of the package with everything else."""
+        return f"{self.name}_bundle"
+
+    @property
+    def entry(self) -> str:
+        """Source of the entry module."""
+        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module, slave=self.kind.slave)
+
+
+def collect(kind: Kind = ROTARY_CRANE, tell: Progress = lambda _: None, path: bytes | None = None) -> Content:
+    """Compile what an FMU runs on and gather the sources that its slave needs."""
+    table = kind.interface()
+    files = {
+        "__init__.py": f'"""What {kind.file_name} runs on."""\n',
+        **travelling(f"crane_fmu.slave.{kind.module}"),
+        **_compiled(kind, tell),
+        INTERFACE_FILE: table.to_json(),
+    }
+    programs = [program_file(*route) for route in kind.to_machine_code]
+    libraries = compiled_steps({name: files[name] for name in programs}, tell)
+    return Content(files, table, kind, libraries, path)
+
+
+def _compiled(kind: Kind, tell: Progress) -> dict[str, str]:
+    """Return programs and plant as texts by file name."""
+    crane, files = sc.scenes.rotary_crane(), {}
+    for model, formulation in kind.routes:
+        tell(f"compiling {model}, {formulation}")
+        stepper = sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model)
+        files[program_file(model, formulation)] = stepper.program.to_json()
+    if kind.has_plant:
+        tell("compiling the forward dynamics")
+        files[PLANT_FILE] = sc.compile_plant(crane.model(_PLANT_MODEL)).to_json()
+    return files
+
+
+# What travels --------------------------------------------------------------------------------------------------------
+
+
+def travelling(module: str) -> dict[str, str]:
+    """Return the sources of a module and of all that it imports of this project, by their path in the bundle."""
+    sources: dict[str, str] = {}
+    faces: dict[str, dict[str, str]] = {}  # of packages: where each name comes from
+    waiting = [module]
+    while waiting:
+        module = waiting.pop()
+        path = f"{module.replace('.', '/')}.py"
+        if path in sources:
+            continue
+        sources[path] = _source(module)
+        parts = module.split(".")
+        for depth in range(1, len(parts)):
+            faces.setdefault(".".join(parts[:depth]), {})
+        for imported, names in _imports(sources[path]):
+            if not _is_package(imported):
+                waiting.append(imported)
+                continue
+            for name in names:
+                home = _home(imported, name)
+                if home is None:  # a module of the package
+                    waiting.append(f"{imported}.{name}")
+                else:
+                    waiting.append(home)
+                    faces.setdefault(imported, {})[name] = home
+    for package, offered in faces.items():
+        lines = [f"from {home} import {name}\n" for name, home in sorted(offered.items())]
+        sources[f"{package.replace('.', '/')}/__init__.py"] = "".join(lines)
+    return sources
+
+
+def _imports(source: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield modules of this project, and the names taken from each, that a source imports when it runs."""
+    tree = ast.parse(source)
+    for_types = {
+        node
+        for branch in ast.walk(tree)
+        if isinstance(branch, ast.If) and ast.unparse(branch.test) == "TYPE_CHECKING"
+        for node in ast.walk(branch)
+    }
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.ImportFrom) or node in for_types or node.module is None:
+            continue
+        if node.module.split(".")[0] in _OURS:
+            yield node.module, [each.name for each in node.names]
+
+
+def _home(package: str, name: str) -> str | None:
+    """Return the module in which a name that a package offers is written down; None if it offers no such name."""
+    for imported, names in _imports(_source(package)):
+        if name in names:
+            return _home(imported, name) if _is_package(imported) else imported
+    return None
+
+
+def _is_package(module: str) -> bool:
+    return _file(module).name == "__init__.py"
+
+
+def _source(module: str) -> str:
+    return _file(module).read_text(encoding="utf-8")
+
+
+def _file(module: str) -> Path:
+    found = find_spec(module)
+    if found is None or found.origin is None:
+        raise sc.ServocoreError(f"there is no module {module} to take into an FMU")
+    return Path(found.origin)

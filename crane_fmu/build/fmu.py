@@ -1,0 +1,102 @@
+"""Build an FMU: compile the models, bundle what the slave needs, pack, check, put in place."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import servocore as sc
+from crane_fmu.build.archive import packed
+from crane_fmu.build.bundle import Progress, collect
+from crane_fmu.build.page import user_page
+from crane_fmu.catalogue import KINDS, ROTARY_CRANE, Kind
+from crane_fmu.files import put
+from servocore.files import write_together
+
+_CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
+_CHECK_SECONDS = 300.0
+
+
+def build_fmu(
+    directory: Path, progress: Progress | None = None, kind: Kind = ROTARY_CRANE, path: bytes | None = None
+) -> Path:
+    """Build an FMU, check it in a process of its own and only then rename it into place.
+
+    Parameters
+    ----------
+    directory : Path
+        Where it goes; made if it does not exist.
+    progress : callable, optional
+        Called with a phrase for every stage.
+    kind : Kind
+        Which FMU.
+    path : bytes, optional
+        A table that a trajectory carries, as CSV.
+
+    Returns
+    -------
+    Path
+        The FMU.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder cannot be made or written.
+    ServocoreError
+        If the FMU fails its check.
+    """
+    tell = progress or (lambda _: None)
+    directory = Path(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
+    content = collect(kind, tell, path)
+    tell(f"packing {kind.file_name}")
+    archive = packed(content, tell)
+    tell(f"checking {kind.file_name} in a process of its own")
+    _check(archive, kind)
+    target = directory / kind.file_name
+    write_together({target: archive})
+    return target
+
+
+def _check(archive: bytes, kind: Kind) -> None:
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        put(Path(folder), {kind.file_name: archive})
+        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs), json.dumps(kind.rest)]
+        try:
+            done = subprocess.run(
+                command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False
+            )
+        except subprocess.TimeoutExpired as error:
+            raise sc.ServocoreError(f"the FMU did not finish its check in {_CHECK_SECONDS:g} s") from error
+    if done.returncode:
+        why = (done.stderr or done.stdout).strip() or f"the process ended with {done.returncode}"
+        raise sc.ServocoreError(f"the FMU was built but failed its check, so it was not written: {why}")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command ``python build_fmu.py``; returns its exit code."""
+    parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"
+    )
+    parser.add_argument("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
+    chosen = parser.parse_args(arguments)
+    kind = KINDS[chosen.fmu]
+    try:
+        if chosen.page:
+            write_together({chosen.page: user_page(kind).encode()})
+            return 0
+        file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind)
+    except sc.ServocoreError as error:
+        print(f"build_fmu.py: {error}", file=sys.stderr)
+        return 2
+    print(file)
+    return 0

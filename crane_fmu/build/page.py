@@ -1,0 +1,136 @@
+"""The user page of an FMU: one text, written as ``docs/fmu*.md`` and as the page behind a tool's Help button."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from jinja2 import Environment, StrictUndefined
+from markdown_it import MarkdownIt
+
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Kind
+from crane_fmu.slave.estimate import amplification
+from crane_fmu.slave.interface import ORDERS, Causality, Variable
+
+_LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
+_TEMPLATES = Path(__file__).parent / "resources"
+
+_BAD_STEP = (
+    "a step that is not positive, NaN, or longer than an hour",
+    "at t = 0 s the communication step is -0.1 s, it must be above 0 s and at most 3600 s",
+)
+_TIME_BACK = (
+    "time goes back",
+    "the communication point t = 0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
+)
+REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
+    ROTARY_CRANE.name: (
+        ("an input is NaN or infinite", "at t = 0 s the input load.jerk[2] is nan, not a finite number"),
+        (
+            "the load falls as fast as it would without a rope, or faster",
+            "at t = 0 s the rope goes slack: g + z'' is -0.19 m/s2, it must stay above 0 m/s2",
+        ),
+        (
+            "the load is at the girder's height or above",
+            "at t = 0 s the load is not below the girder: the load's depth below the girder is -1 m,"
+            " it must stay above 0 m",
+        ),
+        (
+            "the trolley is on the axis, where `phi` is undefined",
+            "at t = 0 s the trolley reaches the slewing axis: the trolley's distance from the slewing axis is 0 m,"
+            " it must stay above 0.001 m",
+        ),
+        _BAD_STEP,
+        _TIME_BACK,
+        (
+            "time is skipped",
+            "the communication point t = 0.5 s lies ahead of the FMU's time 0 s;"
+            " to repeat a step restore the FMU's state first",
+        ),
+        (
+            "a step before the initialisation",
+            "doStep needs a finished initialisation, but the FMU is instantiated",
+        ),
+        ("a parameter outside its range", "load_mass = -1 kg is outside its range [0.001, 1e+09] kg"),
+        (
+            "a needlessly small `internal_step`",
+            "an internal_step of 1e-09 s divides the communication step of 0.1 s into more than 100000 steps",
+        ),
+        (
+            "a step so large, or a path so far away, that the trolley would come out behind the axis",
+            "rotary crane, points, projected, backward-euler: at t = 20 s s is -5 m, on another branch of the equations"
+            " than the one wanted; a smaller step keeps to its own",
+        ),
+    ),
+    CRANE_PLANT.name: (
+        ("an input is NaN or infinite", "at t = 0 s the input F is nan, not a finite number"),
+        (
+            "the rope would have to push",
+            "at t = 0.1 s the rope goes slack: its tension is -819.9 N, it must stay above 0 N",
+        ),
+        (
+            "inputs beyond reason",
+            "the step from t = 0 s to 0.1 s has no finite result: the inputs are too large, or internal_step is",
+        ),
+        ("a start that no crane can take", "the load starts at z = 1 m, it must be below the girder"),
+        _BAD_STEP,
+        ("a parameter outside its range", "mass_error = -2 is outside its range [-0.9, 10]"),
+    ),
+    LOAD_TRAJECTORY.name: (
+        ("a `ramp` for another profile", "a ramp belongs to the profile three-phase, not to degree9"),
+        (
+            "a `ramp` longer than half of the duration",
+            "a three-phase path with these settings takes at least 22.0 s, but its duration is 20.0 s",
+        ),
+        ("`file` without a table", "the profile file needs a table resources/path.csv in the FMU"),
+        ("a parameter outside its range", "duration = nan s is outside its range [0.001, 1e+09] s"),
+        _TIME_BACK,
+    ),
+}
+"""What each FMU refuses: situation, and the sentence for one example; the tests provoke them all."""
+
+_STYLE = (
+    "body{font:16px/1.5 sans-serif;max-width:60em;margin:2em auto;padding:0 1em;color:#222}"
+    "table{border-collapse:collapse}td,th{border:1px solid #ccc;padding:.3em .6em;text-align:left;vertical-align:top}"
+    "code{background:#f4f4f4;padding:0 .2em}pre{background:#f4f4f4;padding:.6em;line-height:1.2}"
+)
+
+
+def user_page(kind: Kind) -> str:
+    """Return the page of an FMU as Markdown."""
+    table = kind.interface()
+    environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
+    template = environment.from_string((_TEMPLATES / f"{kind.page}.j2").read_text(encoding="utf-8"))
+    return template.render(
+        table=lambda causality: _table(table.of(causality)),
+        refusals=REFUSALS[kind.name],
+        amplifications=[(name, amplification(k)) for k, name in enumerate(ORDERS[:-1])],
+    )
+
+
+def documentation_page(kind: Kind) -> str:
+    """Return the page as a complete HTML document."""
+    alone = _LOCAL_LINK.sub(r"\1", user_page(kind))  # inside the FMU there are no other pages
+    body = MarkdownIt("commonmark").enable("table").render(alone)
+    head = f'<meta charset="utf-8"><title>{kind.file_name}</title><style>{_STYLE}</style>'
+    return f'<!DOCTYPE html>\n<html lang="en">\n<head>{head}</head>\n<body>\n{body}</body>\n</html>\n'
+
+
+def _table(variables: tuple[Variable, ...]) -> str:
+    rows = [f"| `{each.name}` | {each.unit or 'text'} | {_extent(each)} | {each.description} |" for each in variables]
+    third: dict[Causality, str] = {"input": "start", "output": "range", "parameter": "default, range, change"}
+    header = f"| name | unit | {third[variables[0].causality]} | |"
+    return "\n".join([header, "|---|---|---|---|", *rows])
+
+
+def _extent(variable: Variable) -> str:
+    """Start value, range and variability in a few characters."""
+    low, high = variable.minimum, variable.maximum
+    if low is not None and high is not None:
+        bounds = f"{low:g} to {high:g}"
+    else:
+        bounds = f">= {low:g}" if low is not None else f"<= {high:g}" if high is not None else ""
+    start = "" if variable.start is None else f"{variable.start:g}" if not variable.is_text else f"`{variable.start}`"
+    change = variable.variability if variable.causality == "parameter" else ""
+    return ", ".join(each for each in (start, bounds, change) if each)

@@ -1,0 +1,197 @@
+"""The tables of the FMUs' variables: the crane's inverse model, a load trajectory, the crane as a plant."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import servocore as sc
+from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
+from crane_fmu.slave.interface import (
+    FEEDBACK_INPUTS,
+    FROM_FILE,
+    INPUT_TIMES,
+    ORDERS,
+    REST,
+    Causality,
+    Interface,
+    Variability,
+    Variable,
+    components,
+)
+from crane_fmu.slave.lines import PROFILES, THREE_PHASE
+
+_UNITS = {
+    **dict(zip(ORDERS, ("m", "m/s", "m/s2", "m/s3", "m/s4"), strict=True)),
+    **{"M_b": "N.m", "F": "N", "M_w": "N.m", "phi": "rad", "s": "m", "l": "m"},
+    **{"phi_dot": "rad/s", "s_dot": "m/s", "l_dot": "m/s"},
+}
+"""Units of path, inputs, motion and rates, in tables of outputs as of measured values."""
+
+# Exact only while they are constant: a change of these moves the trolley or the rope at once.
+_FIXED_PARAMETERS = frozenset({"gravity", "winch_radius"})
+
+_FORCES = (
+    ("M_b", 1000.0, "slewing torque on the bridge, positive as phi"),
+    ("F", 1000.0, "force on the trolley along the bridge, positive as s"),
+    ("M_w", 100.0, "winch torque, positive where it pays out rope"),
+)
+
+
+def rotary_crane() -> Interface:
+    """Return the table of the inverse model."""
+    derivatives = tuple(reversed(ORDERS))
+    rows = (
+        *_path("input", "wanted of the load", REST),
+        *(_output(name, _UNITS[name], text, nominal=size) for name, size, text in _FORCES),
+        *_motion(),
+        _output("tension", "N", "rope tension", "kN", 0.0, 1000.0),
+        _output("swing", "rad", "angle of the rope from the vertical", "deg", 0.0, 0.1),
+        *_crane_parameters(),
+        _number("internal_step", "s", 0.0, "step of the method; a communication step takes the nearest whole number of"
+                " them; 0: one"),
+        _text("model", MODELS, "model of the crane that is solved"),
+        _text("formulation", FORMULATIONS, "how the servo constraints enter the equations"),
+        _text("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
+        _text("connected", derivatives, "highest derivative of the path that is connected; others are estimated"),
+        *_measured(),
+        _number("feedback", "1", 1.0, "share of the feedback in the outputs, where motion is measured", highest=1.0),
+    )  # fmt: skip
+    return Interface(rows)
+
+
+def load_trajectory() -> Interface:
+    """Return the table of the load trajectory."""
+    path = sc.scenes.rotary_crane().reference
+    start, end = path.jet([path.start_time, path.end_time], 0)[:, 0].tolist()
+    rows = (
+        *_path("output", "of the load"),
+        *_fixed_vector("start", "m", start, "start of the path, component"),
+        *_fixed_vector("end", "m", end, "end of the path, component"),
+        _number("duration", "s", path.duration, "time of the motion", 1e-3, 1e9, change="fixed"),
+        _number("start_time", "s", 0.0, "when the motion starts; the load rests before", None, change="fixed"),
+        _number(
+            "ramp", "s", 0.0, f"time to accelerate, for {THREE_PHASE}; 0: a quarter of the duration", change="fixed"
+        ),
+        _text("profile", (*PROFILES, FROM_FILE), "time law along the line, or a table"),
+    )
+    return Interface(rows)
+
+
+def crane_plant() -> Interface:
+    """Return the table of the plant."""
+    rows = (
+        *(
+            Variable(name, "input", "continuous", text, _UNITS[name], start=0.0, nominal=size)
+            for name, size, text in _FORCES
+        ),
+        *(
+            _output(name, _UNITS[quantity], f"{quantity} of the load, component {axis}")
+            for quantity in ("position", "velocity")
+            for name, axis in _components(f"load.{quantity}")
+        ),
+        *_motion(),
+        *(_output(f"{name}_dot", _UNITS[f"{name}_dot"], f"rate of {name}") for name in ("phi", "s", "l")),
+        _output("tension", "N", "rope tension", "kN", 0.0, 1000.0),
+        _output("energy", "J", "kinetic and potential energy; zero at rest at the girder", "kJ", None, 1000.0),
+        *_crane_parameters(),
+        *_fixed_vector("start.position", "m", REST, "position of the load at the start,"),
+        *_fixed_vector("start.velocity", "m/s", (0.0, 0.0, 0.0), "velocity of the load at the start,"),
+        _number("start.swing[1]", "rad", 0.0, "swing at the start in the bridge's plane, outwards", -1.5, 1.5, "fixed"),
+        _number("start.swing[2]", "rad", 0.0, "swing at the start, out of that plane", -1.5, 1.5, "fixed"),
+        _number("mass_error", "1", 0.0, "the load is heavier by this fraction of load_mass", -0.9, 10.0),
+        *(_number(name, "N", 0.0, f"constant force on the load, {axis}", None) for name, axis in _components("wind")),
+        *(
+            _number(name, "N", 0.0, f"force on the load during the gust, {axis}", None)
+            for name, axis in _components("gust")
+        ),
+        _number("gust_start", "s", 0.0, "time at which the gust begins", None),
+        _number("gust_duration", "s", 0.0, "time that the gust lasts"),
+        _number("internal_step", "s", 0.002, "longest step of the solver, Runge-Kutta of order four", 1e-6, 1.0),
+        _text("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
+        _text("hold", ("first_order", "zero_order"), "how inputs go on between communication points"),
+        _text("brakes", ("until_inputs", "none"), "brakes hold the crane until an input is not zero"),
+    )
+    return Interface(rows)
+
+
+# Rows that tables have in common -------------------------------------------------------------------------------------
+
+
+def _path(causality: Causality, of: str, start: Sequence[float] | None = None) -> Iterator[Variable]:
+    for quantity in ORDERS:
+        for k, (name, axis) in enumerate(_components(f"load.{quantity}")):
+            value = None if start is None else start[k] if quantity == "position" else 0.0
+            yield Variable(
+                name, causality, "continuous", f"{quantity} {of}, component {axis}", _UNITS[quantity], start=value
+            )
+
+
+def _motion() -> Iterator[Variable]:
+    yield _output("phi", "rad", "bridge angle, continuous across full turns", "deg", None, 1.0)
+    yield _output("s", "m", "distance of the trolley from the slewing axis", "", 0.0, 1.0)
+    yield _output("l", "m", "rope length", "", 0.0, 1.0)
+
+
+def _measured() -> Iterator[Variable]:
+    for name in FEEDBACK_INPUTS:
+        quantity = name.removeprefix("measured.").split("[")[0]
+        of = f"{quantity} of the load" if "[" in name else quantity
+        yield Variable(
+            name, "input", "continuous", f"measured {of}; all zero: no feedback", _UNITS[quantity], start=0.0
+        )
+
+
+def _crane_parameters() -> Iterator[Variable]:
+    for each in sc.scenes.rotary_crane().model().parameters.declared:
+        yield Variable(
+            name=each.name,
+            causality="parameter",
+            variability="fixed" if each.name in _FIXED_PARAMETERS else "tunable",
+            description=each.description,
+            unit=each.unit,
+            start=each.default,
+            minimum=each.lower,
+            maximum=each.upper,
+            nominal=each.default,
+        )
+
+
+# Rows ----------------------------------------------------------------------------------------------------------------
+
+
+def _components(name: str) -> Iterator[tuple[str, str]]:
+    """Yield the names of a vector's components with their axes."""
+    return zip(components(name), "xyz", strict=True)
+
+
+def _fixed_vector(name: str, unit: str, start: Sequence[float], text: str) -> Iterator[Variable]:
+    for (component, axis), value in zip(_components(name), start, strict=True):
+        yield _number(component, unit, value, f"{text} {axis}", None, change="fixed")
+
+
+def _output(
+    name: str,
+    unit: str,
+    text: str,
+    display: str = "",
+    minimum: float | None = None,
+    nominal: float | None = None,
+) -> Variable:
+    return Variable(name, "output", "continuous", text, unit, display, minimum=minimum, nominal=nominal)
+
+
+def _number(
+    name: str,
+    unit: str,
+    start: float,
+    text: str,
+    lowest: float | None = 0.0,
+    highest: float | None = None,
+    change: Variability = "tunable",
+) -> Variable:
+    return Variable(name, "parameter", change, text, unit, start=start, minimum=lowest, maximum=highest)
+
+
+def _text(name: str, choices: Iterable[str], text: str) -> Variable:
+    names = tuple(choices)
+    return Variable(name, "parameter", "fixed", f"{text}: {', '.join(names)}", start=names[0], choices=names)

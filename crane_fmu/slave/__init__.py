@@ -1,0 +1,1 @@
+"""What travels into the FMUs: slaves, and what they compute, on NumPy, CasADi and PythonFMU only."""

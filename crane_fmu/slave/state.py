@@ -1,0 +1,38 @@
+"""States as JSON knows them: a host may save what a slave remembers, and restore it in another process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from crane_fmu.slave.paths import Array
+
+
+def _array(value: Any) -> Array:
+    return np.array(value, dtype=float)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, PlainState):
+        return value.to_plain()
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+_READ: Mapping[Any, Callable[[Any], Any]] = {"Array": _array, "float": float, "bool": bool}
+
+
+@dataclass(frozen=True, eq=False)
+class PlainState:
+    """A state that is never changed in place; its fields are numbers, flags and arrays, annotated as such."""
+
+    def to_plain(self) -> dict[str, Any]:
+        """Return plain numbers and lists."""
+        return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
+
+    @classmethod
+    def from_plain(cls, plain: Mapping[str, Any]) -> Self:
+        """Undo `to_plain`."""
+        return cls(**{each.name: _READ[each.type](plain[each.name]) for each in fields(cls)})
