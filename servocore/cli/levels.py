@@ -14,7 +14,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from servocore.analysis import NON_MINIMUM_PHASE, analyse
+from servocore.analysis import analyse
+from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE
 from servocore.cli.level import Cost, Level, Spread
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.formulations.base import Formulation

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from servocore.analysis import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
+from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
+from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidSetting
 from servocore.formulations.base import Formulation

@@ -1,0 +1,63 @@
+"""Whether internal dynamics remain, and whether they are stable: what kind of problem it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.inversion import inversion
+from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearisation
+
+FLAT = "flat"
+MINIMUM_PHASE = "minimum phase"
+WEAKLY_MINIMUM_PHASE = "weakly minimum phase"
+NON_MINIMUM_PHASE = "non-minimum phase"
+SINGULAR = "singular here"
+
+
+@dataclass(frozen=True)
+class InternalDynamics:
+    """The internal dynamics of a problem, linearised at rest.
+
+    Attributes
+    ----------
+    kind : str
+        As `StructureReport.classification`.
+    eigenvalues : tuple of complex
+        In 1/s, the fastest growing first.
+    """
+
+    kind: str
+    eigenvalues: tuple[complex, ...]
+
+    @property
+    def growth(self) -> float:
+        """Fastest rate of growth in 1/s."""
+        return max((value.real for value in self.eigenvalues), default=0.0)
+
+
+def internal_dynamics(problem: Problem) -> InternalDynamics:
+    """Linearise the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
+    if problem.flat:
+        return InternalDynamics(FLAT, ())
+    return problem.resolved.once(_linearised, tuple(problem.p.tolist()))
+
+
+def _linearised(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
+    linear = resolved.once(linearisation, resolved.once(inversion))
+    eigenvalues = internal_equilibrium(linear, np.array(p), np.array(resolved.system.home)).eigenvalues
+    return InternalDynamics(_classified(eigenvalues), eigenvalues)
+
+
+def _classified(eigenvalues: tuple[complex, ...]) -> str:
+    if not eigenvalues:
+        return FLAT
+    if not np.isfinite(eigenvalues).all():
+        return SINGULAR
+    growth = max(value.real - DAMPED * abs(value) for value in eigenvalues)
+    decay = max(value.real + DAMPED * abs(value) for value in eigenvalues)
+    if growth > 0.0:
+        return NON_MINIMUM_PHASE
+    return MINIMUM_PHASE if decay < 0.0 else WEAKLY_MINIMUM_PHASE
