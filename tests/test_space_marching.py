@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.integrate
 
 import servocore as sc
 from servocore.references import periodic
@@ -62,7 +63,7 @@ def test_momentum_is_what_the_force_brings_in():
     found = march(PATHS["default"], 200)
     dt = found.t[1] - found.t[0]
     impulse = np.concatenate([[0.0], np.cumsum((found.input[1:] + found.input[:-1]) / 2) * dt])
-    momentum = VALUES["line_mass"] * np.trapezoid(found.velocity, found.X, axis=0)
+    momentum = VALUES["line_mass"] * scipy.integrate.trapezoid(found.velocity, found.X, axis=0)
     momentum += VALUES["end_mass"] * found.velocity[0]
     np.testing.assert_allclose(momentum, impulse, atol=1e-3 * np.abs(momentum).max())
 
