@@ -76,13 +76,13 @@ class StructureReport:
     degrees_of_freedom: int
     inputs: int
     outputs: int
-    index: int | None
-    equation_offsets: tuple[tuple[str, int], ...]
-    variable_offsets: tuple[tuple[str, int], ...]
-    internal_degrees_of_freedom: int | None
-    internal_states: tuple[str, ...]
-    condition: float
-    classification: str
+    index: int | None = None
+    equation_offsets: tuple[tuple[str, int], ...] = ()
+    variable_offsets: tuple[tuple[str, int], ...] = ()
+    internal_degrees_of_freedom: int | None = None
+    internal_states: tuple[str, ...] = ()
+    condition: float = np.inf
+    classification: str = SINGULAR
     eigenvalues: tuple[complex, ...] = ()
     remedy: str = ""
     reason: str = ""
@@ -151,19 +151,7 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
     problem = Problem.of(subject, model)
     instants = 1 if isinstance(subject, MechanicalSystem) else _SURVEY_POINTS  # a system alone rests at its home
     system, left_out = problem.system, problem.left_out
-    outline = StructureReport(
-        name=system.name,
-        degrees_of_freedom=system.degrees_of_freedom,
-        inputs=len(system.inputs),
-        outputs=len(system.outputs),
-        index=None,
-        equation_offsets=(),
-        variable_offsets=(),
-        internal_degrees_of_freedom=None,
-        internal_states=(),
-        condition=np.inf,
-        classification=SINGULAR,
-    )
+    outline = StructureReport(system.name, system.degrees_of_freedom, len(system.inputs), len(system.outputs))
     if isinstance(problem.resolved.outcome, InvalidModel):
         return replace(outline, reason=str(problem.resolved.outcome))
     outline = _with_structure(outline, problem.array, left_out)

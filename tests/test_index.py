@@ -1,7 +1,7 @@
-"""The index of a form is that of its equations, whatever the formulation says of itself: told by linear algebra at rest.
+"""The index of a form is that of its equations, whatever the formulation says: told by linear algebra at rest.
 
-At rest a form is linear with constant coefficients, E x' + A x = 0, and its differentiation index is the number of times
-that rows without derivatives have to be differentiated until E is regular (the shuffle algorithm of Luenberger, 1978).
+At rest a form is linear with constant coefficients, E x' + A x = 0, and its differentiation index is the number of
+times that rows without derivatives have to be differentiated until E is regular (Luenberger's shuffle algorithm, 1978).
 """
 
 from __future__ import annotations

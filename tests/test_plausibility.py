@@ -107,14 +107,14 @@ def test_an_angle_that_cannot_be_followed_is_refused_with_its_time():
 # Inputs far from the exact ones ---------------------------------------------------------------------------------------
 
 
-def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_body_turn_limit_and_time():
+def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_angle_turn_limit_and_time():
     crane, steps = near_slack(1.0), 1000
     with pytest.warns(sc.ServocoreWarning) as heard:
         found = projected(crane, steps, "bodies")
     assert len(heard) == 1
     numbers = re.fullmatch(
         r"rotary crane, bodies, projected, backward-euler: at t = (\S+) s M_w is (\S+) N\.m, the exact inversion gives"
-        r" (\S+) N\.m; winch turns by (\S+) rad within this step, where about (\S+) rad would be an error of half the"
+        r" (\S+) N\.m; beta turns by (\S+) rad within this step, where about (\S+) rad would be an error of half the"
         r" peak; take the form Reduced\(\), which has no step, or a smaller step or another method",
         str(heard[0].message),
     )

@@ -9,7 +9,6 @@ parabola through three of them comes down to zero, the instant is looked for by 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -19,6 +18,7 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.numerics.calls import Array, Call, at_instants
 from servocore.numerics.constraint_ranks import Rows, assembled
+from servocore.numerics.interpolation import lagrange
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 from servocore.stepping.observation import observed
@@ -250,21 +250,12 @@ def _followed(motion: _Motion, begin: float, through: float, end: float, first: 
     found = [first]
     for k in range(1, len(times)):
         known = slice(max(0, k - 3), k)
-        ahead = _extrapolated(times[known], found[known], times[k])
+        ahead = (lagrange(times[known], times[k : k + 1]) @ np.array(found[known]))[0]
         x = motion.configuration(times[k], ahead)
         if x is None:
             return None
         found.append(x)
     return found[-1]
-
-
-def _extrapolated(times: Sequence[float], values: Sequence[Array], time: float) -> Array:
-    """Evaluate the polynomial through some values, by Lagrange's formula."""
-    total = np.zeros_like(values[0])
-    for i, (own, value) in enumerate(zip(times, values, strict=True)):
-        others = [other for j, other in enumerate(times) if j != i]
-        total += value * float(np.prod([(time - other) / (own - other) for other in others]))
-    return total
 
 
 def _has_kink(t: Array, x: Array, time: float) -> bool:

@@ -20,7 +20,6 @@ LARGEST_DEVIATION = 0.5
 """Of an input's peak: an input further from the exact one is warned of."""
 
 _UNNOTICED = 1e-3  # of the largest input: what is smaller may be all round-off
-_DIRECTORS = tuple(f"d{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")
 _SMALLEST_TURN = 0.01  # rad a step: not worth a word
 
 
@@ -63,22 +62,17 @@ def _exact_values(program: Program, jet: Array, p: Array) -> Array:
 
 
 def _fastest_turn(program: Program, values: Array, k: int, factor: float) -> str:
-    """Name the body, or else the angle, that turns most within the step to instant `k`, and the turn it may make.
+    """Name the angle that turns most within the step to instant `k`, and the turn it may make.
 
-    In direction cosines a turn a step exerts a torque of J turn^3/h^2 too much, so that the error of the inputs is
-    proportional to the turn at a given speed; `factor` takes it to what is allowed.
+    Bodies given by their directors exert a torque of J turn^3/h^2 too much on a turn a step, so that the error of the
+    inputs is proportional to the turn at a given speed; `factor` takes it to what is allowed.
     """
-    column = {channel.name: values[:, j] for j, channel in enumerate(program.channels)}
-    bodies = [name.removesuffix(".d1_x") for name in column if name.endswith(".d1_x")]
-    turns = {}
-    for body in bodies:
-        before, after = (np.array([column[f"{body}.{each}"][i] for each in _DIRECTORS]) for i in (k - 1, k))
-        turns[body] = float(np.arccos(np.clip((before @ after - 1.0) / 2.0, -1.0, 1.0)))
-    if not bodies:
-        turning = [channel.name for channel in program.channels if channel.unit == "rad"]
-        turns = {name: abs(float(column[name][k] - column[name][k - 1])) for name in turning}
-    most = max(turns.values(), default=0.0)
-    name = next((each for each, turn in turns.items() if turn > 0.99 * most), "")
+    turns = {
+        channel.name: abs(float(values[k, j] - values[k - 1, j]))
+        for j, channel in enumerate(program.channels)
+        if channel.unit == "rad"
+    }
+    name = max(turns, key=lambda each: turns[each], default="")
     if k == 0 or not name or turns[name] < _SMALLEST_TURN:
         return ""
     return (

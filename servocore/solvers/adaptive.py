@@ -18,7 +18,7 @@ from servocore.methods.base import Method
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, Run, begin, run, step_of
+from servocore.solvers.loop import Progress, Run, begin, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program
@@ -147,8 +147,8 @@ class Reached:
 
     Attributes
     ----------
-    state : ndarray
-        Of the program, at `time`.
+    run : Run
+        The state of the program at `time`, and what the accepted steps took.
     time : float
         In s.
     spacing : float
@@ -159,13 +159,13 @@ class Reached:
         Step to try next, in s.
     last_error : float
         Of the last accepted step, as a fraction of what is allowed.
-    steps, rejected, newton_iterations, factorisations : int
+    steps, rejected : int
         Totals.
-    worst_residual, largest_error : float
+    largest_error : float
         Of all accepted steps.
     """
 
-    state: Array
+    run: Run
     time: float
     spacing: float
     peaks: Array
@@ -173,10 +173,12 @@ class Reached:
     last_error: float = 1.0
     steps: int = 0
     rejected: int = 0
-    newton_iterations: int = 0
-    factorisations: int = 0
-    worst_residual: float = 0.0
     largest_error: float = 0.0
+
+    @property
+    def state(self) -> Array:
+        """The state of the program."""
+        return self.run.states[:, -1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +223,7 @@ def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progre
     program, step = control.program, step_of(t)
     state, residual = begin(problem, program, step)
     peaks = np.abs(program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p))
-    now = Reached(state, float(t[0]), step, peaks, step, worst_residual=residual)
+    now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)
     columns = [state]
     for k, end in enumerate(t[1:]):
         while end - now.time > 1e-9 * step:
@@ -230,8 +232,7 @@ def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progre
         columns.append(now.state)
         if progress is not None:
             progress(k + 1, len(t) - 1)
-    done = Run(np.array(columns).T, now.newton_iterations, now.factorisations, now.worst_residual)
-    segments, error = [Segment(program, t, done)], now.largest_error
+    segments, error = [Segment(program, t, replace(now.run, states=np.array(columns).T))], now.largest_error
     return solution_of(problem, segments, steps=now.steps, rejected=now.rejected, error_estimate=error)
 
 
@@ -249,7 +250,7 @@ def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
     if not error <= 1.0:
         return replace(now, peaks=peaks, rejected=now.rejected + 1, h=h_next)
     return Reached(
-        state=halves.states[:, -1],
+        run=replace(joined([now.run, halves]), states=halves.states),
         time=now.time + h,
         spacing=h / 2,
         peaks=peaks,
@@ -257,9 +258,6 @@ def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
         last_error=max(error, 1e-4),
         steps=now.steps + 2,
         rejected=now.rejected,
-        newton_iterations=now.newton_iterations + halves.newton_iterations,
-        factorisations=now.factorisations + halves.factorisations,
-        worst_residual=max(now.worst_residual, halves.worst_residual),
         largest_error=max(now.largest_error, error * control.control.rtol),
     )
 
@@ -268,13 +266,11 @@ def _steps(control: StepControl, now: Reached, h: float, parts: int) -> Run | No
     """Take a step in `parts` equal parts; None if one of them fails."""
     program, problem, part = control.program, control.problem, h / parts
     state = program.rescaled(now.state, part / now.spacing)
-    iterations, factorisations, residual = 0, 0, 0.0
+    done: list[Run] = []
     for k in range(parts):
         times = now.time + k * part + part * np.array(program.nodes)
         state, report = program.advance(state, problem.reference.jet(times, program.order), part, problem.p)
         if not report.converged:
             return None
-        iterations += report.newton_iterations
-        factorisations += report.factorisations
-        residual = max(residual, report.residual)
-    return Run(state[:, None], iterations, factorisations, residual)
+        done.append(Run(state[:, None], report.newton_iterations, report.factorisations, report.residual))
+    return joined(done)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting
 from servocore.formulations.reduced import Reduced
-from servocore.methods.collocation import Gauss, RadauIIA, tableau
+from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
@@ -112,7 +112,7 @@ class _Bounded:
     dae: Dae
     left: Equilibrium
     right: Equilibrium
-    stages: int
+    method: Gauss
 
 
 def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
@@ -132,7 +132,7 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
             )
     linear = problem.resolved.once(linearisation, problem.resolved.once(inversion))
     left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
-    return _Bounded(problem, problem.dae(Reduced()), left, right, route.stages)
+    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages))
 
 
 def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
@@ -147,14 +147,14 @@ def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
     return grid
 
 
-def _interval(resolved: ResolvedSystem, stages: int) -> tuple[ca.Function, ca.Function, Places]:
+def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.Function, Places]:
     """Compile the collocation equations of one mesh interval.
 
     Returns (values, gamma, h, p) -> residual, the same -> nonzeros of its Jacobian by values, and their (row, column)
     places; values are [x at the left; stages; x at the right].
     """
     dae = resolved.dae(Reduced())
-    step = Gauss(stages).discretise(dae)
+    step = method.discretise(dae)
     right = ca.SX.sym("right", dae.x.numel())
     values = ca.vertcat(step.x, step.equations.unknowns, right)
     residual = ca.vertcat(step.equations.residual, step.next_state[: dae.x.numel()] - right)
@@ -209,10 +209,10 @@ def _collocation(
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
     problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
-    one, one_jacobian, (rows, columns) = problem.resolved.once(_interval, bounded.stages)
+    one, one_jacobian, (rows, columns) = problem.resolved.once(_interval, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
     h = (mesh[-1] - mesh[0]) / count
-    nodes = (mesh[:-1, None] + h * tableau("gauss", bounded.stages).c).ravel()
+    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
     gamma = side_by_side(problem.reference.jet(nodes, dae.reference_order))
     constant = (gamma, np.full(count, h), np.tile(problem.p[:, None], count))
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
@@ -250,9 +250,9 @@ def _collocation(
 
 def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
     """Return a first guess: the internal states at rest, everything else following the reference."""
-    reference, stages, count = bounded.problem.reference, bounded.stages, len(mesh) - 1
+    reference, count = bounded.problem.reference, len(mesh) - 1
     h = (mesh[-1] - mesh[0]) / count
-    nodes = (mesh[:-1, None] + h * tableau("gauss", stages).c).ravel()
+    nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
     stage = _algebraic(bounded, nodes, states).T.reshape(count, -1)

@@ -6,7 +6,7 @@ import casadi as ca
 
 from servocore.dae import Dae
 from servocore.methods.base import Discretisation
-from servocore.methods.collocation import RadauIIA, tableau
+from servocore.methods.collocation import RadauIIA
 from servocore.numerics.square_systems import compile_solver
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion
@@ -19,9 +19,8 @@ def start_instants(array: DerivativeArray, step: Discretisation) -> tuple[float,
     """Instants, in steps from the initial time, at which `compile_start` needs the reference."""
     if not array.states:
         return step.start.instants
-    nodes = tableau("radau", _BACKWARDS.stages).c
     past = len(step.start.instants) - 1
-    return (0.0, *(-(k + float(c)) for k in range(past) for c in nodes))
+    return (0.0, *(-(k + float(c)) for k in range(past) for c in _BACKWARDS.tableau.c))
 
 
 def compile_start(
