@@ -65,8 +65,6 @@ def simulate(
     InvalidSetting
         If neither times nor a solution are given.
     """
-    import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
-
     problem = Problem.of(scene, model)
     if isinstance(inputs, Solution):
         t = inputs.t if t is None else t
@@ -75,23 +73,28 @@ def simulate(
         evaluate = inputs
     if t is None:
         raise InvalidSetting("inputs given as a function need the times at which to report")
-    call, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
+    return _report(problem, *_integrated(problem, evaluate, np.asarray(t), rtol, atol))
+
+
+def _integrated(problem: Problem, inputs: Inputs, t: Array, rtol: float, atol: float) -> tuple[_Motion, int, int]:
+    """Return the motion at the instants `t`, with the integrator's steps and evaluations."""
+    import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    move, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
 
     def rate(time: float, state: Array) -> Array:
-        return call(state, evaluate(time), undisturbed, problem.p)[0]
+        return move(state, inputs(time), undisturbed, problem.p)[0]
 
-    start = _initial_state(problem, float(t[0]))
-    found = scipy.integrate.solve_ivp(
-        rate, (float(t[0]), float(t[-1])), start, method="DOP853", rtol=rtol, atol=atol, dense_output=True
-    )
+    start, span = _initial_state(problem, float(t[0])), (float(t[0]), float(t[-1]))
+    found = scipy.integrate.solve_ivp(rate, span, start, method="DOP853", rtol=rtol, atol=atol, dense_output=True)
     if found.status != 0 or found.sol is None or not np.isfinite(found.y).all():
         raise IntegrationFailed(
             f"{problem.system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
         )
-    states, u = found.sol(t), np.array([evaluate(time) for time in t])
-    forces = [call(state, now, undisturbed, problem.p)[1] for state, now in zip(states.T, u, strict=True)]
-    motion = _Motion(np.asarray(t), states, np.array(forces).reshape(len(t), -1), u)
-    return _report(problem, motion, steps=len(found.t) - 1, evaluations=int(found.nfev))
+    states, u = found.sol(t), np.array([inputs(time) for time in t])
+    forces = [move(state, now, undisturbed, problem.p)[1] for state, now in zip(states.T, u, strict=True)]
+    motion = _Motion(t, states, np.array(forces).reshape(len(t), -1), u)
+    return motion, len(found.t) - 1, int(found.nfev)
 
 
 def interpolated(solution: Solution, system: MechanicalSystem) -> Inputs:
@@ -135,7 +138,7 @@ class _Motion:
     inputs: Array
 
 
-def _report(problem: Problem, motion: _Motion, *, steps: int, evaluations: int) -> Solution:
+def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
     known, function = problem.resolved.once(_observation)
     jets = problem.reference.jet(motion.t, 1)
     values, violations, deviations = at_instants(

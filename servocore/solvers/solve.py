@@ -61,10 +61,8 @@ def solve(
         Model of the scene; its smallest when not given.
     progress : callable, optional
         Called with (steps done, steps in all) from time to time.
-    native : bool
-        Whether a C compiler shall make machine code of the program first, see `Stepper`: for many solves.
-    checks : bool
-        False leaves out the survey of the limits, the warnings, and the search for wrong branches.
+    native, checks : bool
+        Whether a C compiler shall make machine code first, for many solves; False leaves out limits and warnings.
 
     Returns
     -------
@@ -73,10 +71,9 @@ def solve(
 
     Raises
     ------
-    InvalidReference, InvalidSetting
-        If the path breaks a limit or lacks derivatives; if the step does not fit; without a compiler for `native`.
-    InconsistentStart, IntegrationFailed
-        If no initial values are found, a step is not solved, or the motion changes branch where two meet.
+    ServocoreError
+        If the path breaks a limit or lacks derivatives, the step does not fit, there is no compiler for `native`, no
+        initial values are found, a step is not solved, or the motion changes branch where two meet.
 
     Warns
     -----
