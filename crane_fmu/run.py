@@ -46,9 +46,9 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
     """
     messages: list[str] = []
 
-    def listen(_component: object, _instance: object, status: int, _category: object, message: bytes | str) -> None:
+    def listen(_component: object, _instance: object, status: int, _category: object, message: bytes) -> None:
         if status > 0:  # not OK
-            messages.append(message.decode() if isinstance(message, bytes) else message)
+            messages.append(message.decode())
 
     try:
         with forgotten_modules():
@@ -99,7 +99,7 @@ def run_ssp(
             )
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{system.name} stopped: {error}") from error
-    columns = {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
+    columns = {name: rows[name] for name in rows.dtype.names}
     # The master writes the time at which a step begins beside the values at its end.
     return {**columns, "time": columns["time"] + step}
 
@@ -129,12 +129,10 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
     """
     count = round(reference.duration / step)
     t = np.linspace(reference.start_time, reference.end_time, count + 1)
-    jets = reference.jet(t, len(ORDERS) - 1)
-    rows = np.zeros(len(t), dtype=[(name, np.float64) for name in ("time", *PATH_INPUTS, *FEEDBACK_INPUTS)])
-    rows["time"] = t
-    for name, column in zip(PATH_INPUTS, jets.reshape(len(t), -1).T, strict=True):
-        rows[name] = column
-    return rows
+    path = reference.jet(t, len(ORDERS) - 1).reshape(len(t), -1).T
+    nothing = np.zeros((len(FEEDBACK_INPUTS), len(t)))
+    names = "time", *PATH_INPUTS, *FEEDBACK_INPUTS
+    return np.rec.fromarrays([t, *path, *nothing], dtype=[(name, np.float64) for name in names])
 
 
 def _complete(fmu: Path, rows: Any, reference: sc.Reference, step: float, messages: list[str]) -> dict[str, Array]:
@@ -147,4 +145,4 @@ def _complete(fmu: Path, rows: Any, reference: sc.Reference, step: float, messag
             f"{fmu.name} stopped at t = {last:.6g} s of {reference.end_time:.6g} s after {len(rows)} of"
             f" {wanted} rows: {said}"
         )
-    return {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
+    return {name: rows[name] for name in rows.dtype.names}

@@ -336,7 +336,7 @@ with Host(Path(sys.argv[1])) as host:
     host.start()
     assert host.step(0.0, 0.1)
     (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave.crane")]
-    kind = slave.CraneSlave
+    kind = slave.Slave
     state = host.fmu.getFMUState()
     def fail(*_, **__):
         raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")

@@ -47,7 +47,7 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     }
     if content.path is not None:
         members[f"resources/{PATH_FILE}"] = content.path
-    return zipped(with_shim(members, tell))
+    return zipped(with_shim(members, content.kind.name, content.interface.guid, tell))
 
 
 def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:

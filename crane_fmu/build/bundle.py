@@ -46,7 +46,7 @@ except ImportError as error:
 _ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 
-class {name}(_slave.{slave}):
+class {name}(_slave.Slave):
     """What the host sees; everything else is in the bundle."""
 '''
 
@@ -91,7 +91,7 @@ class Content:
     @property
     def entry(self) -> str:
         """Source of the entry module."""
-        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module, slave=self.kind.slave)
+        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module)
 
 
 def collect(kind: Kind = ROTARY_CRANE, tell: Progress = lambda _: None, path: bytes | None = None) -> Content:

@@ -14,6 +14,8 @@ from crane_fmu.files import csv_text, put
 from crane_fmu.run import forgotten_modules, input_rows
 
 STEP = 0.01
+"""Communication step in s that suits each FMU, and the system of all."""
+
 STOP = {"RotaryCrane": 20.0, "LoadTrajectory": 20.0, "CranePlant": 2.0}
 
 
@@ -47,10 +49,8 @@ def _inputs(name: str) -> npt.NDArray[Any] | None:
     if name != "CranePlant":
         return None
     t = np.linspace(0.0, STOP[name], round(STOP[name] / STEP) + 1)
-    rows = np.zeros(len(t), dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
-    rows["time"] = t
-    rows["M_b"], rows["F"], rows["M_w"] = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, -98.1
-    return rows
+    push = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, -98.1)
+    return np.rec.fromarrays([t, *push], dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
 
 
 def _csv(rows: npt.NDArray[Any]) -> str:

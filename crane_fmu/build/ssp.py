@@ -21,16 +21,13 @@ from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRAN
 from crane_fmu.files import csv_text, filled_folder, put
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, Interface
 
-SYSTEM_FILE = "Crane.ssp"
+SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
     LOAD_TRAJECTORY.name: "trajectory",
     ROTARY_CRANE.name: "crane",
     CRANE_PLANT.name: "plant",
 }
 """Names of the components by those of their FMUs."""
-
-STEP = 0.01
-"""Communication step in s that suits the system."""
 
 _ROWS = 200  # at least, in a table made of a path
 
@@ -65,15 +62,11 @@ def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path |
         progress("writing the cross-check files")
         for fmu in fmus:
             cross_check(fmu)
-        put(draft, {SYSTEM_FILE: packed_system(fmus)})
+        members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
+        system = zipped({_STRUCTURE: description(), **members}, _STRUCTURE)
+        put(draft, {SYSTEM_FILE: system})
         names = [*(each.name for each in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
-
-
-def packed_system(fmus: list[Path]) -> bytes:
-    """Return the archive."""
-    members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
-    return zipped({"SystemStructure.ssd": description(), **members}, "SystemStructure.ssd")
 
 
 def description() -> bytes:

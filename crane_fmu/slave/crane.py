@@ -71,7 +71,7 @@ class CraneState(PlainState):
         )
 
 
-class CraneSlave(TableSlave):
+class Slave(TableSlave):
     """Inputs of the rotary crane for a path of its load."""
 
     description = "Inverse dynamics of a rotary crane: bridge torque, trolley force and winch torque for a load path"

@@ -64,7 +64,7 @@ class Surroundings:
         return self.wind + self.gust if self.gust_start <= time < self.gust_end else self.wind
 
 
-class PlantSlave(TableSlave):
+class Slave(TableSlave):
     """Forward dynamics of the crane."""
 
     description = "Forward dynamics of a rotary crane: where bridge, trolley, winch and load go under their inputs"
