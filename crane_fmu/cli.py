@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import rich.box
 import rich.table
@@ -18,9 +18,6 @@ from crane_fmu import catalogue
 from crane_fmu import feedforward as ff
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
 from servocore.files import require_places, write_together
-
-if TYPE_CHECKING:
-    from crane_fmu.report.page import Table
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
@@ -114,7 +111,7 @@ A path and a crane from files; the table goes into a file:
 """
 
 
-@app.command("feedforward", epilog=_FEEDFORWARD_EXAMPLES)
+@app.command(epilog=_FEEDFORWARD_EXAMPLES)
 def feedforward(
     reference: ReferenceFile = None,
     tolerance: Tolerance = None,
@@ -152,7 +149,10 @@ def feedforward(
         )
         table = ff.table(solution)
         if plot is not None:
-            contents[plot] = _drawn(solution, plot.suffix.lower())
+            from crane_fmu.report.style import picture  # noqa: PLC0415
+            from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
+
+            contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower())
     if output is not None:
         contents[output] = table
     write_together(contents)
@@ -160,19 +160,10 @@ def feedforward(
         write_to_stdout(table)
 
 
-def _drawn(solution: sc.Solution, suffix: str) -> bytes:
-    from crane_fmu.report.style import picture  # noqa: PLC0415
-    from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
-
-    return picture(inputs_and_motion(solution), suffix)
+OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]
 
 
-OutputFolder = Annotated[
-    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.", show_default=True)
-]
-
-
-@app.command("build", epilog="The same as [cyan]python build_fmu.py[/cyan].")
+@app.command(epilog="The same as [cyan]python build_fmu.py[/cyan].")
 def build(output: OutputFolder = Path()) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
     from crane_fmu.build import build_fmu  # noqa: PLC0415
@@ -188,7 +179,7 @@ PathToCarry = Annotated[
 ]
 
 
-@app.command("ssp", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
+@app.command(epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
 def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
@@ -216,18 +207,14 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = table_console()
     for each in done.tables:
-        console.print(f"[bold]{each.title}[/bold]", _terminal_table(each), sep="\n")
+        shown = rich.table.Table(*each.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for row in each.rows:
+            shown.add_row(*row)
+        console.print(f"[bold]{each.title}[/bold]", shown, sep="\n")
         console.print(each.note, "", sep="\n" if each.note else "")
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
-
-
-def _terminal_table(table: Table) -> rich.table.Table:
-    shown = rich.table.Table(*table.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for row in table.rows:
-        shown.add_row(*row)
-    return shown
 
 
 def path_request(

@@ -21,17 +21,15 @@ from crane_fmu.slave.interface import components
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
 
-DISTURBED = {
-    "plant.mass_error": 0.05,
-    "plant.gust[2]": 20.0,
-    "plant.gust_start": 8.0,
-    "plant.gust_duration": 2.0,
-}
-"""A load that is heavier than the inverse model thinks, and a gust of wind half-way."""
 LOOPS: dict[str, dict[str, float]] = {
     "feedforward alone": {"crane.feedback": 0.0},
     "with feedback": {},
-    "with feedback, 5 % more mass, gust of 20 N": DISTURBED,
+    "with feedback, 5 % more mass, gust of 20 N": {
+        "plant.mass_error": 0.05,
+        "plant.gust[2]": 20.0,
+        "plant.gust_start": 8.0,
+        "plant.gust_duration": 2.0,
+    },
 }
 """Runs of the connected FMUs: what they are called and the parameters in which they differ."""
 

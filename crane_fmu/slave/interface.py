@@ -126,9 +126,6 @@ class Interface:
                 return k
         raise KeyError(name)
 
-    def __getitem__(self, name: str) -> Variable:
-        return self.variables[self.index(name)]
-
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""
         return json.dumps([asdict(each) for each in self.variables], indent=1, sort_keys=True)

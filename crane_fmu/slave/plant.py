@@ -75,9 +75,9 @@ class Slave(TableSlave):
         self._plant: Plant | None = None
         self._at_end = self._held = self._brakes = False
         self._own = self._references(*CRANE_PARAMETERS, "mass_error")
-        vectors = components("wind", "gust"), components("start.position", "start.velocity")
-        self._weather = self._references(*vectors[0], "gust_start", "gust_duration", "internal_step")
-        self._initial = self._references(*vectors[1], "start.swing[1]", "start.swing[2]")
+        self._weather = self._references(*components("wind", "gust"), "gust_start", "gust_duration", "internal_step")
+        start = components("start.position", "start.velocity")
+        self._initial = self._references(*start, "start.swing[1]", "start.swing[2]")
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -110,9 +110,9 @@ class Slave(TableSlave):
             state = self._integrated(now.state, now.time, h, None, u, around)
             after = PlantState(end, state, False, u, 0.0, u)
         else:
-            begin, slope, known = self._reconstructed(now, u, h, first=first)
+            begin, slope = self._reconstructed(now, u, h, first=first)
             state = self._integrated(now.state, now.time, h, begin, slope, around)
-            after = PlantState(end, state, True, u, known, begin + slope * h)
+            after = PlantState(end, state, True, u, 0.0 if self._held else h, begin + slope * h)
         if not np.isfinite(after.state).all():
             raise IntegrationFailed(
                 f"the step from t = {now.time:.6g} s to {end:.6g} s has no finite result: the inputs are too large, or"
@@ -121,15 +121,13 @@ class Slave(TableSlave):
         self._require_well(after)
         return after
 
-    def _reconstructed(self, now: PlantState, u: Array, h: float, *, first: bool) -> tuple[Array, Array, float]:
-        """Return inputs at the start of the step, their rate of change, and the step that later ones continue from."""
-        if self._held or first:
-            return u, np.zeros(_INPUTS), 0.0 if self._held else h
-        if self._at_end:
-            return now.inputs, (u - now.inputs) / h, h
-        if now.last_step == 0.0:
-            return u, np.zeros(_INPUTS), h
-        return u, (u - now.inputs) / now.last_step, h
+    def _reconstructed(self, now: PlantState, u: Array, h: float, *, first: bool) -> tuple[Array, Array]:
+        """Return inputs at the start of the step and their rate of change."""
+        if self._at_end and not (self._held or first):
+            return now.inputs, (u - now.inputs) / h
+        if self._held or first or now.last_step == 0.0:
+            return u, np.zeros(_INPUTS)
+        return u, (u - now.inputs) / now.last_step
 
     def _integrated(
         self, state: Array, time: float, h: float, u: Array | None, slope: Array, around: Surroundings
