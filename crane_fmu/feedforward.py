@@ -90,7 +90,7 @@ class Route:
             return self.step
         if self.step is not None:
             raise sc.InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
-        return sc.Adaptive(0.0 if self.rtol is None else self.rtol, 0.0 if self.atol is None else self.atol)
+        return sc.Adaptive(self.rtol or 0.0, self.atol or 0.0)
 
 
 def feedforward(

@@ -106,17 +106,14 @@ def _complete_variable(element: ET.Element, variable: Variable) -> None:
 
 def _complete_structure(structure: ET.Element, interface: Interface) -> None:
     """Say what depends on what: outputs change in doStep only, so no input feeds through then."""
-    indices = {variable.name: str(k + 1) for k, variable in enumerate(interface.variables)}
     sources = [
-        indices[each.name]
-        for each in interface.variables
+        str(k)
+        for k, each in enumerate(interface.variables, start=1)
         if each.causality == "input" or (each.causality == "parameter" and not each.is_text)
     ]
-    for unknown in structure.iter("Unknown"):
-        unknown.set("dependencies", "")
-        unknown.set("dependenciesKind", "")
-    initial = ET.SubElement(structure, "InitialUnknowns")
-    for variable in interface.of("output"):
-        kinds = " ".join(["dependent"] * len(sources))
-        index = indices[variable.name]
-        ET.SubElement(initial, "Unknown", index=index, dependencies=" ".join(sources), dependenciesKind=kinds)
+    outputs, initial = list(structure.iter("Unknown")), ET.SubElement(structure, "InitialUnknowns")
+    for unknown in outputs:
+        start = ET.SubElement(initial, "Unknown", unknown.attrib)
+        for element, on in ((unknown, []), (start, sources)):
+            element.set("dependencies", " ".join(on))
+            element.set("dependenciesKind", " ".join("dependent" for _ in on))

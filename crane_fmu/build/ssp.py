@@ -19,7 +19,7 @@ from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.files import csv_text, filled_folder, put
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, Interface
+from crane_fmu.slave.interface import FEEDBACK_INPUTS
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -76,13 +76,15 @@ def description() -> bytes:
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
     system = _child(root, "System", name="Crane")
     elements, wires = _child(system, "Elements"), connections()
+    fed = {sink for _, sink in wires}
     for name, component in COMPONENTS.items():
         source = f"resources/{name}.fmu"
         element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _child(element, "Connectors")
-        for connector, kind, unit in _connectors(component, KINDS[name].interface(), wires):
-            place = _child(connectors, "Connector", name=connector, kind=kind)
-            ET.SubElement(place, f"{{{_SSC}}}Real", unit=unit)
+        for each in KINDS[name].interface().variables:  # what is connected, and what is worth watching: all outputs
+            if each.causality == "output" or (component, each.name) in fed:
+                place = _child(connectors, "Connector", name=each.name, kind=each.causality)
+                ET.SubElement(place, f"{{{_SSC}}}Real", unit=each.unit)
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
         ends = {"startElement": source, "startConnector": output, "endElement": sink, "endConnector": given}
@@ -109,16 +111,6 @@ def connections() -> list[Wire]:
         output = name.removeprefix("measured.")
         wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
     return wires
-
-
-def _connectors(component: str, table: Interface, wires: list[Wire]) -> list[tuple[str, str, str]]:
-    """Return name, kind and unit of what is connected, and of what is worth watching: all outputs."""
-    used = {name for _, (element, name) in wires if element == component}
-    return [
-        (each.name, each.causality, each.unit)
-        for each in table.variables
-        if each.causality == "output" or (each.causality == "input" and each.name in used)
-    ]
 
 
 def table_of(path: sc.Reference) -> str:

@@ -109,7 +109,7 @@ class Study:
     @property
     def models(self) -> tuple[str, ...]:
         """Names of the models, smallest first."""
-        return tuple(dict.fromkeys(model for model, _ in self.solutions))
+        return tuple(self.scene.models)
 
     @property
     def steps(self) -> tuple[float, ...]:

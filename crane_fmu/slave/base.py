@@ -19,7 +19,7 @@ from pythonfmu.variables import Real, String
 
 from crane_fmu.slave.checks import require_finite, require_legal, require_step
 from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
-from crane_fmu.slave.interface import INTERFACE_FILE, Interface, Variable
+from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 
 _STATE_FORMAT = "servocore fmu state 1"
@@ -90,7 +90,16 @@ class TableSlave(GuardedSlave):
         self._snapshot: State | None = None
         self._parameters: Any = None  # what a subclass made of parameters; None when one has changed
         for each in variables:
-            self.register_variable(_registered(each), nested=False)
+            variable = (String if each.is_text else Real)(
+                each.name,
+                causality=Fmi2Causality[each.causality],
+                variability=Fmi2Variability[each.variability],
+                initial=Fmi2Initial.calculated if each.causality == "output" else None,
+                description=each.description,
+                getter=nothing,
+                setter=nothing,
+            )
+            self.register_variable(variable, nested=False)
 
     # --- what a subclass computes ----------------------------------------------------------------------------------
 
@@ -330,17 +339,3 @@ class TableSlave(GuardedSlave):
         except ValueError:
             return {}
         return found if isinstance(found, dict) else {}
-
-
-def _registered(variable: Variable) -> Any:
-    """Return PythonFMU's object for a row of the table."""
-    kind = String if variable.is_text else Real
-    return kind(
-        variable.name,
-        causality=Fmi2Causality[variable.causality],
-        variability=Fmi2Variability[variable.variability],
-        initial=Fmi2Initial.calculated if variable.causality == "output" else None,
-        description=variable.description,
-        getter=nothing,
-        setter=nothing,
-    )

@@ -107,7 +107,9 @@ class Slave(TableSlave):
         return CraneState(begin(program, self._connected(heard), self._required_parameters()[0], time), (), samples)
 
     def _fits(self, state: CraneState) -> bool:
-        return state.motion.fits(required(self._program))
+        program, motion = required(self._program), state.motion
+        sizes = motion.state.size, motion.jet.shape, motion.values.size
+        return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
 
     # --- steps ----------------------------------------------------------------------------------------------------
 

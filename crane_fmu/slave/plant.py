@@ -105,14 +105,12 @@ class Slave(TableSlave):
     def _advance(self, now: PlantState, h: float) -> PlantState:
         u = np.array(self._finite_inputs(_INPUTS, now.time + h if self._at_end else now.time))
         around, end = self._surroundings(), now.time + h
-        first = not now.released
-        if first and not u.any():
-            state = self._integrated(now.state, now.time, h, None, u, around)
-            after = PlantState(end, state, False, u, 0.0, u)
-        else:
-            begin, slope = self._reconstructed(now, u, h, first=first)
+        if now.released or u.any():
+            begin, slope = self._reconstructed(now, u, h)
             state = self._integrated(now.state, now.time, h, begin, slope, around)
             after = PlantState(end, state, True, u, 0.0 if self._held else h, begin + slope * h)
+        else:
+            after = PlantState(end, self._integrated(now.state, now.time, h, None, u, around), False, u, 0.0, u)
         if not np.isfinite(after.state).all():
             raise IntegrationFailed(
                 f"the step from t = {now.time:.6g} s to {end:.6g} s has no finite result: the inputs are too large, or"
@@ -121,13 +119,13 @@ class Slave(TableSlave):
         self._require_well(after)
         return after
 
-    def _reconstructed(self, now: PlantState, u: Array, h: float, *, first: bool) -> tuple[Array, Array]:
+    def _reconstructed(self, now: PlantState, u: Array, h: float) -> tuple[Array, Array]:
         """Return inputs at the start of the step and their rate of change."""
-        if self._at_end and not (self._held or first):
-            return now.inputs, (u - now.inputs) / h
-        if self._held or first or now.last_step == 0.0:
+        if self._held or not now.released:
             return u, np.zeros(_INPUTS)
-        return u, (u - now.inputs) / now.last_step
+        if self._at_end:
+            return now.inputs, (u - now.inputs) / h
+        return u, (u - now.inputs) / now.last_step if now.last_step else np.zeros(_INPUTS)
 
     def _integrated(
         self, state: Array, time: float, h: float, u: Array | None, slope: Array, around: Surroundings
