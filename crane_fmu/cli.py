@@ -30,73 +30,72 @@ app = typer.Typer(
 )
 
 
-def _option(panel: str, *names: str, metavar: str, text: str) -> Any:
-    return typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel)
-
-
 Point = tuple[float, float, float]
-_FILE, _LINE, _CRANE, _RESULTS = "Path: a file", "Path: a straight line", "Crane and computation", "Results"
+_file = partial(typer.Option, rich_help_panel="Path: a file")
+_line = partial(typer.Option, rich_help_panel="Path: a straight line")
+_crane = partial(typer.Option, rich_help_panel="Crane and computation")
+_results = partial(typer.Option, rich_help_panel="Results")
 _PARAMETERS = ", ".join(sc.scenes.rotary_crane().parameter_values())
 
 ReferenceFile = Annotated[
     Path | None,
-    _option(_FILE, "--reference", metavar="FILE.csv",
-            text="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
-            " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
+    _file("--reference", metavar="FILE.csv",
+          help="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
+          " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
 ]  # fmt: skip
 Tolerance = Annotated[
     float | None,
-    _option(_FILE, "--tolerance", metavar="METRES",
-            text="How far the path may stay away from the positions in the file, for rounded or noisy ones."),
+    _file("--tolerance", metavar="METRES",
+          help="How far the path may stay away from the positions in the file, for rounded or noisy ones."),
 ]  # fmt: skip
-Start = Annotated[Point | None, _option(_LINE, "--from", metavar="X Y Z", text="Start (m); z < 0 is below the girder.")]
-End = Annotated[Point | None, _option(_LINE, "--to", metavar="X Y Z", text="End (m).")]
-Duration = Annotated[float | None, _option(_LINE, "--duration", metavar="T", text="Time of the motion (s).")]
+Start = Annotated[Point | None, _line("--from", metavar="X Y Z", help="Start (m); z < 0 is below the girder.")]
+End = Annotated[Point | None, _line("--to", metavar="X Y Z", help="End (m).")]
+Duration = Annotated[float | None, _line("--duration", metavar="T", help="Time of the motion (s).")]
 ProfileName = Annotated[
     str | None,
-    _option(_LINE, "--profile", metavar="NAME",
-            text=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
+    _line("--profile", metavar="NAME",
+          help=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
 ]  # fmt: skip
 Ramp = Annotated[
     float | None,
-    _option(_LINE, "--ramp", metavar="TAU0",
-            text=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
+    _line("--ramp", metavar="TAU0",
+          help=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
 ]  # fmt: skip
 ParametersFile = Annotated[
     Path | None,
-    _option(_CRANE, "--parameters", metavar="FILE.toml", text=f"Any of {_PARAMETERS} (SI units)."),
+    _crane("--parameters", metavar="FILE.toml", help=f"Any of {_PARAMETERS} (SI units)."),
 ]
-ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(catalogue.MODELS)}.")]
+ModelName = Annotated[str, _crane("--model", metavar="NAME", help=f"One of {', '.join(catalogue.MODELS)}.")]
 FormulationName = Annotated[
-    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(catalogue.FORMULATIONS)}.")
+    str, _crane("--formulation", metavar="NAME", help=f"One of {', '.join(catalogue.FORMULATIONS)}.")
 ]
-MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(catalogue.METHODS)}.")]
+MethodName = Annotated[str, _crane("--method", metavar="NAME", help=f"One of {', '.join(catalogue.METHODS)}.")]
 Step = Annotated[
     float | None,
-    _option(_CRANE, "--step", metavar="H", text="Step (s); divides the duration. Default: duration/200."),
+    _crane("--step", metavar="H", help="Step (s); divides the duration. Default: duration/200."),
 ]
 RelativeTolerance = Annotated[
     float | None,
-    _option(_CRANE, "--rtol", metavar="R", text="In place of a step: error of the inputs relative to their peaks."),
+    _crane("--rtol", metavar="R", help="In place of a step: error of the inputs relative to their peaks."),
 ]
 AbsoluteTolerance = Annotated[
     float | None,
-    _option(_CRANE, "--atol", metavar="A", text="In place of a step: error of the inputs in their own units."),
+    _crane("--atol", metavar="A", help="In place of a step: error of the inputs in their own units."),
 ]
 OutputStep = Annotated[
     float | None,
-    _option(_CRANE, "--output-step", metavar="H",
-            text="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
+    _crane("--output-step", metavar="H",
+           help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
 ]  # fmt: skip
 OutputFile = Annotated[
     Path | None,
-    _option(_RESULTS, "--output", "-o", metavar="FILE.csv",
-            text="Where the table goes. Default: the standard output stream."),
+    _results("--output", "-o", metavar="FILE.csv",
+             help="Where the table goes. Default: the standard output stream."),
 ]  # fmt: skip
 PlotFile = Annotated[
     Path | None,
-    _option(_RESULTS, "--plot", metavar="FILE.png",
-            text=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
+    _results("--plot", metavar="FILE.png",
+             help=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
 ]  # fmt: skip
 
 _FEEDFORWARD_EXAMPLES = """[bold]Examples[/bold]

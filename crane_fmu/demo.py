@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -127,8 +128,10 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
 
 def write_report(folder: Path, sections: Mapping[str, Sequence[Part]]) -> None:
     """Write the page and, in a folder of their own, its pictures."""
-    illustrations = [part for parts in sections.values() for part in parts if isinstance(part, Illustration)]
-    drawings = {name: drawing for each in illustrations for name, drawing in each.files().items()}
+    drawings: dict[str, bytes] = {}
+    for part in chain(*sections.values()):
+        if isinstance(part, Illustration):
+            drawings |= part.files()
     put(folder / FIGURES, drawings)
     put(folder, {REPORT: page(contents.TITLE, sections, drawings)})
 

@@ -105,9 +105,8 @@ def run_ssp(
             )
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{system.name} stopped: {error}") from error
-    columns = {name: rows[name] for name in rows.dtype.names}
     # The master writes the time at which a step begins beside the values at its end.
-    return {**columns, "time": columns["time"] + step}
+    return {name: rows[name] for name in rows.dtype.names} | {"time": rows["time"] + step}
 
 
 @contextmanager

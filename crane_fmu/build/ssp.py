@@ -87,8 +87,7 @@ def description() -> bytes:
                 ET.SubElement(place, f"{{{_SSC}}}Real", unit=each.unit)
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
-        ends = {"startElement": source, "startConnector": output, "endElement": sink, "endConnector": given}
-        _child(joints, "Connection", **ends)
+        _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
     _child(root, "DefaultExperiment", startTime="0", stopTime="20")
     return document(root)
 

@@ -68,8 +68,7 @@ def stack(names: Sequence[str], curves: Sequence[Curve], columns: int = 1, heigh
         axis.margins(x=0.01)
         _keep_rounding_flat(axis)
     if len(curves) > 1:
-        handles, labels = axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(curves))
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
     return figure
 
 
