@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import rich.box
 import rich.table
@@ -18,9 +18,6 @@ from crane_fmu import catalogue
 from crane_fmu import feedforward as ff
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console, write_to_stdout
 from servocore.files import require_places, write_together
-
-if TYPE_CHECKING:
-    from crane_fmu.report.page import Table
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
@@ -33,73 +30,72 @@ app = typer.Typer(
 )
 
 
-def _option(panel: str, *names: str, metavar: str, text: str) -> Any:
-    return typer.Option(*names, metavar=metavar, help=text, rich_help_panel=panel)
-
-
 Point = tuple[float, float, float]
-_FILE, _LINE, _CRANE, _RESULTS = "Path: a file", "Path: a straight line", "Crane and computation", "Results"
+_file = partial(typer.Option, rich_help_panel="Path: a file")
+_line = partial(typer.Option, rich_help_panel="Path: a straight line")
+_crane = partial(typer.Option, rich_help_panel="Crane and computation")
+_results = partial(typer.Option, rich_help_panel="Results")
 _PARAMETERS = ", ".join(sc.scenes.rotary_crane().parameter_values())
 
 ReferenceFile = Annotated[
     Path | None,
-    _option(_FILE, "--reference", metavar="FILE.csv",
-            text="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
-            " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
+    _file("--reference", metavar="FILE.csv",
+          help="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
+          " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
 ]  # fmt: skip
 Tolerance = Annotated[
     float | None,
-    _option(_FILE, "--tolerance", metavar="METRES",
-            text="How far the path may stay away from the positions in the file, for rounded or noisy ones."),
+    _file("--tolerance", metavar="METRES",
+          help="How far the path may stay away from the positions in the file, for rounded or noisy ones."),
 ]  # fmt: skip
-Start = Annotated[Point | None, _option(_LINE, "--from", metavar="X Y Z", text="Start (m); z < 0 is below the girder.")]
-End = Annotated[Point | None, _option(_LINE, "--to", metavar="X Y Z", text="End (m).")]
-Duration = Annotated[float | None, _option(_LINE, "--duration", metavar="T", text="Time of the motion (s).")]
+Start = Annotated[Point | None, _line("--from", metavar="X Y Z", help="Start (m); z < 0 is below the girder.")]
+End = Annotated[Point | None, _line("--to", metavar="X Y Z", help="End (m).")]
+Duration = Annotated[float | None, _line("--duration", metavar="T", help="Time of the motion (s).")]
 ProfileName = Annotated[
     str | None,
-    _option(_LINE, "--profile", metavar="NAME",
-            text=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
+    _line("--profile", metavar="NAME",
+          help=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
 ]  # fmt: skip
 Ramp = Annotated[
     float | None,
-    _option(_LINE, "--ramp", metavar="TAU0",
-            text=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
+    _line("--ramp", metavar="TAU0",
+          help=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
 ]  # fmt: skip
 ParametersFile = Annotated[
     Path | None,
-    _option(_CRANE, "--parameters", metavar="FILE.toml", text=f"Any of {_PARAMETERS} (SI units)."),
+    _crane("--parameters", metavar="FILE.toml", help=f"Any of {_PARAMETERS} (SI units)."),
 ]
-ModelName = Annotated[str, _option(_CRANE, "--model", metavar="NAME", text=f"One of {', '.join(catalogue.MODELS)}.")]
+ModelName = Annotated[str, _crane("--model", metavar="NAME", help=f"One of {', '.join(catalogue.MODELS)}.")]
 FormulationName = Annotated[
-    str, _option(_CRANE, "--formulation", metavar="NAME", text=f"One of {', '.join(catalogue.FORMULATIONS)}.")
+    str, _crane("--formulation", metavar="NAME", help=f"One of {', '.join(catalogue.FORMULATIONS)}.")
 ]
-MethodName = Annotated[str, _option(_CRANE, "--method", metavar="NAME", text=f"One of {', '.join(catalogue.METHODS)}.")]
+MethodName = Annotated[str, _crane("--method", metavar="NAME", help=f"One of {', '.join(catalogue.METHODS)}.")]
 Step = Annotated[
     float | None,
-    _option(_CRANE, "--step", metavar="H", text="Step (s); divides the duration. Default: duration/200."),
+    _crane("--step", metavar="H", help="Step (s); divides the duration. Default: duration/200."),
 ]
 RelativeTolerance = Annotated[
     float | None,
-    _option(_CRANE, "--rtol", metavar="R", text="In place of a step: error of the inputs relative to their peaks."),
+    _crane("--rtol", metavar="R", help="In place of a step: error of the inputs relative to their peaks."),
 ]
 AbsoluteTolerance = Annotated[
     float | None,
-    _option(_CRANE, "--atol", metavar="A", text="In place of a step: error of the inputs in their own units."),
+    _crane("--atol", metavar="A", help="In place of a step: error of the inputs in their own units."),
 ]
 OutputStep = Annotated[
     float | None,
-    _option(_CRANE, "--output-step", metavar="H",
-            text="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
+    _crane("--output-step", metavar="H",
+           help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
 ]  # fmt: skip
 OutputFile = Annotated[
     Path | None,
-    _option(_RESULTS, "--output", "-o", metavar="FILE.csv",
-            text="Where the table goes. Default: the standard output stream."),
+    _results("--output", "-o", metavar="FILE.csv",
+             help="Where the table goes. Default: the standard output stream."),
 ]  # fmt: skip
 PlotFile = Annotated[
     Path | None,
-    _option(_RESULTS, "--plot", metavar="FILE.png",
-            text=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
+    _results("--plot", metavar="FILE.png",
+             help=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
 ]  # fmt: skip
 
 _FEEDFORWARD_EXAMPLES = """[bold]Examples[/bold]
@@ -114,7 +110,7 @@ A path and a crane from files; the table goes into a file:
 """
 
 
-@app.command("feedforward", epilog=_FEEDFORWARD_EXAMPLES)
+@app.command(epilog=_FEEDFORWARD_EXAMPLES)
 def feedforward(
     reference: ReferenceFile = None,
     tolerance: Tolerance = None,
@@ -152,7 +148,10 @@ def feedforward(
         )
         table = ff.table(solution)
         if plot is not None:
-            contents[plot] = _drawn(solution, plot.suffix.lower())
+            from crane_fmu.report.style import picture  # noqa: PLC0415
+            from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
+
+            contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower())
     if output is not None:
         contents[output] = table
     write_together(contents)
@@ -160,19 +159,10 @@ def feedforward(
         write_to_stdout(table)
 
 
-def _drawn(solution: sc.Solution, suffix: str) -> bytes:
-    from crane_fmu.report.style import picture  # noqa: PLC0415
-    from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
-
-    return picture(inputs_and_motion(solution), suffix)
+OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]
 
 
-OutputFolder = Annotated[
-    Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.", show_default=True)
-]
-
-
-@app.command("build", epilog="The same as [cyan]python build_fmu.py[/cyan].")
+@app.command(epilog="The same as [cyan]python build_fmu.py[/cyan].")
 def build(output: OutputFolder = Path()) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
     from crane_fmu.build import build_fmu  # noqa: PLC0415
@@ -188,7 +178,7 @@ PathToCarry = Annotated[
 ]
 
 
-@app.command("ssp", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
+@app.command(epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
 def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
@@ -216,18 +206,14 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = table_console()
     for each in done.tables:
-        console.print(f"[bold]{each.title}[/bold]", _terminal_table(each), sep="\n")
+        shown = rich.table.Table(*each.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for row in each.rows:
+            shown.add_row(*row)
+        console.print(f"[bold]{each.title}[/bold]", shown, sep="\n")
         console.print(each.note, "", sep="\n" if each.note else "")
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
-
-
-def _terminal_table(table: Table) -> rich.table.Table:
-    shown = rich.table.Table(*table.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-    for row in table.rows:
-        shown.add_row(*row)
-    return shown
 
 
 def path_request(

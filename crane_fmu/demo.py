@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,24 +15,22 @@ from crane_fmu.catalogue import ROTARY_CRANE
 from crane_fmu.feedforward import table
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
-from crane_fmu.report.page import Section, Table, page
-from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, fmu_run, study, working_cycle
+from crane_fmu.report.page import Illustration, Part, Table, page
+from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
 from crane_fmu.slave.interface import components
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
 
-DISTURBED = {
-    "plant.mass_error": 0.05,
-    "plant.gust[2]": 20.0,
-    "plant.gust_start": 8.0,
-    "plant.gust_duration": 2.0,
-}
-"""A load that is heavier than the inverse model thinks, and a gust of wind half-way."""
 LOOPS: dict[str, dict[str, float]] = {
     "feedforward alone": {"crane.feedback": 0.0},
     "with feedback": {},
-    "with feedback, 5 % more mass, gust of 20 N": DISTURBED,
+    "with feedback, 5 % more mass, gust of 20 N": {
+        "plant.mass_error": 0.05,
+        "plant.gust[2]": 20.0,
+        "plant.gust_start": 8.0,
+        "plant.gust_duration": 2.0,
+    },
 }
 """Runs of the connected FMUs: what they are called and the parameters in which they differ."""
 
@@ -87,18 +86,17 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         found = study(scene, announce, steps)
         announce("running the FMU")
         outputs = run_fmu(fmu, scene.reference, steps[0], model=found.models[0], formulation="projected")
-        run = fmu_run(scene, outputs, found.base)
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
         put(draft, {INPUTS_FILE: table(found.base)})
         announce("drawing figures")
-        write_report(draft, contents.sections(found, run, loop, cycle))
+        write_report(draft, contents.sections(found, outputs, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
     tables = (
         contents.error_table(found, factors=False),
         contents.difference_table(found),
-        contents.fmu_table(run),
+        contents.fmu_table(found, outputs),
         contents.tracking_table(found.tracking),
         contents.loop_table(loop),
         *([] if cycle is None else [contents.cycle_table(cycle)]),
@@ -128,10 +126,12 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
     return runs
 
 
-def write_report(folder: Path, sections: Sequence[Section]) -> None:
+def write_report(folder: Path, sections: Mapping[str, Sequence[Part]]) -> None:
     """Write the page and, in a folder of their own, its pictures."""
-    illustrations = [each for section in sections for each in section.illustrations]
-    drawings = {name: drawing for each in illustrations for name, drawing in each.files().items()}
+    drawings: dict[str, bytes] = {}
+    for part in chain(*sections.values()):
+        if isinstance(part, Illustration):
+            drawings |= part.files()
     put(folder / FIGURES, drawings)
     put(folder, {REPORT: page(contents.TITLE, sections, drawings)})
 

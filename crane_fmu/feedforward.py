@@ -90,7 +90,7 @@ class Route:
             return self.step
         if self.step is not None:
             raise sc.InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
-        return sc.Adaptive(0.0 if self.rtol is None else self.rtol, 0.0 if self.atol is None else self.atol)
+        return sc.Adaptive(self.rtol or 0.0, self.atol or 0.0)
 
 
 def feedforward(
@@ -129,7 +129,11 @@ def feedforward(
     accuracy = route.accuracy()
     with np.errstate(all="ignore"):  # what is not finite is refused below with a sentence, not warned of
         scene = scene.with_reference(path())
-        _require_few_rows(scene.reference.duration, route.step if route.output_step is None else route.output_step)
+        duration, row = scene.reference.duration, route.step if route.output_step is None else route.output_step
+        if row is not None and row > 0.0 and duration / row > MOST_ROWS:
+            raise sc.InvalidSetting(
+                f"a step of {row:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
+            )
         return sc.solve(
             scene,
             formulation,
@@ -138,13 +142,6 @@ def feedforward(
             output_step=route.output_step,
             model=route.model,
             progress=progress,
-        )
-
-
-def _require_few_rows(duration: float, step: float | None) -> None:
-    if step is not None and step > 0.0 and duration / step > MOST_ROWS:
-        raise sc.InvalidSetting(
-            f"a step of {step:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
         )
 
 

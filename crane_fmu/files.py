@@ -22,8 +22,8 @@ def csv_text(columns: Mapping[str, npt.NDArray[np.float64]]) -> str:
     columns : mapping of str to ndarray, shape (n,)
         By what stands above each.
     """
-    rows = zip(*columns.values(), strict=True)
-    return "\n".join([",".join(columns), *(",".join(repr(float(each)) for each in row) for row in rows), ""])
+    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import fmpy
 import numpy as np
@@ -46,9 +45,9 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
     """
     messages: list[str] = []
 
-    def listen(_component: object, _instance: object, status: int, _category: object, message: bytes | str) -> None:
+    def listen(_component: object, _instance: object, status: int, _category: object, message: bytes) -> None:
         if status > 0:  # not OK
-            messages.append(message.decode() if isinstance(message, bytes) else message)
+            messages.append(message.decode())
 
     try:
         with forgotten_modules():
@@ -64,7 +63,14 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
             )
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
-    return _complete(fmu, rows, reference, step, messages)
+    wanted = round(reference.duration / step) + 1
+    last = float(rows["time"][-1]) if len(rows) else reference.start_time
+    if len(rows) != wanted or abs(last - reference.end_time) > 1e-6 * step:  # FMPy ends silently at a discarded step
+        raise sc.IntegrationFailed(
+            f"{fmu.name} stopped at t = {last:.6g} s of {reference.end_time:.6g} s after {len(rows)} of"
+            f" {wanted} rows: {messages[-1] if messages else 'it did not say why'}"
+        )
+    return {name: rows[name] for name in rows.dtype.names}
 
 
 def run_ssp(
@@ -99,9 +105,8 @@ def run_ssp(
             )
     except fmpy.fmi1.FMICallException as error:
         raise sc.IntegrationFailed(f"{system.name} stopped: {error}") from error
-    columns = {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
     # The master writes the time at which a step begins beside the values at its end.
-    return {**columns, "time": columns["time"] + step}
+    return {name: rows[name] for name in rows.dtype.names} | {"time": rows["time"] + step}
 
 
 @contextmanager
@@ -127,24 +132,8 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
 
     Measured values are zero, which means that there is no feedback.
     """
-    count = round(reference.duration / step)
-    t = np.linspace(reference.start_time, reference.end_time, count + 1)
-    jets = reference.jet(t, len(ORDERS) - 1)
-    rows = np.zeros(len(t), dtype=[(name, np.float64) for name in ("time", *PATH_INPUTS, *FEEDBACK_INPUTS)])
-    rows["time"] = t
-    for name, column in zip(PATH_INPUTS, jets.reshape(len(t), -1).T, strict=True):
-        rows[name] = column
-    return rows
-
-
-def _complete(fmu: Path, rows: Any, reference: sc.Reference, step: float, messages: list[str]) -> dict[str, Array]:
-    """Return the columns; FMPy ends a run silently where an FMU discards a step."""
-    wanted = round(reference.duration / step) + 1
-    last = float(rows["time"][-1]) if len(rows) else reference.start_time
-    if len(rows) != wanted or abs(last - reference.end_time) > 1e-6 * step:
-        said = messages[-1] if messages else "it did not say why"
-        raise sc.IntegrationFailed(
-            f"{fmu.name} stopped at t = {last:.6g} s of {reference.end_time:.6g} s after {len(rows)} of"
-            f" {wanted} rows: {said}"
-        )
-    return {name: np.asarray(rows[name], dtype=np.float64) for name in rows.dtype.names}
+    t = np.linspace(reference.start_time, reference.end_time, round(reference.duration / step) + 1)
+    path = reference.jet(t, len(ORDERS) - 1).reshape(len(t), -1).T
+    nothing = np.zeros((len(FEEDBACK_INPUTS), len(t)))
+    names = "time", *PATH_INPUTS, *FEEDBACK_INPUTS
+    return np.rec.fromarrays([t, *path, *nothing], dtype=[(name, np.float64) for name in names])

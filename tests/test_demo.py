@@ -173,7 +173,7 @@ class TestExamples:
     def test_waypoints_and_samples_are_one_path(self):
         cycle = example_cycle(sc.scenes.rotary_crane(), examples_folder())
         assert cycle.apart < 1e-9
-        assert cycle.row.inputs["M_b"] < 0.05
+        assert cycle.errors["M_b"] < 0.05
 
 
 def _half_done(folder, failure):

@@ -336,11 +336,11 @@ with Host(Path(sys.argv[1])) as host:
     host.start()
     assert host.step(0.0, 0.1)
     (slave,) = [module for name, module in sys.modules.items() if name.endswith("_bundle.crane_fmu.slave.crane")]
-    kind = slave.CraneSlave
+    kind = slave.Slave
     state = host.fmu.getFMUState()
     def fail(*_, **__):
         raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")
-    for place in ("_ready", "_adopt", "_settable", "_require_program", "_initialise", "_finite_inputs"):
+    for place in ("_ready", "_adopt", "_settable", "_prepare", "_initialise", "_finite_inputs"):
         kept = getattr(kind, place)
         setattr(kind, place, fail)
         assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_finite_inputs")

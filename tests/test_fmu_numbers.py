@@ -223,8 +223,9 @@ def test_tunable_parameters_take_effect_at_the_next_step(model, name):
 
 
 def test_every_model_of_the_scene_is_in_the_fmu():
-    assert fmu_host.interface()["model"].choices == MODELS
-    assert fmu_host.interface()["formulation"].choices == tuple(FORMULATIONS)
+    table = {each.name: each for each in fmu_host.interface().variables}
+    assert table["model"].choices == MODELS
+    assert table["formulation"].choices == tuple(FORMULATIONS)
 
 
 @given(st.lists(st.floats(-3, 3), min_size=10, max_size=10), st.floats(0.01, 5.0), st.floats(0, 1))

@@ -213,7 +213,7 @@ def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_wa
     folder = unpacked()
     before = {each.relative_to(folder).as_posix(): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
     said: list[str] = []
-    assert shim.with_shim(before, said.append) == before
+    assert shim.with_shim(before, "RotaryCrane", guid(), said.append) == before
     (notice,) = said
     assert notice.startswith(sentence)
     assert notice.endswith("the FMU will run in hosts that are Python only")

@@ -1,7 +1,7 @@
 """Making FMUs: archive, model description, pages, the library for native hosts, the system, cross-check files."""
 
-from crane_fmu.build.crosscheck import cross_check
+from crane_fmu.build.crosscheck import STEP
 from crane_fmu.build.fmu import build_fmu, main
-from crane_fmu.build.ssp import STEP, build_ssp
+from crane_fmu.build.ssp import build_ssp
 
-__all__ = ["STEP", "build_fmu", "build_ssp", "cross_check", "main"]
+__all__ = ["STEP", "build_fmu", "build_ssp", "main"]

@@ -47,7 +47,7 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     }
     if content.path is not None:
         members[f"resources/{PATH_FILE}"] = content.path
-    return zipped(with_shim(members, tell))
+    return zipped(with_shim(members, content.kind.name, content.interface.guid, tell))
 
 
 def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
@@ -77,12 +77,15 @@ def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
         f"{content.bundle}/{path}": _privately(text, content.bundle) if path.endswith(".py") else text
         for path, text in content.files.items()
     }
-    options = {"canGetAndSetFMUstate": True, "canSerializeFMUstate": True}
     with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
         folder, entry = Path(scratch), f"{content.name}.py"
         put(folder, {**bundled, entry: content.entry})
         archive = FmuBuilder.build_FMU(
-            folder / entry, folder / content.kind.file_name, project_files=[folder / content.bundle], **options
+            folder / entry,
+            folder / content.kind.file_name,
+            project_files=[folder / content.bundle],
+            canGetAndSetFMUstate=True,
+            canSerializeFMUstate=True,
         )
         with zipfile.ZipFile(archive) as members:
             return {name: members.read(name) for name in members.namelist()}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
@@ -46,7 +46,7 @@ except ImportError as error:
 _ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 
-class {name}(_slave.{slave}):
+class {name}(_slave.Slave):
     """What the host sees; everything else is in the bundle."""
 '''
 
@@ -65,15 +65,15 @@ class Content:
         Which FMU it is.
     libraries : mapping of str to bytes
         Steps as machine code, by their path in the bundle; they compute what programs among the files do.
-    path : bytes, optional
+    path : bytes or None
         A table for a trajectory, which is no part of the bundle: users may replace it.
     """
 
     files: Mapping[str, str]
     interface: Interface
     kind: Kind
-    libraries: Mapping[str, bytes] = field(default_factory=dict)
-    path: bytes | None = None
+    libraries: Mapping[str, bytes]
+    path: bytes | None
 
     @property
     def name(self) -> str:
@@ -91,7 +91,7 @@ class Content:
     @property
     def entry(self) -> str:
         """Source of the entry module."""
-        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module, slave=self.kind.slave)
+        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module)
 
 
 def collect(kind: Kind = ROTARY_CRANE, tell: Progress = lambda _: None, path: bytes | None = None) -> Content:

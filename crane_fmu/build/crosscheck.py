@@ -14,30 +14,28 @@ from crane_fmu.files import csv_text, put
 from crane_fmu.run import forgotten_modules, input_rows
 
 STEP = 0.01
+"""Communication step in s that suits each FMU, and the system of all."""
+
 STOP = {"RotaryCrane": 20.0, "LoadTrajectory": 20.0, "CranePlant": 2.0}
 
 
-def cross_check(fmu: Path) -> tuple[Path, ...]:
+def cross_check(fmu: Path) -> None:
     """Run an FMU and write its inputs, its results and the options of the run beside it.
 
     Parameters
     ----------
     fmu : Path
         One of the FMUs.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
     """
     stop, given = STOP[fmu.stem], _inputs(fmu.stem)
     with forgotten_modules():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
-    files = {f"{fmu.stem}_ref.csv": _csv(found), f"{fmu.stem}_ref.opt": _options(stop)}
+    settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
+    options = "".join(f"{name},{value}\n" for name, value in settings.items())
+    files = {f"{fmu.stem}_ref.csv": _csv(found), f"{fmu.stem}_ref.opt": options}
     if given is not None:
         files[f"{fmu.stem}_in.csv"] = _csv(given)
     put(fmu.parent, files)
-    return tuple(fmu.with_name(name) for name in files)
 
 
 def _inputs(name: str) -> npt.NDArray[Any] | None:
@@ -47,16 +45,9 @@ def _inputs(name: str) -> npt.NDArray[Any] | None:
     if name != "CranePlant":
         return None
     t = np.linspace(0.0, STOP[name], round(STOP[name] / STEP) + 1)
-    rows = np.zeros(len(t), dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
-    rows["time"] = t
-    rows["M_b"], rows["F"], rows["M_w"] = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, -98.1
-    return rows
+    push = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, -98.1)
+    return np.rec.fromarrays([t, *push], dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
 
 
 def _csv(rows: npt.NDArray[Any]) -> str:
     return csv_text({f'"{name}"': rows[name] for name in rows.dtype.names or ()})
-
-
-def _options(stop: float) -> str:
-    settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
-    return "".join(f"{name},{value}\n" for name, value in settings.items())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
@@ -12,34 +11,24 @@ if TYPE_CHECKING:
     from crane_fmu.slave.interface import Interface, Variable
 
 
-@dataclass(frozen=True)
-class Unit:
-    """A unit by exponents of SI base units, with units in which tools may show it: name -> factor from SI."""
-
-    kg: int = 0
-    m: int = 0
-    s: int = 0
-    rad: int = 0
-    display: tuple[tuple[str, float], ...] = ()
-
-
-UNITS: Mapping[str, Unit] = {
-    "1": Unit(),
-    "s": Unit(s=1, display=(("ms", 1e3),)),
-    "m": Unit(m=1, display=(("mm", 1e3),)),
-    "m/s": Unit(m=1, s=-1),
-    "m/s2": Unit(m=1, s=-2),
-    "m/s3": Unit(m=1, s=-3),
-    "m/s4": Unit(m=1, s=-4),
-    "kg": Unit(kg=1, display=(("t", 1e-3),)),
-    "kg.m2": Unit(kg=1, m=2),
-    "N": Unit(kg=1, m=1, s=-2, display=(("kN", 1e-3),)),
-    "N.m": Unit(kg=1, m=2, s=-2, display=(("kN.m", 1e-3),)),
-    "J": Unit(kg=1, m=2, s=-2, display=(("kJ", 1e-3),)),
-    "rad": Unit(rad=1, display=(("deg", 57.295779513082323),)),
-    "rad/s": Unit(rad=1, s=-1, display=(("deg/s", 57.295779513082323),)),
+UNITS: Mapping[str, tuple[Mapping[str, int], Mapping[str, float]]] = {
+    "1": ({}, {}),
+    "s": ({"s": 1}, {"ms": 1e3}),
+    "m": ({"m": 1}, {"mm": 1e3}),
+    "m/s": ({"m": 1, "s": -1}, {}),
+    "m/s2": ({"m": 1, "s": -2}, {}),
+    "m/s3": ({"m": 1, "s": -3}, {}),
+    "m/s4": ({"m": 1, "s": -4}, {}),
+    "kg": ({"kg": 1}, {"t": 1e-3}),
+    "kg.m2": ({"kg": 1, "m": 2}, {}),
+    "N": ({"kg": 1, "m": 1, "s": -2}, {"kN": 1e-3}),
+    "N.m": ({"kg": 1, "m": 2, "s": -2}, {"kN.m": 1e-3}),
+    "J": ({"kg": 1, "m": 2, "s": -2}, {"kJ": 1e-3}),
+    "rad": ({"rad": 1}, {"deg": 57.295779513082323}),
+    "rad/s": ({"s": -1, "rad": 1}, {"deg/s": 57.295779513082323}),
 }
-"""All units that variables may have, spelled as FMI spells them."""
+"""All units that variables may have, spelled as FMI spells them: exponents of SI base units, and the units in which
+tools may show them with their factors from SI."""
 
 _TOOL = "servocore"
 
@@ -86,14 +75,12 @@ def _position(root: ET.Element, tag: str) -> int:
 def _unit_definitions(interface: Interface) -> ET.Element:
     definitions = ET.Element("UnitDefinitions")
     used = {variable.unit for variable in interface.variables if variable.unit}
-    for name, unit in UNITS.items():
-        if name not in used:
-            continue
-        element = ET.SubElement(definitions, "Unit", name=name)
-        exponents = {base: getattr(unit, base) for base in ("kg", "m", "s", "rad")}
-        ET.SubElement(element, "BaseUnit", {base: str(n) for base, n in exponents.items() if n})
-        for display, factor in unit.display:
-            ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
+    for name, (exponents, displays) in UNITS.items():
+        if name in used:
+            element = ET.SubElement(definitions, "Unit", name=name)
+            ET.SubElement(element, "BaseUnit", {base: str(n) for base, n in exponents.items()})
+            for display, factor in displays.items():
+                ET.SubElement(element, "DisplayUnit", name=display, factor=repr(factor))
     return definitions
 
 
@@ -119,20 +106,14 @@ def _complete_variable(element: ET.Element, variable: Variable) -> None:
 
 def _complete_structure(structure: ET.Element, interface: Interface) -> None:
     """Say what depends on what: outputs change in doStep only, so no input feeds through then."""
-    indices = {variable.name: str(k + 1) for k, variable in enumerate(interface.variables)}
     sources = [
-        indices[each.name]
-        for each in interface.variables
+        str(k)
+        for k, each in enumerate(interface.variables, start=1)
         if each.causality == "input" or (each.causality == "parameter" and not each.is_text)
     ]
-    for unknown in structure.iter("Unknown"):
-        unknown.set("dependencies", "")
-        unknown.set("dependenciesKind", "")
-    initial = ET.SubElement(structure, "InitialUnknowns")
-    for variable in interface.of("output"):
-        attributes = {
-            "index": indices[variable.name],
-            "dependencies": " ".join(sources),
-            "dependenciesKind": " ".join(["dependent"] * len(sources)),
-        }
-        ET.SubElement(initial, "Unknown", attributes)
+    outputs, initial = list(structure.iter("Unknown")), ET.SubElement(structure, "InitialUnknowns")
+    for unknown in outputs:
+        start = ET.SubElement(initial, "Unknown", unknown.attrib)
+        for element, on in ((unknown, []), (start, sources)):
+            element.set("dependencies", " ".join(on))
+            element.set("dependenciesKind", " ".join("dependent" for _ in on))

@@ -22,7 +22,7 @@ _CHECK_SECONDS = 300.0
 
 
 def build_fmu(
-    directory: Path, progress: Progress | None = None, kind: Kind = ROTARY_CRANE, path: bytes | None = None
+    directory: Path, progress: Progress = lambda _: None, kind: Kind = ROTARY_CRANE, path: bytes | None = None
 ) -> Path:
     """Build an FMU, check it in a process of its own and only then rename it into place.
 
@@ -30,7 +30,7 @@ def build_fmu(
     ----------
     directory : Path
         Where it goes; made if it does not exist.
-    progress : callable, optional
+    progress : callable
         Called with a phrase for every stage.
     kind : Kind
         Which FMU.
@@ -49,16 +49,15 @@ def build_fmu(
     ServocoreError
         If the FMU fails its check.
     """
-    tell = progress or (lambda _: None)
     directory = Path(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
-    content = collect(kind, tell, path)
-    tell(f"packing {kind.file_name}")
-    archive = packed(content, tell)
-    tell(f"checking {kind.file_name} in a process of its own")
+    content = collect(kind, progress, path)
+    progress(f"packing {kind.file_name}")
+    archive = packed(content, progress)
+    progress(f"checking {kind.file_name} in a process of its own")
     _check(archive, kind)
     target = directory / kind.file_name
     write_together({target: archive})

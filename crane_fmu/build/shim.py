@@ -11,7 +11,6 @@ import re
 import sysconfig
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
 import fmpy
 
@@ -33,13 +32,15 @@ _VERSIONS = ((3, 13), (3, 12), (3, 11))  # that the FMU runs on
 _OPTIONS = f"-std=gnu11 -O2 -fvisibility=hidden -Wall -Wextra -Werror -isystem {_HEADERS} -ldl -pthread"
 
 
-def with_shim(members: Mapping[str, bytes], notice: Callable[[str], None]) -> dict[str, bytes]:
+def with_shim(members: Mapping[str, bytes], name: str, guid: str, notice: Callable[[str], None]) -> dict[str, bytes]:
     """Put the shim into an FMU and PythonFMU's binary beside it.
 
     Parameters
     ----------
     members : mapping of str to bytes
-        The FMU's content by path: `modelDescription.xml` in its final form, `binaries`.
+        The FMU's content by path.
+    name, guid : str
+        The FMU's model identifier, and what tells its table of variables from others.
     notice : callable
         Called with a sentence when the shim is left out.
 
@@ -48,11 +49,8 @@ def with_shim(members: Mapping[str, bytes], notice: Callable[[str], None]) -> di
     dict of str to bytes
         The content with the shim, or as it was.
     """
-    description = ET.fromstring(members["modelDescription.xml"])
-    kind = description.find("CoSimulation")
-    identifier = kind.get("modelIdentifier", "") if kind is not None else ""
-    binary = f"binaries/{PLATFORM}/{identifier}.so"
-    library = compiled_shim(description.get("guid", ""), notice) if binary in members else None
+    binary = f"binaries/{PLATFORM}/{name}.so"
+    library = compiled_shim(guid, notice) if binary in members else None
     if library is None:
         return dict(members)
     return {**members, binary: library, f"binaries/{PLATFORM}/{REAL_BINARY}": members[binary]}
@@ -79,9 +77,8 @@ def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
 def _configuration(guid: str) -> str:
     libraries = ", ".join(f'"{_c_text(each)}"' for each in python_libraries())
     packages = ", ".join(f'"{each}"' for each in REQUIRED_PACKAGES)
-    plain = guid.removeprefix("{").removesuffix("}")
     return (
-        f'#define FMU_GUID "{_c_text(plain)}"\n'
+        f'#define FMU_GUID "{_c_text(guid)}"\n'
         f'#define REAL_BINARY "{REAL_BINARY}"\n'
         f"#define REQUIRED_PACKAGES {packages}\n"
         f"#define PYTHON_LIBRARIES {libraries}\n"

@@ -19,18 +19,15 @@ from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE
 from crane_fmu.files import csv_text, filled_folder, put
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, Interface
+from crane_fmu.slave.interface import FEEDBACK_INPUTS
 
-SYSTEM_FILE = "Crane.ssp"
+SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
     LOAD_TRAJECTORY.name: "trajectory",
     ROTARY_CRANE.name: "crane",
     CRANE_PLANT.name: "plant",
 }
 """Names of the components by those of their FMUs."""
-
-STEP = 0.01
-"""Communication step in s that suits the system."""
 
 _ROWS = 200  # at least, in a table made of a path
 
@@ -65,15 +62,11 @@ def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path |
         progress("writing the cross-check files")
         for fmu in fmus:
             cross_check(fmu)
-        put(draft, {SYSTEM_FILE: packed_system(fmus)})
+        members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
+        system = zipped({_STRUCTURE: description(), **members}, _STRUCTURE)
+        put(draft, {SYSTEM_FILE: system})
         names = [*(each.name for each in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
-
-
-def packed_system(fmus: list[Path]) -> bytes:
-    """Return the archive."""
-    members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
-    return zipped({"SystemStructure.ssd": description(), **members}, "SystemStructure.ssd")
 
 
 def description() -> bytes:
@@ -83,17 +76,18 @@ def description() -> bytes:
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
     system = _child(root, "System", name="Crane")
     elements, wires = _child(system, "Elements"), connections()
+    fed = {sink for _, sink in wires}
     for name, component in COMPONENTS.items():
         source = f"resources/{name}.fmu"
         element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _child(element, "Connectors")
-        for connector, kind, unit in _connectors(component, KINDS[name].interface(), wires):
-            place = _child(connectors, "Connector", name=connector, kind=kind)
-            ET.SubElement(place, f"{{{_SSC}}}Real", unit=unit)
+        for each in KINDS[name].interface().variables:  # what is connected, and what is worth watching: all outputs
+            if each.causality == "output" or (component, each.name) in fed:
+                place = _child(connectors, "Connector", name=each.name, kind=each.causality)
+                ET.SubElement(place, f"{{{_SSC}}}Real", unit=each.unit)
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
-        ends = {"startElement": source, "startConnector": output, "endElement": sink, "endConnector": given}
-        _child(joints, "Connection", **ends)
+        _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
     _child(root, "DefaultExperiment", startTime="0", stopTime="20")
     return document(root)
 
@@ -116,16 +110,6 @@ def connections() -> list[Wire]:
         output = name.removeprefix("measured.")
         wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
     return wires
-
-
-def _connectors(component: str, table: Interface, wires: list[Wire]) -> list[tuple[str, str, str]]:
-    """Return name, kind and unit of what is connected, and of what is worth watching: all outputs."""
-    used = {name for _, (element, name) in wires if element == component}
-    return [
-        (each.name, each.causality, each.unit)
-        for each in table.variables
-        if each.causality == "output" or (each.causality == "input" and each.name in used)
-    ]
 
 
 def table_of(path: sc.Reference) -> str:

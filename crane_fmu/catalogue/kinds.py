@@ -23,8 +23,8 @@ class Kind:
     ----------
     name : str
         Of the file and of the model.
-    module, slave : str
-        Module in `crane_fmu.slave` with the slave's class, and the name of that class.
+    module : str
+        Module in `crane_fmu.slave` with the class `Slave`.
     interface : callable
         Makes the table of variables.
     page : str
@@ -43,7 +43,6 @@ class Kind:
 
     name: str
     module: str
-    slave: str
     interface: Callable[[], Interface]
     page: str
     runs: tuple[dict[str, float | str], ...]
@@ -65,7 +64,6 @@ _ROUTES = tuple(product(MODELS, FORMULATIONS))
 LOAD_TRAJECTORY = Kind(
     name="LoadTrajectory",
     module="trajectory",
-    slave="TrajectorySlave",
     interface=variables.load_trajectory,
     page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in PROFILES),
@@ -75,7 +73,6 @@ LOAD_TRAJECTORY = Kind(
 ROTARY_CRANE = Kind(
     name="RotaryCrane",
     module="crane",
-    slave="CraneSlave",
     interface=variables.rotary_crane,
     page="fmu.md",
     runs=tuple({"model": model, "formulation": formulation} for model, formulation in _ROUTES),
@@ -89,7 +86,6 @@ ROTARY_CRANE = Kind(
 CRANE_PLANT = Kind(
     name="CranePlant",
     module="plant",
-    slave="PlantSlave",
     interface=variables.crane_plant,
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),

@@ -27,6 +27,8 @@ _UNITS = {
 }
 """Units of path, inputs, motion and rates, in tables of outputs as of measured values."""
 
+_ZERO = (0.0, 0.0, 0.0)
+
 # Exact only while they are constant: a change of these moves the trolley or the rope at once.
 _FIXED_PARAMETERS = frozenset({"gravity", "winch_radius"})
 
@@ -65,8 +67,8 @@ def load_trajectory() -> Interface:
     start, end = path.jet([path.start_time, path.end_time], 0)[:, 0].tolist()
     rows = (
         *_path("output", "of the load"),
-        *_fixed_vector("start", "m", start, "start of the path, component"),
-        *_fixed_vector("end", "m", end, "end of the path, component"),
+        *_vector("start", "m", start, "start of the path, component"),
+        *_vector("end", "m", end, "end of the path, component"),
         _number("duration", "s", path.duration, "time of the motion", 1e-3, 1e9, change="fixed"),
         _number("start_time", "s", 0.0, "when the motion starts; the load rests before", None, change="fixed"),
         _number(
@@ -94,16 +96,13 @@ def crane_plant() -> Interface:
         _output("tension", "N", "rope tension", "kN", 0.0, 1000.0),
         _output("energy", "J", "kinetic and potential energy; zero at rest at the girder", "kJ", None, 1000.0),
         *_crane_parameters(),
-        *_fixed_vector("start.position", "m", REST, "position of the load at the start,"),
-        *_fixed_vector("start.velocity", "m/s", (0.0, 0.0, 0.0), "velocity of the load at the start,"),
+        *_vector("start.position", "m", REST, "position of the load at the start,"),
+        *_vector("start.velocity", "m/s", _ZERO, "velocity of the load at the start,"),
         _number("start.swing[1]", "rad", 0.0, "swing at the start in the bridge's plane, outwards", -1.5, 1.5, "fixed"),
         _number("start.swing[2]", "rad", 0.0, "swing at the start, out of that plane", -1.5, 1.5, "fixed"),
         _number("mass_error", "1", 0.0, "the load is heavier by this fraction of load_mass", -0.9, 10.0),
-        *(_number(name, "N", 0.0, f"constant force on the load, {axis}", None) for name, axis in _components("wind")),
-        *(
-            _number(name, "N", 0.0, f"force on the load during the gust, {axis}", None)
-            for name, axis in _components("gust")
-        ),
+        *_vector("wind", "N", _ZERO, "constant force on the load,", "tunable"),
+        *_vector("gust", "N", _ZERO, "force on the load during the gust,", "tunable"),
         _number("gust_start", "s", 0.0, "time at which the gust begins", None),
         _number("gust_duration", "s", 0.0, "time that the gust lasts"),
         _number("internal_step", "s", 0.002, "longest step of the solver, Runge-Kutta of order four", 1e-6, 1.0),
@@ -164,9 +163,11 @@ def _components(name: str) -> Iterator[tuple[str, str]]:
     return zip(components(name), "xyz", strict=True)
 
 
-def _fixed_vector(name: str, unit: str, start: Sequence[float], text: str) -> Iterator[Variable]:
+def _vector(
+    name: str, unit: str, start: Sequence[float], text: str, change: Variability = "fixed"
+) -> Iterator[Variable]:
     for (component, axis), value in zip(_components(name), start, strict=True):
-        yield _number(component, unit, value, f"{text} {axis}", None, change="fixed")
+        yield _number(component, unit, value, f"{text} {axis}", None, change=change)
 
 
 def _output(

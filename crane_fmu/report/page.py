@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
@@ -63,41 +63,27 @@ class Table:
     note: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Section:
-    """A part of the page: heading, paragraphs, then tables and illustrations."""
-
-    heading: str
-    paragraphs: tuple[str, ...]
-    tables: tuple[Table, ...] = ()
-    illustrations: tuple[Illustration, ...] = ()
+Part = str | Table | Illustration
+"""What a section consists of; a text is a paragraph."""
 
 
-def page(title: str, sections: Sequence[Section], drawings: dict[str, bytes]) -> str:
+def page(title: str, sections: Mapping[str, Sequence[Part]], drawings: Mapping[str, bytes]) -> str:
     """Return the HTML of the report.
 
     Parameters
     ----------
     title : str
         Heading of the page.
-    sections : sequence of Section
-        Its parts; tables and illustrations are numbered in this order.
-    drawings : dict of str to bytes
+    sections : mapping of str to sequence of Part
+        What follows each heading; tables and illustrations are numbered in this order.
+    drawings : mapping of str to bytes
         Content of the pictures' files by name, as `Illustration.files` returns it.
     """
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True)
     environment.filters["formula"] = formula
+    environment.filters["base64"] = lambda data: b64encode(data).decode()
     template = environment.from_string(files(__package__).joinpath("template.html").read_text(encoding="utf-8"))
-    illustrations = [each for section in sections for each in section.illustrations]
-    tables = [each for section in sections for each in section.tables]
-    return template.render(
-        title=title,
-        sections=sections,
-        figure_number={each.name: k for k, each in enumerate(illustrations, start=1)},
-        table_number={each.title: k for k, each in enumerate(tables, start=1)},
-        image={each.name: b64encode(drawings[f"{each.name}.svg"]).decode() for each in illustrations},
-        version=sc.__version__,
-    )
+    return template.render(title=title, sections=sections, drawings=drawings, version=sc.__version__)
 
 
 def parameter_table(scene: sc.Scene) -> Table:

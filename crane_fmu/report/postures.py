@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,39 +18,7 @@ _OVERHANG = 1.15
 """The girder is drawn this much longer than the trolley travels: its length is no datum of the crane."""
 
 
-@dataclass(frozen=True, eq=False)
-class Space:
-    """What a picture of the crane must hold, in m.
-
-    Attributes
-    ----------
-    reach : float
-        Length of the girder.
-    path : ndarray, shape (N, 3)
-        Path of the load.
-    ground : float
-        Height below the path.
-    limits : ndarray, shape (3, 2)
-        Box around everything at all times.
-    """
-
-    reach: float
-    path: Array
-    ground: float
-    limits: Array
-
-
-def space(run: Trajectories) -> Space:
-    """Return the space that a run needs."""
-    path = np.column_stack([run[name] for name in "xyz"])
-    reach = _OVERHANG * float(run["s"].max())
-    ground = float(np.floor(path[:, 2].min() - 0.5))
-    tips = reach * np.column_stack([np.cos(run["phi"]), np.sin(run["phi"]), 0.0 * run["phi"]])
-    everything = np.vstack([path, tips, [[-0.5, -0.5, ground], [0.5, 0.5, 0.9]]])
-    limits = np.column_stack([np.floor(everything.min(axis=0)), np.ceil(everything.max(axis=0))])
-    return Space(reach, path, ground, limits)
-
-
+@styled
 def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
     """Return the crane at one instant of a run.
 
@@ -64,16 +31,18 @@ def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
     labelled : bool
         Whether phi, s and l are written beside what they measure.
     """
-    with styled():
-        figure = Figure(figsize=(WIDTH, 4.5))
-        axes = figure.add_axes((0.02, 0.09, 0.92, 1.0), projection="3d")
-        room = space(run)
-        _draw_path(axes, room)
-        _draw_crane(axes, room, run, index)
-        if labelled:
-            _write_names(axes, run, index)
-        _frame(axes, room)
-        figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4)
+    figure = Figure(figsize=(WIDTH, 4.5))
+    axes = figure.add_axes((0.02, 0.09, 0.92, 1.0), projection="3d")
+    path = np.column_stack([run[name] for name in "xyz"])
+    reach = _OVERHANG * float(run["s"].max())
+    ground = float(np.floor(path[:, 2].min() - 0.5))
+    _draw_path(axes, path, ground)
+    _draw_crane(axes, path[index], run["phi"][index], run["s"][index], reach, ground)
+    if labelled:
+        _write_names(axes, path[index], run["phi"][index], run["s"][index])
+    tips = reach * np.column_stack([np.cos(run["phi"]), np.sin(run["phi"]), 0.0 * run["phi"]])
+    _frame(axes, np.vstack([path, tips, [[-0.5, -0.5, ground], [0.5, 0.5, 0.9]]]))
+    figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4)
     return figure
 
 
@@ -84,37 +53,28 @@ def sketch(scene: sc.Scene) -> Figure:
     return posture(shown.exact(t), 20, labelled=True)
 
 
-def _draw_path(axes: Axes3D, room: Space) -> None:
-    x, y, z = room.path.T
+def _draw_path(axes: Axes3D, path: Array, ground: float) -> None:
+    x, y, z = path.T
     axes.plot(x, y, z, color=VERMILLION, linestyle="--", linewidth=1.4, label="path of the load")
-    axes.plot(x, y, np.full_like(z, room.ground), color=GREY, linestyle=":", linewidth=1.0)
+    axes.plot(x, y, np.full_like(z, ground), color=GREY, linestyle=":", linewidth=1.0)
     for k, name in ((0, "start"), (-1, "end")):
         axes.plot(x[[k]], y[[k]], z[[k]], marker="+", markersize=8, color=VERMILLION, linestyle="none")
         axes.text(x[k], y[k], z[k] - 0.35, name, color=BLACK, ha="center", va="top", fontsize=8.5)
 
 
-def _draw_crane(axes: Axes3D, room: Space, run: Trajectories, index: int) -> None:
-    phi, s = run["phi"][index], run["s"][index]
-    load = room.path[index]
-    along = np.array([np.cos(phi), np.sin(phi)])
-    tip, trolley = room.reach * along, s * along
-    axes.plot([0, 0], [0, 0], [room.ground, 0.6], color=GREY, linewidth=2.0, linestyle="-.", label="slewing axis")
-    axes.plot([0, tip[0]], [0, tip[1]], [0, 0], color=BLACK, linewidth=4.0, solid_capstyle="butt", label="bridge")
-    axes.plot(*[[a, b] for a, b in zip((*trolley, 0.0), load, strict=True)], color=BLACK, linewidth=1.0, label="rope")
-    axes.plot(
-        [trolley[0]], [trolley[1]], [0], marker="s", markersize=9, color=GREEN, linestyle="none",
-        markeredgecolor=BLACK, label="trolley and winch", zorder=10,
-    )  # fmt: skip
-    axes.plot(
-        *[[each] for each in load], marker="o", markersize=10, color=BLUE, linestyle="none",
-        markeredgecolor=BLACK, label="load", zorder=11,
-    )  # fmt: skip
-    axes.plot([load[0]] * 2, [load[1]] * 2, [load[2], room.ground], color=GREY, linewidth=0.8, linestyle=":")
+def _draw_crane(axes: Axes3D, load: Array, phi: float, s: float, reach: float, ground: float) -> None:
+    along = np.array([np.cos(phi), np.sin(phi), 0.0])
+    tip, trolley = reach * along, s * along
+    axes.plot([0, 0], [0, 0], [ground, 0.6], color=GREY, linewidth=2.0, linestyle="-.", label="slewing axis")
+    axes.plot(*zip(0 * tip, tip, strict=True), color=BLACK, linewidth=4.0, solid_capstyle="butt", label="bridge")
+    axes.plot(*zip(trolley, load, strict=True), color=BLACK, linewidth=1.0, label="rope")
+    part = {"linestyle": "none", "markeredgecolor": BLACK}
+    axes.plot(*trolley[:, None], marker="s", markersize=9, color=GREEN, label="trolley and winch", zorder=10, **part)
+    axes.plot(*load[:, None], marker="o", markersize=10, color=BLUE, label="load", zorder=11, **part)
+    axes.plot([load[0]] * 2, [load[1]] * 2, [load[2], ground], color=GREY, linewidth=0.8, linestyle=":")
 
 
-def _write_names(axes: Axes3D, run: Trajectories, index: int) -> None:
-    phi, s = run["phi"][index], run["s"][index]
-    load = np.array([run[name][index] for name in "xyz"])
+def _write_names(axes: Axes3D, load: Array, phi: float, s: float) -> None:
     along = np.array([np.cos(phi), np.sin(phi), 0.0])
     arc = np.linspace(0.0, phi, 40)
     radius = 0.45 * s
@@ -129,10 +89,11 @@ def _write_names(axes: Axes3D, run: Trajectories, index: int) -> None:
         axes.text(*place, text, fontsize=11, ha="center", va="bottom")
 
 
-def _frame(axes: Axes3D, room: Space) -> None:
+def _frame(axes: Axes3D, everything: Array) -> None:
     """Equal scales on all axes, and limits that hold girder and path."""
-    for name, (low, high) in zip("xyz", room.limits, strict=True):
+    limits = np.column_stack([np.floor(everything.min(axis=0)), np.ceil(everything.max(axis=0))])
+    for name, (low, high) in zip("xyz", limits, strict=True):
         axes.set(**{f"{name}lim": (low, high), f"{name}label": f"${name}$ (m)"})
         getattr(axes, f"{name}axis").set_major_locator(MultipleLocator(2.0))
-    axes.set_box_aspect(np.diff(room.limits).ravel(), zoom=1.04)
+    axes.set_box_aspect(np.diff(limits).ravel(), zoom=1.04)
     axes.view_init(elev=24, azim=-62)

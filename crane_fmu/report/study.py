@@ -10,46 +10,17 @@ import numpy as np
 import scipy.interpolate
 
 import servocore as sc
-from crane_fmu.report.style import Array
+from crane_fmu.report.style import Array, Trajectories
 
 INPUTS = ("M_b", "F", "M_w")
 MOTION = ("phi", "s", "l")
 STEPS = (0.1, 0.05, 0.025, 0.0125)
-PAPER_STEP = STEPS[0]
 
 Announce = Callable[[str], None]
 """Called with what is going on now."""
 
-
-@dataclass(frozen=True)
-class ErrorRow:
-    """Largest errors of one run against the closed form.
-
-    Attributes
-    ----------
-    model : str
-        Model of the crane.
-    step : float
-        Step size in s.
-    inputs : mapping of str to float
-        Error of M_b, F, M_w relative to the largest value of each.
-    motion : mapping of str to float
-        Error of phi (rad), s (m), l (m).
-    """
-
-    model: str
-    step: float
-    inputs: Mapping[str, float]
-    motion: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class DifferenceRow:
-    """Largest difference between the inputs of two models at one step, relative to the largest value of each input."""
-
-    models: tuple[str, str]
-    step: float
-    inputs: Mapping[str, float]
+Errors = Mapping[str, float]
+"""Of M_b, F, M_w relative to the largest value of each, of phi (rad), s (m), l (m) absolute."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +65,9 @@ class Cycle:
     scene : Scene
         The crane on the path through the waypoints.
     solution : Solution
-        Its inputs.
-    row : ErrorRow
-        Their errors.
+        Its inputs, with a step of `STEPS[0]`.
+    errors : Errors
+        Largest ones against the closed form.
     apart : float
         Largest distance between the path through the waypoints and the one through the samples, in m.
     """
@@ -104,30 +75,8 @@ class Cycle:
     waypoints: Array
     scene: sc.Scene
     solution: sc.Solution
-    row: ErrorRow
+    errors: Errors
     apart: float
-
-
-@dataclass(frozen=True)
-class FmuRun:
-    """A run of the FMU along the default manoeuvre.
-
-    Attributes
-    ----------
-    step, last_time : float
-        Communication step and time of the last row, in s.
-    rows : int
-        Number of rows.
-    differences, errors : mapping of str to float
-        Largest differences of M_b, F, M_w, phi, s, l from the library's run of the same step and from the closed
-        form, in SI units.
-    """
-
-    step: float
-    last_time: float
-    rows: int
-    differences: Mapping[str, float]
-    errors: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,25 +89,27 @@ class Study:
         Crane, parameters, default manoeuvre.
     solutions : mapping of (model, step) to Solution
         Projected formulation, backward Euler.
-    errors, differences : tuple
-        See `ErrorRow`, `DifferenceRow`.
-    reduced : ErrorRow
-        The reduced formulation: exact inversion at every instant.
+    errors : mapping of (model, step) to Errors
+        Largest ones of each solution against the closed form.
+    differences : mapping of (names of two models, step) to Errors
+        Largest ones between their solutions.
+    reduced : Errors
+        Those of the reduced formulation, exact inversion at every instant, at the largest step.
     tracking : tuple of LoadRun
         Forward simulations under inputs of the coarsest step, the finest one and the closed form.
     """
 
     scene: sc.Scene
     solutions: Mapping[tuple[str, float], sc.Solution]
-    errors: tuple[ErrorRow, ...]
-    differences: tuple[DifferenceRow, ...]
-    reduced: ErrorRow
+    errors: Mapping[tuple[str, float], Errors]
+    differences: Mapping[tuple[str, float], Errors]
+    reduced: Errors
     tracking: tuple[LoadRun, ...]
 
     @property
     def models(self) -> tuple[str, ...]:
         """Names of the models, smallest first."""
-        return tuple(dict.fromkeys(model for model, _ in self.solutions))
+        return tuple(self.scene.models)
 
     @property
     def steps(self) -> tuple[float, ...]:
@@ -188,53 +139,32 @@ def study(scene: sc.Scene, announce: Announce, steps: Sequence[float] = STEPS) -
         for step in steps:
             announce(f"{model} model, step {step:g} s")
             solutions[model, step] = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, model=model)
-    errors = [error_row(scene, solution, model, step) for (model, step), solution in solutions.items()]
+    errors = {run: error(scene, solution) for run, solution in solutions.items()}
+    differences = {
+        (f"{one} and {other}", step): apart(solutions[other, step], solutions[one, step])
+        for one, other in combinations(scene.models, 2)
+        for step in steps
+    }
+    reduced = error(scene, sc.solve(scene, sc.Reduced(), step=steps[0]))
     small = scene.default_model
-    reduced = error_row(scene, sc.solve(scene, sc.Reduced(), step=steps[0]), small, steps[0])
     runs = track(scene, [solutions[small, step] for step in (steps[0], steps[-1])], announce)
-    return Study(scene, solutions, tuple(errors), tuple(differences(solutions)), reduced, tuple(runs))
+    return Study(scene, solutions, errors, differences, reduced, tuple(runs))
 
 
-def error_row(scene: sc.Scene, solution: sc.Solution, model: str, step: float) -> ErrorRow:
-    """Compare one run with the closed form."""
-    exact = scene.exact(solution.t)
-    return ErrorRow(
-        model,
-        step,
-        {name: largest(solution[name] - exact[name]) / largest(exact[name]) for name in INPUTS},
-        {name: largest(solution[name] - exact[name]) for name in MOTION},
-    )
+def error(scene: sc.Scene, solution: sc.Solution) -> Errors:
+    """Compare a run with the closed form."""
+    return apart(solution, scene.exact(solution.t))
 
 
-def fmu_run(scene: sc.Scene, outputs: Mapping[str, Array], library: sc.Solution) -> FmuRun:
-    """Compare the outputs of the FMU with the library's run and with the closed form at the same times."""
-    t, names = outputs["time"], (*INPUTS, *MOTION)
-    exact = scene.exact(t)
-    return FmuRun(
-        float(t[1] - t[0]),
-        float(t[-1]),
-        len(t),
-        {name: largest(outputs[name] - library[name]) for name in names},
-        {name: largest(outputs[name] - exact[name]) for name in names},
-    )
+def apart(run: Trajectories, judge: Trajectories) -> Errors:
+    """Return the largest differences of a run from another that it is judged by."""
+    relative = {name: largest(run[name] - judge[name]) / largest(judge[name]) for name in INPUTS}
+    return relative | {name: largest(run[name] - judge[name]) for name in MOTION}
 
 
 def largest(values: Array) -> float:
     """Largest absolute value."""
     return float(np.abs(values).max())
-
-
-def differences(solutions: Mapping[tuple[str, float], sc.Solution]) -> list[DifferenceRow]:
-    """Compare the models' inputs with one another, pair by pair, at every step."""
-    models = dict.fromkeys(model for model, _ in solutions)
-    steps = dict.fromkeys(step for _, step in solutions)
-    rows = []
-    for first, second in combinations(models, 2):
-        for step in steps:
-            one, other = solutions[first, step], solutions[second, step]
-            apart = {name: largest(one[name] - other[name]) / largest(one[name]) for name in INPUTS}
-            rows.append(DifferenceRow((first, second), step, apart))
-    return rows
 
 
 def track(scene: sc.Scene, solutions: Sequence[sc.Solution], announce: Announce) -> list[LoadRun]:
@@ -257,16 +187,10 @@ def exact_inputs(scene: sc.Scene) -> Callable[[float], Array]:
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, 4001)
     exact = scene.exact(t)
     spline = scipy.interpolate.make_interp_spline(t, np.column_stack([exact[name] for name in INPUTS]), k=5)
-
-    def evaluate(time: float) -> Array:
-        return np.asarray(spline(time), dtype=np.float64)
-
-    return evaluate
+    return lambda time: np.asarray(spline(time), dtype=np.float64)
 
 
-def working_cycle(
-    scene: sc.Scene, through: sc.Reference, samples: sc.Reference, waypoints: Array, step: float = PAPER_STEP
-) -> Cycle:
+def working_cycle(scene: sc.Scene, through: sc.Reference, samples: sc.Reference, waypoints: Array) -> Cycle:
     """Compute the inputs of the working cycle.
 
     Parameters
@@ -277,11 +201,9 @@ def working_cycle(
         The path through the waypoints and the path from the sampled file.
     waypoints : ndarray, shape (n, 4)
         Times and positions.
-    step : float
-        Step size in s.
     """
     t = np.linspace(through.start_time, through.end_time, 2001)
-    apart = largest(np.linalg.norm(through.jet(t, 0)[:, 0] - samples.jet(t, 0)[:, 0], axis=1))
+    off = largest(np.linalg.norm(through.jet(t, 0)[:, 0] - samples.jet(t, 0)[:, 0], axis=1))
     on_path = scene.with_reference(through)
-    solution = sc.solve(on_path, sc.Projected(), sc.BackwardEuler(), step=step)
-    return Cycle(waypoints, on_path, solution, error_row(on_path, solution, scene.default_model, step), apart)
+    solution = sc.solve(on_path, sc.Projected(), sc.BackwardEuler(), step=STEPS[0])
+    return Cycle(waypoints, on_path, solution, error(on_path, solution), off)

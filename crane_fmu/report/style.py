@@ -5,7 +5,7 @@ Figures are plain `matplotlib.figure.Figure` objects: nothing global is changed,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from io import BytesIO
 from typing import Any, Protocol
 
@@ -22,6 +22,9 @@ BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000
 
 WIDTH = 6.7
 """Width of a figure in inches: the text width of an A4 page."""
+
+WIDE = 8.2
+"""Width of a figure with panels beside each other."""
 
 _RC: Any = {
     "font.family": "DejaVu Sans",
@@ -55,8 +58,6 @@ LABELS = {
 }
 """Axis labels with the unit that is drawn; angles in degrees."""
 
-TIME = "time (s)"
-
 
 class Trajectories(Protocol):
     """Arrays over time by name: a `Solution`, or a closed form."""
@@ -65,56 +66,37 @@ class Trajectories(Protocol):
         """Return one trajectory."""
 
 
-@dataclass(frozen=True)
-class Line:
-    """How a curve is drawn; curves on top of each other differ in more than colour."""
-
-    color: str
-    style: str = "-"
-    width: float = 1.5
-    marker: str = ""
-
-    def options(self, points: int = 0) -> dict[str, Any]:
-        """Return keyword arguments for `Axes.plot`; marks are spread over a curve of `points` points."""
-        chosen: dict[str, Any] = {"color": self.color, "linestyle": self.style, "linewidth": self.width}
-        if self.marker:
-            every = max(1, points // 25)
-            chosen |= {
-                "marker": self.marker,
-                "markevery": every,
-                "markersize": 5.0,
-                "markerfacecolor": "none",
-                "markeredgewidth": 1.1,
-            }
-        return chosen
+styled = mpl.rc_context(_RC)
+"""Decorates functions that make or save figures in this style."""
 
 
-def styled() -> Any:
-    """Return a context in which figures are made and saved in this style."""
-    return mpl.rc_context(_RC)
-
-
-def panels(rows: int, columns: int = 1, height: float = 1.75, width: float = WIDTH) -> tuple[Figure, list[Axes]]:
-    """Return a figure of panels above each other that share their time axis, row by row.
+def panels(labels: Sequence[str], columns: int = 1, height: float = 1.75) -> tuple[Figure, list[Axes]]:
+    """Return a figure of labelled panels above each other that share their time axis, row by row.
 
     Parameters
     ----------
-    rows, columns : int
-        Number of panels.
+    labels : sequence of str
+        What each panel shows, with its unit.
+    columns : int
+        How many panels are beside each other.
     height : float
         Height of a panel in inches.
-    width : float
-        Width of the figure in inches.
     """
-    figure = Figure(figsize=(width, height * rows + 0.35), layout="constrained")
+    rows = len(labels) // columns
+    figure = Figure(figsize=(WIDTH if columns == 1 else WIDE, height * rows + 0.35), layout="constrained")
     axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
-    return figure, list(axes.ravel())
+    for axis, label in zip(axes.flat, labels, strict=True):
+        axis.set_ylabel(label)
+    for axis in axes[-1]:
+        axis.set_xlabel("time (s)")
+    figure.align_ylabels()
+    return figure, list(axes.flat)
 
 
+@styled
 def picture(figure: Figure, suffix: str) -> bytes:
     """Return the figure as the content of a file, the same every time; suffix is .png, .svg or .pdf."""
     stream = BytesIO()
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-    with styled():
-        figure.savefig(stream, format=suffix[1:], metadata=metadata)
+    figure.savefig(stream, format=suffix[1:], metadata=metadata)
     return stream.getvalue()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,13 +12,28 @@ from matplotlib.figure import Figure
 
 import servocore as sc
 from crane_fmu.report.study import INPUTS, MOTION, LoadRun
-from crane_fmu.report.style import BLACK, BLUE, GREEN, GREY, LABELS, TIME, VERMILLION, Array, Line, panels, styled
+from crane_fmu.report.style import BLACK, BLUE, GREEN, GREY, LABELS, VERMILLION, Array, Trajectories, panels, styled
 
-EXACT = Line(BLACK, "-", 0.9)
-REDUNDANT = Line(VERMILLION, "none", 0.0, "o")
-COMPUTED = Line(BLUE, "--", 2.2)
-PLAIN = Line(BLUE, "-", 1.5)
-_RUN_LINES = (Line(BLUE, "--", 1.6), Line(BLACK, "-", 1.2), Line(VERMILLION, "-.", 1.6), Line(GREEN, ":", 1.8))
+Look = Mapping[str, Any]
+"""How `Axes.plot` draws a curve; curves on top of each other differ in more than colour."""
+
+EXACT: Look = {"color": BLACK, "linewidth": 0.9}
+REDUNDANT: Look = {
+    "color": VERMILLION,
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 5.0,
+    "markerfacecolor": "none",
+    "markeredgewidth": 1.1,
+}
+COMPUTED: Look = {"color": BLUE, "linestyle": "--", "linewidth": 2.2}
+PLAIN: Look = {"color": BLUE}
+_RUNS: tuple[Look, ...] = (
+    {"color": BLUE, "linestyle": "--", "linewidth": 1.6},
+    {"color": BLACK, "linewidth": 1.2},
+    {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.6},
+    {"color": GREEN, "linestyle": ":", "linewidth": 1.8},
+)
 
 LEAST_ERROR = 1e-6
 """In mm; a smaller distance is drawn as this one, since a logarithm needs something."""
@@ -29,32 +45,8 @@ class Curve:
 
     label: str
     t: Array
-    values: Mapping[str, Array]
-    line: Line
-
-
-def curve(label: str, solution: sc.Solution, line: Line) -> Curve:
-    """Return the inputs and the motion of a solution as a curve."""
-    return Curve(label, solution.t, {name: solution[name] for name in (*INPUTS, *MOTION)}, line)
-
-
-def shown(name: str, values: Array) -> Array:
-    """Convert to the unit of the axis: angles to degrees."""
-    return np.degrees(values) if name == "phi" else values
-
-
-def draw(axes: Axes, name: str, curves: Sequence[Curve]) -> None:
-    """Draw one quantity of several curves into a panel and label it."""
-    for each in curves:
-        axes.plot(
-            each.t,
-            shown(name, each.values[name]),
-            label=each.label,
-            **each.line.options(len(each.t)),
-        )
-    axes.set_ylabel(LABELS[name])
-    axes.margins(x=0.01)
-    _keep_rounding_flat(axes)
+    values: Trajectories
+    look: Look
 
 
 def _keep_rounding_flat(axes: Axes) -> None:
@@ -65,33 +57,28 @@ def _keep_rounding_flat(axes: Axes) -> None:
         axes.set_ylim((low + high) / 2 - 1e4 * slightest, (low + high) / 2 + 1e4 * slightest)
 
 
-def stack(names: Sequence[str], curves: Sequence[Curve], height: float = 1.75) -> Figure:
-    """Return a figure with one panel a quantity, above each other; several curves get a legend."""
-    with styled():
-        figure, axes = panels(len(names), height=height)
-        for axis, name in zip(axes, names, strict=True):
-            draw(axis, name, curves)
-        axes[-1].set_xlabel(TIME)
-        figure.align_ylabels(axes)
-        if len(curves) > 1:
-            handles, labels = axes[0].get_legend_handles_labels()
-            figure.legend(handles, labels, loc="outside upper center", ncols=len(curves))
+@styled
+def stack(names: Sequence[str], curves: Sequence[Curve], columns: int = 1, height: float = 1.75) -> Figure:
+    """Return a figure with one panel a quantity, angles in degrees; several curves get a legend."""
+    figure, axes = panels([LABELS[name] for name in names], columns, height)
+    for axis, name in zip(axes, names, strict=True):
+        for each in curves:
+            values = np.degrees(each.values[name]) if name == "phi" else each.values[name]
+            axis.plot(each.t, values, label=each.label, markevery=max(1, len(values) // 25), **each.look)
+        axis.margins(x=0.01)
+        _keep_rounding_flat(axis)
+    if len(curves) > 1:
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=len(curves))
     return figure
 
 
 def inputs_and_motion(solution: sc.Solution) -> Figure:
     """Return inputs on the left, the motion of the crane on the right: what ``--plot`` draws."""
-    drawn = [curve("", solution, PLAIN)]
-    with styled():
-        figure, axes = panels(3, 2, width=8.2)
-        for axis, name in zip(axes, [n for pair in zip(INPUTS, MOTION, strict=True) for n in pair], strict=True):
-            draw(axis, name, drawn)
-        for axis in axes[-2:]:
-            axis.set_xlabel(TIME)
-        figure.align_ylabels(axes)
-    return figure
+    names = [name for pair in zip(INPUTS, MOTION, strict=True) for name in pair]
+    return stack(names, [Curve("", solution.t, solution, PLAIN)], columns=2)
 
 
+@styled
 def reference_function(reference: sc.Reference) -> Figure:
     """Return s(t) and its second derivative for a straight path: how far along its line the load is.
 
@@ -102,30 +89,27 @@ def reference_function(reference: sc.Reference) -> Figure:
     """
     t = np.linspace(reference.start_time, reference.end_time, 801)
     jets = reference.jet(t, 2)
-    way = jets[-1, 0] - jets[0, 0]
-    s = (jets - np.where(np.arange(3) == 0, 1.0, 0.0)[None, :, None] * jets[0, 0]) @ way / (way @ way)
-    with styled():
-        figure, axes = panels(2)
-        for axis, order, label in ((axes[0], 0, "$s(t)$ (1)"), (axes[1], 2, "$\\ddot{s}(t)$ (1/s²)")):
-            axis.plot(t, s[:, order], **PLAIN.options())
-            axis.set_ylabel(label)
-            axis.margins(x=0.01)
-        axes[-1].set_xlabel(TIME)
-        figure.align_ylabels(axes)
+    start, way = jets[0, 0].copy(), jets[-1, 0] - jets[0, 0]
+    jets[:, 0] -= start
+    s = jets @ way / (way @ way)
+    figure, axes = panels(["$s(t)$ (1)", "$\\ddot{s}(t)$ (1/s²)"])
+    for axis, order in zip(axes, (0, 2), strict=True):
+        axis.plot(t, s[:, order], **PLAIN)
+        axis.margins(x=0.01)
     return figure
 
 
-def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, exact: Curve) -> Figure:
+def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, scene: sc.Scene) -> Figure:
     """Return M_b and F of both sets of coordinates on top of each other, with the closed form."""
     curves = (
-        curve("generalised coordinates (GEN)", generalised, COMPUTED),
-        curve("redundant coordinates (RED)", redundant, REDUNDANT),
-        exact,
+        Curve("generalised coordinates (GEN)", generalised.t, generalised, COMPUTED),
+        Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
+        closed_form(scene),
     )
-    return stack(("M_b", "F"), curves, height=2.4)
+    return stack(INPUTS[:2], curves, height=2.4)
 
 
-def closed_form_curve(scene: sc.Scene) -> Curve:
+def closed_form(scene: sc.Scene) -> Curve:
     """Return the closed form of a scene on a fine grid."""
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, 1601)
     return Curve("closed form", t, scene.exact(t), EXACT)
@@ -133,9 +117,10 @@ def closed_form_curve(scene: sc.Scene) -> Curve:
 
 def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Scene) -> Figure:
     """Return some quantities of a run, computed and in closed form."""
-    return stack(names, (curve("computed", solution, COMPUTED), closed_form_curve(scene)))
+    return stack(names, (Curve("computed", solution.t, solution, COMPUTED), closed_form(scene)))
 
 
+@styled
 def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun]) -> Figure:
     """Return where the load should be and where it goes in some runs, and its distance from its path in all runs.
 
@@ -146,20 +131,15 @@ def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun]) -> Figure:
     shown : sequence of LoadRun
         Those of them whose positions are drawn.
     """
-    with styled():
-        figure, (above, below) = panels(2, height=2.5)
-        t = runs[0].t
-        for name, values in zip("xyz", runs[0].wanted.T, strict=True):
-            above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
-            above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
-        for run, line in zip(runs, _RUN_LINES, strict=False):
-            if run in shown:
-                above.plot(run.t, run.driven, **line.options())
-            below.semilogy(run.t, np.maximum(1e3 * run.error, LEAST_ERROR), label=run.label, **line.options())
-        above.set_ylabel("position of the load (m)")
-        below.set_ylabel("distance from the path (mm)")
-        below.set_xlabel(TIME)
-        below.margins(x=0.03)
-        figure.align_ylabels([above, below])
-        figure.legend(loc="outside upper center", ncols=2)
+    figure, (above, below) = panels(["position of the load (m)", "distance from the path (mm)"], height=2.5)
+    t = runs[0].t
+    for name, values in zip("xyz", runs[0].wanted.T, strict=True):
+        above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
+        above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
+    for run, look in zip(runs, _RUNS, strict=False):
+        if run in shown:
+            above.plot(run.t, run.driven, **look)
+        below.semilogy(run.t, np.maximum(1e3 * run.error, LEAST_ERROR), label=run.label, **look)
+    below.margins(x=0.03)
+    figure.legend(loc="outside upper center", ncols=2)
     return figure

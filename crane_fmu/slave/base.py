@@ -19,7 +19,7 @@ from pythonfmu.variables import Real, String
 
 from crane_fmu.slave.checks import require_finite, require_legal, require_step
 from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
-from crane_fmu.slave.interface import INTERFACE_FILE, Interface, Variable
+from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 
 _STATE_FORMAT = "servocore fmu state 1"
@@ -32,11 +32,12 @@ _LOADED: dict[Path, Any] = {}
 Found = TypeVar("Found")
 
 
-def load_once(file: Path, read: Callable[[str], Any]) -> Any:
+def load_once(file: Path, read: Callable[[str], Found]) -> Found:
     """Return what `read` makes of a file's text, once in a process for all instances; the files do not change."""
     if file not in _LOADED:
         _LOADED[file] = read(file.read_text(encoding="utf-8"))
-    return _LOADED[file]
+    found: Found = _LOADED[file]
+    return found
 
 
 class State(Protocol):
@@ -65,18 +66,15 @@ class TableSlave(GuardedSlave):
     """Phases, variables, refusals and states of an FMU; subclasses say what a start and a step are."""
 
     state_type: type[State]
-    author = None
     license = "MIT"
-    stop_time = 20.0
-    step_size = 0.1
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         self._resources = Path(kwargs["resources"])
         self._folder = self._resources / _BUNDLE
-        self._interface: Interface = load_once(self._folder / INTERFACE_FILE, Interface.from_json)
+        self._interface = load_once(self._folder / INTERFACE_FILE, Interface.from_json)
         self.guid = self._interface.guid
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=self.stop_time, step_size=self.step_size)
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=20.0, step_size=0.1)
         variables = self._interface.variables
         self._outputs = [k for k, each in enumerate(variables) if each.causality == "output"]
         self._output_place = slice(self._outputs[0], self._outputs[-1] + 1)  # outputs follow each other in the table
@@ -92,7 +90,16 @@ class TableSlave(GuardedSlave):
         self._snapshot: State | None = None
         self._parameters: Any = None  # what a subclass made of parameters; None when one has changed
         for each in variables:
-            self.register_variable(_registered(each), nested=False)
+            variable = (String if each.is_text else Real)(
+                each.name,
+                causality=Fmi2Causality[each.causality],
+                variability=Fmi2Variability[each.variability],
+                initial=Fmi2Initial.calculated if each.causality == "output" else None,
+                description=each.description,
+                getter=nothing,
+                setter=nothing,
+            )
+            self.register_variable(variable, nested=False)
 
     # --- what a subclass computes ----------------------------------------------------------------------------------
 
@@ -326,27 +333,9 @@ class TableSlave(GuardedSlave):
         self._phase, self._stale, self._failure, self._start_time = phase, stale, failure, start_time
 
     @staticmethod
-    def _fmu_state_to_bytes(state: dict[str, Any]) -> bytes:
-        return json.dumps(state).encode()
-
-    @staticmethod
     def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:
         try:
             found = json.loads(state.decode())
         except ValueError:
             return {}
         return found if isinstance(found, dict) else {}
-
-
-def _registered(variable: Variable) -> Any:
-    """Return PythonFMU's object for a row of the table."""
-    kind = String if variable.is_text else Real
-    return kind(
-        variable.name,
-        causality=Fmi2Causality[variable.causality],
-        variability=Fmi2Variability[variable.variability],
-        initial=Fmi2Initial.calculated if variable.causality == "output" else None,
-        description=variable.description,
-        getter=nothing,
-        setter=nothing,
-    )

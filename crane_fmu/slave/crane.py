@@ -71,7 +71,7 @@ class CraneState(PlainState):
         )
 
 
-class CraneSlave(TableSlave):
+class Slave(TableSlave):
     """Inputs of the rotary crane for a path of its load."""
 
     description = "Inverse dynamics of a rotary crane: bridge torque, trolley force and winch torque for a load path"
@@ -91,19 +91,15 @@ class CraneSlave(TableSlave):
     # --- start ----------------------------------------------------------------------------------------------------
 
     def _prepare(self) -> None:
-        self._program = self._require_program()
-
-    def _require_program(self) -> Program:
         at_end = self._setting("input_time") == "end"
         order = ORDERS.index(self._setting("connected"))
         file = self._folder / program_file(self._setting("model"), self._setting("formulation"))
-        program: Program
-        program, self._quick = load_once(file, partial(_with_quick_step, library=file.with_suffix(".so")))
+        program, quick = load_once(file, partial(_with_quick_step, library=file.with_suffix(".so")))
         names = [channel.name for channel in program.channels]
         self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
         self._numbers = self._references(*program.parameters, "internal_step", "feedback")
         self._at_end, self._order, self._parameters = at_end, order, None
-        return program
+        self._program, self._quick = program, quick
 
     def _begin(self, time: float) -> CraneState:
         program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
@@ -111,7 +107,9 @@ class CraneSlave(TableSlave):
         return CraneState(begin(program, self._connected(heard), self._required_parameters()[0], time), (), samples)
 
     def _fits(self, state: CraneState) -> bool:
-        return state.motion.fits(required(self._program))
+        program, motion = required(self._program), state.motion
+        sizes = motion.state.size, motion.jet.shape, motion.values.size
+        return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
 
     # --- steps ----------------------------------------------------------------------------------------------------
 
@@ -160,7 +158,7 @@ class CraneSlave(TableSlave):
                 f" load {measured[8]:g} m: the feedback needs the length above 0 m, the height below 0 m and all"
                 f" measured values connected; feedback = 0 does without"
             )
-        plant: Plant = load_once(self._folder / PLANT_FILE, Plant.from_json)
+        plant = load_once(self._folder / PLANT_FILE, Plant.from_json)
         motion = now.motion
         present = motion.jet if self._at_end else _matrix(jet)
         values = dict(zip(required(self._program).parameters, p, strict=True))

@@ -14,6 +14,7 @@ the part it moves. Everything is a function of the present reference, parameters
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,9 +78,8 @@ def controlled(
     memory : Control or None
         None when there was no feedback in the step before.
     """
-    wanted = crane_state(*_flat(jet, p[5]), jet[0], jet[1])
-    phi, s, length, phi_dot, s_dot, length_dot = measured[:6]
-    error = crane_state(phi, s, length, phi_dot, s_dot, length_dot, measured[6:9], measured[9:12]) - wanted
+    wanted = crane_state(_flat(jet, p[5]), jet[0], jet[1])
+    error = crane_state(measured[:6], measured[6:9], measured[9:12]) - wanted
     error[0] -= 2.0 * math.pi * round(error[0] / (2.0 * math.pi))
     A, B, E, C = plant.linearised(wanted, inputs, p)
     Ad, B0, B1, Ed = _sampled(A, B, E, h)
@@ -106,7 +106,7 @@ def _efforts(p: Array, s: float) -> Array:
     return efforts
 
 
-def _flat(jet: Array, g: float) -> tuple[float, float, float, float, float, float]:
+def _flat(jet: Array, g: float) -> tuple[float, ...]:
     """Return phi, s, l and their rates for a load path: the trolley stands where the rope pulls from."""
     r, v, a, j = jet[:4]
     k = -r[2] / (g + a[2])
@@ -119,10 +119,12 @@ def _flat(jet: Array, g: float) -> tuple[float, float, float, float, float, floa
     return math.atan2(place[1], place[0]), s, length, turning, place @ speed / s, rope @ rope_dot / length
 
 
-def crane_state(
-    phi: float, s: float, length: float, phi_dot: float, s_dot: float, length_dot: float, r: Array, v: Array
-) -> Array:
-    """Return (phi, s, l, swing in and out of the bridge's plane) and the rates, for a load at r with velocity v."""
+def crane_state(motion: Sequence[float] | Array, r: Array, v: Array) -> Array:
+    """Return (phi, s, l, swing in and out of the bridge's plane) and the rates, for a load at r with velocity v.
+
+    The motion is that of the crane: phi, s, l and their rates.
+    """
+    phi, s, length, phi_dot, s_dot, length_dot = motion
     cos, sin = math.cos(phi), math.sin(phi)
     along, across, down = cos * r[0] + sin * r[1] - s, cos * r[1] - sin * r[0], -r[2]
     along_dot = cos * v[0] + sin * v[1] + phi_dot * across - s_dot

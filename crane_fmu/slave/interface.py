@@ -13,7 +13,6 @@ from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
 Variability = Literal["continuous", "tunable", "fixed"]
-Value = float | str
 
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 """Names of the load path's derivatives of order 0, 1, ..."""
@@ -85,7 +84,7 @@ class Variable:
     description: str
     unit: str = ""
     display_unit: str = ""
-    start: Value | None = None
+    start: float | str | None = None
     minimum: float | None = None
     maximum: float | None = None
     nominal: float | None = None
@@ -120,14 +119,8 @@ class Interface:
         return tuple(each for each in self.variables if each.causality == causality)
 
     def index(self, name: str) -> int:
-        """Value reference of the variable called `name`; raises KeyError if there is none."""
-        for k, each in enumerate(self.variables):
-            if each.name == name:
-                return k
-        raise KeyError(name)
-
-    def __getitem__(self, name: str) -> Variable:
-        return self.variables[self.index(name)]
+        """Value reference of the variable called `name`; raises ValueError if there is none."""
+        return [each.name for each in self.variables].index(name)
 
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""

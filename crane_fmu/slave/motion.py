@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crane_fmu.slave.interface import DIMENSION
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, taylor
 from crane_fmu.slave.state import PlainState
 from servocore import InconsistentStart, IntegrationFailed, Program
@@ -50,11 +49,6 @@ class Snapshot(PlainState):
     state: Array
     jet: Array
     values: Array
-
-    def fits(self, program: Program) -> bool:
-        """Return whether the sizes are those of a program."""
-        sizes = self.state.size, self.jet.shape, self.values.size
-        return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
 
 
 def begin(program: Program, jet: Array, p: Array, time: float) -> Snapshot:

@@ -64,7 +64,7 @@ class Surroundings:
         return self.wind + self.gust if self.gust_start <= time < self.gust_end else self.wind
 
 
-class PlantSlave(TableSlave):
+class Slave(TableSlave):
     """Forward dynamics of the crane."""
 
     description = "Forward dynamics of a rotary crane: where bridge, trolley, winch and load go under their inputs"
@@ -75,9 +75,9 @@ class PlantSlave(TableSlave):
         self._plant: Plant | None = None
         self._at_end = self._held = self._brakes = False
         self._own = self._references(*CRANE_PARAMETERS, "mass_error")
-        vectors = components("wind", "gust"), components("start.position", "start.velocity")
-        self._weather = self._references(*vectors[0], "gust_start", "gust_duration", "internal_step")
-        self._initial = self._references(*vectors[1], "start.swing[1]", "start.swing[2]")
+        self._weather = self._references(*components("wind", "gust"), "gust_start", "gust_duration", "internal_step")
+        start = components("start.position", "start.velocity")
+        self._initial = self._references(*start, "start.swing[1]", "start.swing[2]")
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -105,14 +105,12 @@ class PlantSlave(TableSlave):
     def _advance(self, now: PlantState, h: float) -> PlantState:
         u = np.array(self._finite_inputs(_INPUTS, now.time + h if self._at_end else now.time))
         around, end = self._surroundings(), now.time + h
-        first = not now.released
-        if first and not u.any():
-            state = self._integrated(now.state, now.time, h, None, u, around)
-            after = PlantState(end, state, False, u, 0.0, u)
-        else:
-            begin, slope, known = self._reconstructed(now, u, h, first=first)
+        if now.released or u.any():
+            begin, slope = self._reconstructed(now, u, h)
             state = self._integrated(now.state, now.time, h, begin, slope, around)
-            after = PlantState(end, state, True, u, known, begin + slope * h)
+            after = PlantState(end, state, True, u, 0.0 if self._held else h, begin + slope * h)
+        else:
+            after = PlantState(end, self._integrated(now.state, now.time, h, None, u, around), False, u, 0.0, u)
         if not np.isfinite(after.state).all():
             raise IntegrationFailed(
                 f"the step from t = {now.time:.6g} s to {end:.6g} s has no finite result: the inputs are too large, or"
@@ -121,15 +119,13 @@ class PlantSlave(TableSlave):
         self._require_well(after)
         return after
 
-    def _reconstructed(self, now: PlantState, u: Array, h: float, *, first: bool) -> tuple[Array, Array, float]:
-        """Return inputs at the start of the step, their rate of change, and the step that later ones continue from."""
-        if self._held or first:
-            return u, np.zeros(_INPUTS), 0.0 if self._held else h
+    def _reconstructed(self, now: PlantState, u: Array, h: float) -> tuple[Array, Array]:
+        """Return inputs at the start of the step and their rate of change."""
+        if self._held or not now.released:
+            return u, np.zeros(_INPUTS)
         if self._at_end:
-            return now.inputs, (u - now.inputs) / h, h
-        if now.last_step == 0.0:
-            return u, np.zeros(_INPUTS), h
-        return u, (u - now.inputs) / now.last_step, h
+            return now.inputs, (u - now.inputs) / h
+        return u, (u - now.inputs) / now.last_step if now.last_step else np.zeros(_INPUTS)
 
     def _integrated(
         self, state: Array, time: float, h: float, u: Array | None, slope: Array, around: Surroundings

@@ -8,12 +8,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from crane_fmu.slave.paths import Array
-
-
-def _array(value: Any) -> Array:
-    return np.array(value, dtype=float)
-
 
 def _plain(value: Any) -> Any:
     if isinstance(value, PlainState):
@@ -21,7 +15,11 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-_READ: Mapping[Any, Callable[[Any], Any]] = {"Array": _array, "float": float, "bool": bool}
+_READ: Mapping[Any, Callable[[Any], Any]] = {
+    "Array": lambda value: np.array(value, dtype=float),
+    "float": float,
+    "bool": bool,
+}
 
 
 @dataclass(frozen=True, eq=False)

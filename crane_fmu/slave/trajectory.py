@@ -22,7 +22,7 @@ class Instant(PlainState):
     time: float
 
 
-class TrajectorySlave(TableSlave):
+class Slave(TableSlave):
     """A load path with its derivatives."""
 
     description = "Path of a crane's load with its derivatives up to snap: a straight line from rest to rest, or a file"
