@@ -7,7 +7,7 @@ remain inputs of every compiled function: an FMU can tune them, a user can diffe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -57,7 +57,8 @@ class Parameter:
         return number
 
 
-def _require_unique(names: tuple[str, ...], kind: str) -> None:
+def require_unique(names: Sequence[str], kind: str) -> None:
+    """Raise `InvalidModel`, naming them, if some of the names are the same."""
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InvalidModel(f"{kind} named twice: {', '.join(repeated)}")
@@ -79,7 +80,7 @@ class Coordinates:
 
     def __init__(self, *quantities: Quantity) -> None:
         object.__setattr__(self, "quantities", quantities)
-        _require_unique(self.names, "coordinate")
+        require_unique(self.names, "coordinate")
         for attribute, prefix in (("q", ""), ("v", "v_")):
             symbols = [ca.SX.sym(prefix + quantity.name) for quantity in quantities]
             object.__setattr__(self, attribute, ca.vertcat(ca.SX(0, 1), *symbols))
@@ -126,7 +127,7 @@ class Parameters:
 
     def __init__(self, *declared: Parameter) -> None:
         object.__setattr__(self, "declared", declared)
-        _require_unique(self.names, "parameter")
+        require_unique(self.names, "parameter")
         symbols = [ca.SX.sym(parameter.name) for parameter in declared]
         object.__setattr__(self, "p", ca.vertcat(ca.SX(0, 1), *symbols))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import perm
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -56,8 +57,8 @@ class PiecewisePolynomial(Reference):
         gamma = np.empty((t.size, order + 1, self.dimension))
         factors = np.moveaxis(self.coefficients[piece], 1, 0)
         for k in range(order + 1):
-            gamma[:, k] = polyval(u[:, None], factors, tensor=False) / length[:, None] ** k
-            factors = factors[1:] * np.arange(1, len(factors))[:, None, None]
+            slopes = np.array([perm(i, k) for i in range(k, len(factors))], dtype=np.float64)
+            gamma[:, k] = polyval(u[:, None], slopes[:, None, None] * factors[k:], tensor=False) / length[:, None] ** k
         if self.rests_before:  # a derivative above `smoothness` is the one just after
             resting = t <= self.start_time
             gamma[resting, 0] = self.ends[0]

@@ -92,8 +92,6 @@ class Chain(ABC):
         for (one, other), k, d in zip(pairwise(ca.vertsplit(coordinates.q)), stiffnesses, rest_lengths, strict=True):
             potential += k * (one - other - d) ** 2 / 2
             guess.append(guess[-1] - d)
-        input_matrix = ca.SX(1, self.count)
-        input_matrix[0, self.count - 1] = -1
         return MechanicalSystem(
             name=self.name,
             coordinates=coordinates,
@@ -102,7 +100,7 @@ class Chain(ABC):
             outputs=(output,),
             mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
             potential=potential,
-            input_matrix=input_matrix,
+            input_matrix=-ca.jacobian(coordinates.q[-1], coordinates.q),
             output=coordinates.q[0],
             gamma=gamma,
             guess=ca.vertcat(*guess),

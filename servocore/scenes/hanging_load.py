@@ -42,9 +42,7 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 
 def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope tension that gives the load its prescribed acceleration: m |gamma'' + g e_z|, without multipliers."""
-    up = ca.SX.zeros(gamma.size1())
-    up[-1] = p["gravity"]
-    return p["load_mass"] * ca.norm_2(gamma[:, 2] + up)
+    return p["load_mass"] * ca.norm_2(_pull(gamma, p))
 
 
 def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -53,10 +51,15 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
     where the load swings by tens of degrees.
     """
-    pull = gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
+    pull = _pull(gamma, p)
     direction = -pull / ca.norm_2(pull)
     length = gamma[-1, 0] / direction[-1]
     return gamma[:-1, 0] - length * direction[:-1], length, direction
+
+
+def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Rope force on the load by its mass: acceleration less gravity."""
+    return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
 
 
 def on_rails(

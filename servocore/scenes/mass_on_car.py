@@ -67,10 +67,6 @@ def points() -> MechanicalSystem:
     x, s, y = ca.vertsplit(coordinates.q)
     p = PARAMETERS
     gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
-    input_matrix = ca.SX(1, 3)
-    input_matrix[0, 0] = -1
-    force = ca.SX(3, 1)
-    force[1] = -p["damping"] * coordinates.velocity("s")
     masses = (p["car_mass"], p["mass"] * ca.sin(p["inclination"]) ** 2, p["mass"])
     return MechanicalSystem(
         name="mass on car, points",
@@ -80,9 +76,9 @@ def points() -> MechanicalSystem:
         outputs=(OUTPUT,),
         mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
         potential=p["stiffness"] * s**2 / 2,
-        force=force,
+        force=-p["damping"] * coordinates.velocity("s") * ca.jacobian(s, coordinates.q).T,
         constraints=y - x - s * ca.cos(p["inclination"]),
-        input_matrix=input_matrix,
+        input_matrix=-ca.jacobian(x, coordinates.q),
         output=y,
         gamma=gamma,
         guess=ca.vertcat(gamma[0, 0], 0, gamma[0, 0]),

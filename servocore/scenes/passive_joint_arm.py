@@ -83,9 +83,6 @@ def points() -> MechanicalSystem:
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
     gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
     masses = (*[p["first_inertia"]] * 2, *[p["second_mass"]] * 2, *[p["second_inertia"]] * 2, 0, 0)
-    input_matrix, force = ca.SX(1, 8), ca.SX(8, 1)
-    input_matrix[0, 6] = -1
-    force[7] = -p["joint_damping"] * coordinates.velocity("b")
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
     along = ca.vertcat(ca.cos(start), ca.sin(start))
@@ -97,13 +94,13 @@ def points() -> MechanicalSystem:
         outputs=(OUTPUT,),
         mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
         potential=p["joint_stiffness"] * b**2 / 2,
-        force=force,
+        force=-p["joint_damping"] * coordinates.velocity("b") * ca.jacobian(b, coordinates.q).T,
         constraints=ca.vertcat(
             first - ca.vertcat(ca.cos(a), ca.sin(a)),
             second - ca.vertcat(ca.cos(a + b), ca.sin(a + b)),
             centre - p["first_length"] * first - p["second_centre"] * second,
         ),
-        input_matrix=input_matrix,
+        input_matrix=-ca.jacobian(a, coordinates.q),
         output=a + weight * b,
         gamma=gamma,
         guess=ca.vertcat(along, (p["first_length"] + p["second_centre"]) * along, along, start, 0),

@@ -81,10 +81,8 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         p["winch_inertia"] / p["winch_radius"] ** 2,
         *[p["load_mass"]] * 3,
     )
-    forces = ca.SX(9, 3)  # of unit inputs: -B^T
-    forces[0, 0], forces[1, 0] = -direction[1], direction[0]
-    forces[4, 1] = 1
-    forces[5, 2] = 1 / p["winch_radius"]
+    turning = ca.horzcat(-direction[1], direction[0], ca.SX(1, 7))
+    driven = ca.jacobian(ca.vertcat(s, rope_length / p["winch_radius"]), q)
     return MechanicalSystem(
         name="rotary crane, points",
         coordinates=coordinates,
@@ -94,7 +92,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
         constraints=ca.vertcat(ca.sumsqr(direction) - 1, place - s * direction, ca.sumsqr(rope) - rope_length**2),
-        input_matrix=-forces.T,
+        input_matrix=-ca.vertcat(turning, driven),
         output=load,
         multipliers=lam,
         gamma=gamma,
@@ -188,10 +186,6 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     }
 
 
-def _trolley_radius(gamma: ca.SX, p: Parameters) -> ca.SX:
-    return ca.norm_2(gamma[:2, 0] - gamma[2, 0] / (p["gravity"] + gamma[2, 2]) * gamma[:2, 2])
-
-
 LIMITS = (
     *hanging_load.limits("girder"),
     Limit(
@@ -199,7 +193,7 @@ LIMITS = (
         "m",
         SMALLEST_RADIUS,
         "the trolley reaches the slewing axis",
-        _trolley_radius,
+        lambda gamma, p: ca.norm_2(hanging_load.suspension(gamma, p)[0]),
     ),
 )
 
