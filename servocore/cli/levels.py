@@ -117,11 +117,8 @@ def input_error(scene: Scene, solution: Solution) -> float | None:
         exact = scene.exact(solution.t)
     except InvalidModel:
         return None
-    errors = []
-    for name in (each.name for each in scene.model().inputs):
-        peak = np.abs(exact[name]).max()
-        errors.append(np.abs(solution[name] - exact[name]).max() / (peak or 1.0))
-    return float(max(errors))
+    names = [each.name for each in scene.model().inputs]
+    return max(float(np.abs(solution[k] - exact[k]).max() / (np.abs(exact[k]).max() or 1.0)) for k in names)
 
 
 def compiled_run(

@@ -64,9 +64,9 @@ def csv_text(levels: Sequence[Level]) -> str:
         size = level.scene, level.model, int(level.needed), level.coordinates, level.index
         for route, cost in level.costs.items():
             spread = cost.microseconds
-            times = (spread.median, spread.lower, spread.upper) if spread else ("", "", "")
-            row = *size, level.internal_degrees_of_freedom, route, cost.unknowns, *times, cost.error, cost.refusal
-            writer.writerow("" if each is None else each for each in row)
+            times = (spread.median, spread.lower, spread.upper) if spread else (None,) * 3
+            states = level.internal_degrees_of_freedom
+            writer.writerow((*size, states, route, cost.unknowns, *times, cost.error, cost.refusal))
     return text.getvalue()
 
 
@@ -79,8 +79,7 @@ HEADINGS = (
 
 def rows(level: Level) -> list[tuple[str, ...]]:
     """Rows of a table for humans, one a route; what belongs to the model stands in the first."""
-    sizes = level.coordinates, level.index, level.internal_degrees_of_freedom
-    own = level.model, *map(str, sizes)
+    own = (level.model, *map(str, (level.coordinates, level.index, level.internal_degrees_of_freedom)))
     projected = level.costs["projected"].microseconds
     found = []
     for route, cost in level.costs.items():

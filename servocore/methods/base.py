@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import casadi as ca
@@ -105,17 +105,15 @@ class Discretisation:
     reference: ca.SX
     step: ca.SX
     labels: tuple[str, ...]
-    ratio: ca.SX = UNNEEDED
+    ratio: ca.SX = field(default_factory=lambda: ca.SX.sym("ratio"))
     rescaled: ca.SX = UNNEEDED
-    fraction: ca.SX = UNNEEDED
+    fraction: ca.SX = field(default_factory=lambda: ca.SX.sym("fraction"))
     between: ca.SX = UNNEEDED
 
     def __post_init__(self) -> None:
-        defaults = {"ratio": ca.SX.sym("ratio"), "fraction": ca.SX.sym("fraction")}
-        defaults |= {"rescaled": self.state, "between": self.state}
-        for attribute, default in defaults.items():
+        for attribute in ("rescaled", "between"):
             if getattr(self, attribute) is UNNEEDED:
-                object.__setattr__(self, attribute, default)
+                object.__setattr__(self, attribute, self.state)
 
 
 class Method(Protocol):

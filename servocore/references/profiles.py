@@ -118,8 +118,7 @@ class PolynomialProfile(Profile):
         """
         k = self.smoothness
         scale = factorial(2 * k + 1) // factorial(k) ** 2
-        tail = [Fraction((-1) ** i * scale * comb(k, i), k + 1 + i) for i in range(k + 1)]
-        return (0,) * (k + 1) + tuple(int(value) for value in tail)
+        return (0,) * (k + 1) + tuple((-1) ** i * scale * comb(k, i) // (k + 1 + i) for i in range(k + 1))
 
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
         """Evaluate as `Profile.jet` says."""
