@@ -7,7 +7,7 @@ remain inputs of every compiled function: an FMU can tune them, a user can diffe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -64,6 +64,11 @@ def require_unique(names: Sequence[str], kind: str) -> None:
         raise InvalidModel(f"{kind} named twice: {', '.join(repeated)}")
 
 
+def symbols(names: Iterable[str]) -> ca.SX:
+    """Return a column of symbols, empty without names."""
+    return ca.vertcat(ca.SX(0, 1), *map(ca.SX.sym, names))
+
+
 @dataclass(frozen=True, eq=False)
 class Coordinates:
     """The coordinates q of a system and their velocities v, as symbols that can be asked for by name.
@@ -81,9 +86,8 @@ class Coordinates:
     def __init__(self, *quantities: Quantity) -> None:
         object.__setattr__(self, "quantities", quantities)
         require_unique(self.names, "coordinate")
-        for attribute, prefix in (("q", ""), ("v", "v_")):
-            symbols = [ca.SX.sym(prefix + quantity.name) for quantity in quantities]
-            object.__setattr__(self, attribute, ca.vertcat(ca.SX(0, 1), *symbols))
+        object.__setattr__(self, "q", symbols(self.names))
+        object.__setattr__(self, "v", symbols(f"v_{name}" for name in self.names))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -128,8 +132,7 @@ class Parameters:
     def __init__(self, *declared: Parameter) -> None:
         object.__setattr__(self, "declared", declared)
         require_unique(self.names, "parameter")
-        symbols = [ca.SX.sym(parameter.name) for parameter in declared]
-        object.__setattr__(self, "p", ca.vertcat(ca.SX(0, 1), *symbols))
+        object.__setattr__(self, "p", symbols(self.names))
 
     @property
     def names(self) -> tuple[str, ...]:

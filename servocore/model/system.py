@@ -20,7 +20,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Coordinates, Parameters
+from servocore.model.symbols import Coordinates, Parameters, symbols
 from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
 from servocore.numerics.pivoting import last_good_columns
@@ -33,8 +33,14 @@ DERIVED = ca.SX()
 """Default of the fields that `MechanicalSystem` makes itself when they are not given."""
 
 
-def _column(length: int = 0) -> ca.SX:
-    return ca.SX(length, 1)
+def reference_symbols(components: int) -> ca.SX:
+    """Return symbols of a reference and its derivatives, shape (components, `MAX_REFERENCE_ORDER` + 1)."""
+    return ca.SX.sym("gamma", components, MAX_REFERENCE_ORDER + 1)
+
+
+def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
+    """Return the matrix with these entries on its diagonal, sparse."""
+    return ca.sparsify(ca.diag(ca.vertcat(*entries)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +120,7 @@ class MechanicalSystem:
     input_matrix: ca.SX
     potential: ca.SX = field(default_factory=lambda: ca.SX(0))
     force: ca.SX = DERIVED
-    constraints: ca.SX = field(default_factory=_column)
+    constraints: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     gyroscopic: ca.SX = DERIVED
     multipliers: ca.SX = DERIVED
     gamma: ca.SX = DERIVED
@@ -133,10 +139,10 @@ class MechanicalSystem:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
         self._fill("force", ca.SX.zeros(n))
         self._fill("multipliers", ca.SX.sym("lam", m_h))
-        self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
+        self._fill("gamma", reference_symbols(m))
         self._fill("guess", ca.SX.zeros(n))
         object.__setattr__(self, "home", self.home or (1.0,) * m)
-        self._fill("u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        self._fill("u", symbols(each.name for each in self.inputs))
         object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
         self._require_fields(n, m, m_h)
         self._derive()

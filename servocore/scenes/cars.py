@@ -32,7 +32,7 @@ from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import rest_to_rest
@@ -87,7 +87,7 @@ class Chain(ABC):
         p, (force, output, positions) = self.parameters(), self.quantities
         masses, stiffnesses, rest_lengths = self.data(p)
         coordinates = Coordinates(*positions)
-        gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+        gamma = reference_symbols(1)
         potential, guess = ca.SX(0), [gamma[0, 0]]
         for (one, other), k, d in zip(pairwise(ca.vertsplit(coordinates.q)), stiffnesses, rest_lengths, strict=True):
             potential += k * (one - other - d) ** 2 / 2
@@ -98,7 +98,7 @@ class Chain(ABC):
             parameters=p,
             inputs=(force,),
             outputs=(output,),
-            mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+            mass=diagonal(masses),
             potential=potential,
             input_matrix=-ca.jacobian(coordinates.q[-1], coordinates.q),
             output=coordinates.q[0],

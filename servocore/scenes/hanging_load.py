@@ -18,7 +18,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.scenes import jets
 
@@ -91,7 +91,7 @@ def on_rails(
     """
     coordinates, p, count = Coordinates(*rails, ROPE, *outputs), parameters, len(rails)
     trolley, length, load = ca.vertsplit(coordinates.q, [0, count, count + 1, 2 * count + 2])
-    lam, gamma = ca.SX.sym("lam"), ca.SX.sym("gamma", count + 1, MAX_REFERENCE_ORDER + 1)
+    lam, gamma = ca.SX.sym("lam"), reference_symbols(count + 1)
     rope = load - ca.vertcat(trolley, 0)
     above, hanging, _ = suspension(gamma, p)
     masses = (*rails.values(), p["winch_inertia"] / p["winch_radius"] ** 2, *[p["load_mass"]] * (count + 1))
@@ -102,7 +102,7 @@ def on_rails(
         parameters=p,
         inputs=tuple(inputs),
         outputs=tuple(outputs),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * load[-1],
         constraints=ca.sumsqr(rope) - length**2,
         input_matrix=ca.horzcat(driven, ca.SX(count + 1, count + 1)),

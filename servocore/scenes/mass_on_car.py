@@ -39,7 +39,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
@@ -66,7 +66,7 @@ def points() -> MechanicalSystem:
     coordinates = Coordinates(CAR, SLIDE, OUTPUT)
     x, s, y = ca.vertsplit(coordinates.q)
     p = PARAMETERS
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+    gamma = reference_symbols(1)
     masses = (p["car_mass"], p["mass"] * ca.sin(p["inclination"]) ** 2, p["mass"])
     return MechanicalSystem(
         name="mass on car, points",
@@ -74,7 +74,7 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["stiffness"] * s**2 / 2,
         force=-p["damping"] * coordinates.velocity("s") * ca.jacobian(s, coordinates.q).T,
         constraints=y - x - s * ca.cos(p["inclination"]),

@@ -41,7 +41,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
@@ -81,7 +81,7 @@ def points() -> MechanicalSystem:
     a, b = coordinates["a"], coordinates["b"]
     p = PARAMETERS
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+    gamma = reference_symbols(1)
     masses = (*[p["first_inertia"]] * 2, *[p["second_mass"]] * 2, *[p["second_inertia"]] * 2, 0, 0)
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
@@ -92,7 +92,7 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["joint_stiffness"] * b**2 / 2,
         force=-p["joint_damping"] * coordinates.velocity("b") * ca.jacobian(b, coordinates.q).T,
         constraints=ca.vertcat(

@@ -28,7 +28,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
@@ -71,7 +71,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     direction, place, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
     rope = load - ca.vertcat(place, 0)
     lam = ca.SX.sym("lam", 4)
-    gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
+    gamma = reference_symbols(3)
     above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
     radius = ca.norm_2(above)
     masses = (
@@ -89,7 +89,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         parameters=PARAMETERS,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
         constraints=ca.vertcat(ca.sumsqr(direction) - 1, place - s * direction, ca.sumsqr(rope) - rope_length**2),
         input_matrix=-ca.vertcat(turning, driven),

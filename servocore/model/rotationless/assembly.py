@@ -13,7 +13,7 @@ from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
 from servocore.model.symbols import Coordinates, Parameters, require_unique
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, reference_symbols
 
 Part: TypeAlias = RigidBody | PointMass | Quantity
 """A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
@@ -154,7 +154,7 @@ class Assembly:
         """
         q, driven = self.coordinates.q, ca.vertcat(ca.SX(0, 1), *inputs.values())
         lam = self.multipliers(constraints) if multipliers is None else multipliers
-        gamma = ca.SX.sym("gamma", len(inputs), MAX_REFERENCE_ORDER + 1)
+        gamma = reference_symbols(len(inputs))
         return MechanicalSystem(
             name=name,
             coordinates=self.coordinates,
