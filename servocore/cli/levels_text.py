@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import platform
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
@@ -133,11 +135,8 @@ def machine() -> str:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    if models:
-        return f"{models[0]} ({len(models)} processors)"
+    with suppress(OSError):
+        models = re.findall(r"^model name.*?:(.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+        if models:
+            return f"{models[0].strip()} ({len(models)} processors)"
     return platform.processor() or platform.machine()

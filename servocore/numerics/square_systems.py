@@ -160,8 +160,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         [ca.densify(each) for each in assembly.resolved(*outputs, worst)],
         {"cse": True},
     )
-    results = finish(assembly.values)
-    *found, residual = results if isinstance(results, tuple | list) else (results,)
+    *found, residual = finish.call([assembly.values])
     most = ca.MX(0)
     total = ca.MX(assembly.linear_blocks)
     for count in assembly.iterations:
@@ -337,12 +336,10 @@ def _tear(
             break
         i, j = best
         touched = [k for k in active_rows if pattern[k, j] and k != i]
-        for k in touched:
-            pattern[k] |= pattern[i]
-            constant = {(r, c) for r, c in constant if r != k or not pattern[i, c]}
+        pattern[touched] |= pattern[i]
+        constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
         active_rows.remove(i)
         active_columns.remove(j)
-        constant = {(r, c) for r, c in constant if c != j}
         pivots.append(best)
     torn: list[tuple[ca.SX, ca.SX]] = []
     for i, j in pivots:
@@ -368,12 +365,10 @@ def _cheapest_pivot(
     active_rows: set[int],
 ) -> tuple[int, int] | None:
     """Return the constant entry whose elimination creates the fewest new entries, if those are few enough."""
-    best: tuple[int, int, int] | None = None
-    for i, j in constant:
-        if i not in active_rows:
-            continue
+
+    def fill(i: int, j: int) -> int:
         touched = [k for k in active_rows if pattern[k, j] and k != i]
-        fill = int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
-        if best is None or (fill, i, j) < best:
-            best = (fill, i, j)
+        return int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
+
+    best = min(((fill(i, j), i, j) for i, j in constant if i in active_rows), default=None)
     return best[1:] if best is not None and best[0] <= _TEARING_FILL else None

@@ -109,11 +109,6 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     )
 
 
-def bodies() -> MechanicalSystem:
-    """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
-    return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
-
-
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
 
@@ -209,6 +204,9 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     angle = np.unwrap(answer["phi"] + np.where(sign < 0.0, np.pi, 0.0))
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
 
+
+bodies = partial(assemble_bodies, PARAMETERS, INPUTS, OUTPUTS)
+"""Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
 """Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""
