@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.numerics.interpolation import lagrange, symbolic_lagrange
+from servocore.numerics.interpolation import lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -215,7 +215,7 @@ def on_history(
         unknowns=unknowns,
         givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
         residual=residual,
-        guess=ca.mtimes(history, ca.DM(lagrange(places, [1.0]).T)),
+        guess=ca.mtimes(history, lagrange(places, [1.0])),
         unknown_scale=unknown_scale,
         residual_scale=residual_scale,
     )
@@ -231,8 +231,8 @@ def on_history(
         reference=reference,
         step=h,
         ratio=ratio,
-        rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(places, [ratio * place for place in places]))),
+        rescaled=ca.vec(ca.mtimes(history, lagrange(places, [ratio * place for place in places]))),
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(history, symbolic_lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
+        between=ca.vertcat(ca.mtimes(history, lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
         labels=dae.labels,
     )

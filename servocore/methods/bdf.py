@@ -21,7 +21,7 @@ def coefficients(order: int) -> tuple[Fraction, ...]:
     alpha = tuple(sum((Fraction((-1) ** i * comb(j, i), j) for j in steps[1:]), Fraction(0)) for i in steps)
     for degree in steps:
         moment = sum(a * Fraction(-i) ** degree for i, a in enumerate(alpha))
-        if moment != (1 if degree == 1 else 0):
+        if moment != (degree == 1):
             raise AssertionError(f"BDF{order} does not differentiate degree {degree}")
     return alpha
 

@@ -13,7 +13,7 @@ from servocore.dae import Dae
 from servocore.errors import InvalidSetting
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, Orders, Start
-from servocore.numerics.interpolation import Array, lagrange, symbolic_lagrange
+from servocore.numerics.interpolation import Array, lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 _MOST_STAGES = 7
@@ -164,7 +164,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         unknowns=ca.vec(unknowns),
         givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
         residual=ca.vertcat(*residual),
-        guess=ca.vec(ca.mtimes(past, ca.DM(lagrange(method.c, method.c + 1.0)).T)),
+        guess=ca.vec(ca.mtimes(past, lagrange(method.c, method.c + 1.0))),
         unknown_scale=ca.repmat(unknown_scale, s, 1),
         residual_scale=ca.repmat(residual_scale, s, 1),
     )
@@ -185,6 +185,6 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         reference=reference,
         step=h,
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(past, symbolic_lagrange(method.c, [fraction])), ca.vec(past)),
+        between=ca.vertcat(ca.mtimes(past, lagrange(method.c, [fraction])), ca.vec(past)),
         labels=dae.labels * s,
     )
