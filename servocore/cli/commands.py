@@ -71,14 +71,12 @@ def list_scenes() -> None:
     for name, factory in REGISTRY.items():
         scene = factory()
         model = scene.model()
+        ends = ["\n".join(escape(f"{e.name} [{e.unit}]") for e in group) for group in (model.inputs, model.outputs)]
         summary, needs = described(factory)
         table.add_row(
             name,
             "\n".join(scene.models),
-            *(
-                "\n".join(escape(f"{each.name} [{each.unit}]") for each in group)
-                for group in (model.inputs, model.outputs)
-            ),
+            *ends,
             f"{escape(summary)}\n[dim]{escape(needs)}[/dim]" if needs else escape(summary),
         )
     table_console().print(table)

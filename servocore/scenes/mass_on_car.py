@@ -145,7 +145,7 @@ def internal_motion(t: Array, reference: Reference, parameters: Mapping[str, flo
         position, speed = _second_order(t, reference, (inertia, d, k), drive)
         forced = push * reference.jet(t, 2)[:, 2, 0]
         return position, (forced - d * speed - k * position) / inertia
-    forces = push * np.moveaxis(reference.jet(t, 4)[:, 2:, 0], 1, 0)
+    forces = push * reference.jet(t, 4)[:, 2:, 0].T
     if d:
         integrate, limit = (forward, reference.start_time) if k >= 0.0 else (backward, reference.end_time)
         (position,) = integrate(lambda time, s: np.array([(drive(time) - k * s[0]) / d]), t, limit, 1)
