@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore.methods import Discretisation
+from servocore import Discretisation
 from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
 
 REPEATS = 15

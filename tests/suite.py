@@ -19,11 +19,10 @@ from hypothesis.extra.numpy import arrays
 from problems import METHODS, SCENES, exact, jets_near_home, largest_errors, observed_orders, scene, solved
 
 import servocore as sc
+from servocore import DEGREE3, BackwardEuler, rest_to_rest
 from servocore.dae import Dae, Equation, Unknown
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.methods import BackwardEuler
 from servocore.numerics.square_systems import compile_solver
-from servocore.references import DEGREE3, rest_to_rest
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import derivative_array

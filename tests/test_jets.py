@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from servocore.references import rest_to_rest
+from servocore import rest_to_rest
 from servocore.scenes.jets import Jet, atan2, components, sqrt
 
 ORDER = 6

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore.errors import InvalidReference
-from servocore.references import (
+from servocore import (
     DEGREE13,
     from_csv,
     rest_to_rest,
@@ -17,6 +16,7 @@ from servocore.references import (
     through,
     waypoints_from_csv,
 )
+from servocore.errors import InvalidReference
 from servocore.references.hermite import hermite
 from servocore.references.profiles import polynomial
 

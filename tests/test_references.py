@@ -12,8 +12,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from servocore.errors import InvalidReference
-from servocore.references import (
+from servocore import (
     DEGREE3,
     DEGREE5,
     DEGREE7,
@@ -24,6 +23,7 @@ from servocore.references import (
     three_phase,
     through,
 )
+from servocore.errors import InvalidReference
 from servocore.references.profiles import polynomial
 
 START, END, DURATION = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0
@@ -419,8 +419,8 @@ import sys, types
 package = types.ModuleType("servocore")
 package.__path__ = [sys.argv[1]]
 sys.modules["servocore"], sys.modules["scipy"] = package, None
-from servocore.references import rest_to_rest
-import servocore.scenes.jets
+import servocore.references.csv_file, servocore.references.periodic, servocore.scenes.jets
+from servocore.references.rest_to_rest import rest_to_rest
 rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 """
     room = Path(__file__).resolve().parents[1] / "servocore"

@@ -8,9 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from servocore import BackwardEuler, rest_to_rest
 from servocore.formulations import Projected
-from servocore.methods import BackwardEuler
-from servocore.references import rest_to_rest
 from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
 from servocore.scenes.rotary_crane_bodies import bodies
 from servocore.solvers.solve import solve

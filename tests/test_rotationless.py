@@ -15,7 +15,9 @@ from hypothesis.extra.numpy import arrays
 
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
-from servocore.model.rotationless import (
+from servocore.model.symbols import Parameter, Parameters
+from servocore.problem import without_constraints
+from servocore.rotationless import (
     GROUND,
     Assembly,
     PointMass,
@@ -32,8 +34,6 @@ from servocore.model.rotationless import (
     spherical,
     turned,
 )
-from servocore.model.symbols import Parameter, Parameters
-from servocore.problem import without_constraints
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
 from servocore.structure.structural_analysis import second_order_equations, signature

@@ -7,7 +7,7 @@ import pytest
 import scipy.integrate
 
 import servocore as sc
-from servocore.references import periodic
+from servocore import periodic
 from servocore.scenes.bar_marching import march_bar
 from servocore.scenes.elastic_bar import dalembert, wave_time
 

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
-from servocore.model.rotationless import GROUND, Assembly, Frame, RigidBody, angle, on_line, revolute, turned
+from servocore.rotationless import GROUND, Assembly, Frame, RigidBody, angle, on_line, revolute, turned
 
 CRANK, BASE = 0.5, 1.1
 """Lengths of crank and rocker, and of coupler and base, in m: a parallelogram."""

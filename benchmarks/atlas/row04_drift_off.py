@@ -12,7 +12,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, looks, panels
-from servocore.references import periodic
+from servocore import periodic
 from servocore.stepping.forward_dynamics import STABILISATION_RATE
 
 NAME = "drift-off"

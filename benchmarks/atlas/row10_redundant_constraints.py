@@ -26,9 +26,9 @@ from benchmarks.atlas.linkages import (
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import march, quietly, relative_error, slope
 from benchmarks.atlas.style import BAD, GOOD, OTHER, label, panels
-from servocore.model.rotationless import turned
 from servocore.numerics.constraint_ranks import assembled, scaled_rows, unit_rows
 from servocore.problem import without_constraints
+from servocore.rotationless import turned
 
 NAME = "redundant-constraints"
 SHORT_OF = (0.6, 0.2, 0.05, 0.01)

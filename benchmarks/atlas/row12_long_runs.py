@@ -12,7 +12,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, looks, panels
-from servocore.references import figure_of_eight
+from servocore import figure_of_eight
 
 NAME = "long-runs"
 STEPS_A_ROUND = 1000

@@ -22,8 +22,8 @@ import numpy as np
 import servocore as sc
 from benchmarks.chart.candidate import Array, Problem
 from benchmarks.chart.paths import path_jet
+from servocore import RadauIIA
 from servocore.formulations import Projected, Reduced
-from servocore.methods import RadauIIA
 from servocore.model.system import MechanicalSystem
 from servocore.solvers.loop import run
 from servocore.stepping.compilation import program_of

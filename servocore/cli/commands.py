@@ -41,7 +41,8 @@ command crane-fmu.""",
     **SETTINGS,
 )
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=f"One of {', '.join(REGISTRY)}.", show_default=False)]
+_SCENE = typer.Argument(metavar="SCENE", help=f"One of {', '.join(REGISTRY)}.", show_default=False)
+SceneName = Annotated[str, _SCENE]
 ModelName = Annotated[
     str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
 ]
@@ -70,12 +71,12 @@ def list_scenes() -> None:
     for name, factory in REGISTRY.items():
         scene = factory()
         model = scene.model()
+        ends = ["\n".join(escape(f"{e.name} [{e.unit}]") for e in group) for group in (model.inputs, model.outputs)]
         summary, needs = described(factory)
         table.add_row(
             name,
             "\n".join(scene.models),
-            "\n".join(escape(f"{each.name} [{each.unit}]") for each in model.inputs),
-            "\n".join(escape(f"{each.name} [{each.unit}]") for each in model.outputs),
+            *ends,
             f"{escape(summary)}\n[dim]{escape(needs)}[/dim]" if needs else escape(summary),
         )
     table_console().print(table)
@@ -145,9 +146,7 @@ All scenes, as the page of the documentation:
 
 [cyan]servocore levels --all --markdown docs/model-levels.md[/cyan]
 """
-OptionalScene = Annotated[
-    str | None, typer.Argument(metavar="SCENE", help=f"One of {', '.join(REGISTRY)}.", show_default=False)
-]
+OptionalScene = Annotated[str | None, _SCENE]
 AllScenes = Annotated[bool, typer.Option("--all", help="Measure every scene, instead of one.")]
 Instants = Annotated[
     int, typer.Option("--instants", metavar="N", help="Steps of a run; the error of the projected route depends on it.")

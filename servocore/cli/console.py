@@ -9,9 +9,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
-from time import monotonic
-from types import TracebackType
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, NoReturn
 
 import typer
@@ -76,38 +74,29 @@ class SentenceGroup(TyperGroup):
         sys.exit(REFUSED)
 
 
-class PatientProgress:
+class PatientProgress(AbstractContextManager["PatientProgress"]):
     """A progress bar on the error stream, for terminals only, that appears after a second."""
 
     def __init__(self, label: str) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
         self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
         self._task = self._progress.add_task(label, total=None)
-        self._begin = monotonic()
-        self._started = False
-
-    def __enter__(self) -> PatientProgress:
-        return self
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` steps are done."""
-        self._show()
-        self._progress.update(self._task, completed=done, total=total)
+        self._update(completed=done, total=total)
 
     def describe(self, label: str) -> None:
         """Change what is said to be going on."""
-        self._show()
-        self._progress.update(self._task, description=label)
+        self._update(description=label)
 
-    def _show(self) -> None:
-        if not self._started and self._progress.console.is_terminal and monotonic() - self._begin > 1.0:
-            self._progress.start()
-            self._started = True
+    def _update(self, **changes: Any) -> None:
+        if self._progress.console.is_terminal and (self._progress.tasks[0].elapsed or 0.0) > 1.0:
+            self._progress.start()  # once more does nothing
+        self._progress.update(self._task, **changes)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._started:
+    def __exit__(self, *_: object) -> None:
+        if self._progress.live.is_started:
             self._progress.stop()
 
 

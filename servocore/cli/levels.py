@@ -47,7 +47,7 @@ Describe = Callable[[str], None]
 
 
 def measure_levels(
-    scene: Scene, *, instants: int = 1000, repeats: int = 15, describe: Describe | None = None
+    scene: Scene, *, instants: int = 1000, repeats: int = 15, describe: Describe = lambda _: None
 ) -> tuple[Level, ...]:
     """Measure every model of a scene, smallest first.
 
@@ -71,11 +71,10 @@ def measure_levels(
     """
     if instants < 1 or repeats < 1:
         raise InvalidSetting(f"at least one instant and one repeat are needed, not {instants} and {repeats}")
-    tell = describe or (lambda _: None)
     levels: list[Level] = []
     runs: dict[tuple[int, str], Callable[[], object]] = {}
     for model in scene.models:
-        tell(f"preparing {scene.name}, {model}")
+        describe(f"preparing {scene.name}, {model}")
         level, refusal = _unmeasured(scene, model)
         for route, (formulation, method) in ROUTES.items():
             if refusal:
@@ -87,7 +86,7 @@ def measure_levels(
             except ServocoreError as error:
                 level.costs[route] = Cost(refusal=str(error))
         levels.append(level)
-    tell(f"measuring {scene.name}")
+    describe(f"measuring {scene.name}")
     for (k, route), seconds in timed_in_turn(runs, repeats).items():
         microseconds = Spread.of([1e6 * each / instants for each in seconds])
         levels[k].costs[route] = replace(levels[k].costs[route], microseconds=microseconds)
@@ -117,11 +116,8 @@ def input_error(scene: Scene, solution: Solution) -> float | None:
         exact = scene.exact(solution.t)
     except InvalidModel:
         return None
-    errors = []
-    for name in (each.name for each in scene.model().inputs):
-        peak = np.abs(exact[name]).max()
-        errors.append(np.abs(solution[name] - exact[name]).max() / (peak or 1.0))
-    return float(max(errors))
+    names = [each.name for each in scene.model().inputs]
+    return max(float(np.abs(solution[k] - exact[k]).max() / (np.abs(exact[k]).max() or 1.0)) for k in names)
 
 
 def compiled_run(

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import platform
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 
@@ -61,12 +63,18 @@ def csv_text(levels: Sequence[Level]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for level in levels:
-        size = level.scene, level.model, int(level.needed), level.coordinates, level.index
+        size = (
+            level.scene,
+            level.model,
+            int(level.needed),
+            level.coordinates,
+            level.index,
+            level.internal_degrees_of_freedom,
+        )
         for route, cost in level.costs.items():
             spread = cost.microseconds
-            times = (spread.median, spread.lower, spread.upper) if spread else ("", "", "")
-            row = *size, level.internal_degrees_of_freedom, route, cost.unknowns, *times, cost.error, cost.refusal
-            writer.writerow("" if each is None else each for each in row)
+            times = (spread.median, spread.lower, spread.upper) if spread else (None,) * 3
+            writer.writerow((*size, route, cost.unknowns, *times, cost.error, cost.refusal))
     return text.getvalue()
 
 
@@ -79,8 +87,7 @@ HEADINGS = (
 
 def rows(level: Level) -> list[tuple[str, ...]]:
     """Rows of a table for humans, one a route; what belongs to the model stands in the first."""
-    sizes = level.coordinates, level.index, level.internal_degrees_of_freedom
-    own = level.model, *map(str, sizes)
+    own = (level.model, *map(str, (level.coordinates, level.index, level.internal_degrees_of_freedom)))
     projected = level.costs["projected"].microseconds
     found = []
     for route, cost in level.costs.items():
@@ -134,11 +141,8 @@ def machine() -> str:
 
 
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
-    models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    if models:
-        return f"{models[0]} ({len(models)} processors)"
+    with suppress(OSError):
+        models = re.findall(r"^model name.*?:(.*)", Path("/proc/cpuinfo").read_text(encoding="utf-8"), re.MULTILINE)
+        if models:
+            return f"{models[0].strip()} ({len(models)} processors)"
     return platform.processor() or platform.machine()

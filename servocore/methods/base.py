@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.numerics.interpolation import lagrange, symbolic_lagrange
+from servocore.numerics.interpolation import lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 
@@ -105,17 +105,15 @@ class Discretisation:
     reference: ca.SX
     step: ca.SX
     labels: tuple[str, ...]
-    ratio: ca.SX = UNNEEDED
+    ratio: ca.SX = field(default_factory=lambda: ca.SX.sym("ratio"))
     rescaled: ca.SX = UNNEEDED
-    fraction: ca.SX = UNNEEDED
+    fraction: ca.SX = field(default_factory=lambda: ca.SX.sym("fraction"))
     between: ca.SX = UNNEEDED
 
     def __post_init__(self) -> None:
-        defaults = {"ratio": ca.SX.sym("ratio"), "fraction": ca.SX.sym("fraction")}
-        defaults |= {"rescaled": self.state, "between": self.state}
-        for attribute, default in defaults.items():
+        for attribute in ("rescaled", "between"):
             if getattr(self, attribute) is UNNEEDED:
-                object.__setattr__(self, attribute, default)
+                object.__setattr__(self, attribute, self.state)
 
 
 class Method(Protocol):
@@ -217,7 +215,7 @@ def on_history(
         unknowns=unknowns,
         givens=ca.vertcat(ca.vec(history), ca.vec(reference), h, dae.p),
         residual=residual,
-        guess=ca.mtimes(history, ca.DM(lagrange(places, [1.0]).T)),
+        guess=ca.mtimes(history, lagrange(places, [1.0])),
         unknown_scale=unknown_scale,
         residual_scale=residual_scale,
     )
@@ -233,8 +231,8 @@ def on_history(
         reference=reference,
         step=h,
         ratio=ratio,
-        rescaled=ca.vec(ca.mtimes(history, symbolic_lagrange(places, [ratio * place for place in places]))),
+        rescaled=ca.vec(ca.mtimes(history, lagrange(places, [ratio * place for place in places]))),
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(history, symbolic_lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
+        between=ca.vertcat(ca.mtimes(history, lagrange(places, [fraction - 1])), ca.vec(history[:, 1:])),
         labels=dae.labels,
     )

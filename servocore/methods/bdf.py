@@ -17,15 +17,13 @@ def coefficients(order: int) -> tuple[Fraction, ...]:
     They are the sum of the backward differences nabla^j / j, j = 1 ... k, and are checked to differentiate
     polynomials up to degree k.
     """
-    alpha = [Fraction(0)] * (order + 1)
-    for j in range(1, order + 1):
-        for i in range(j + 1):
-            alpha[i] += Fraction((-1) ** i * comb(j, i), j)
-    for degree in range(order + 1):
+    steps = range(order + 1)
+    alpha = tuple(sum((Fraction((-1) ** i * comb(j, i), j) for j in steps[1:]), Fraction(0)) for i in steps)
+    for degree in steps:
         moment = sum(a * Fraction(-i) ** degree for i, a in enumerate(alpha))
-        if moment != (1 if degree == 1 else 0):
+        if moment != (degree == 1):
             raise AssertionError(f"BDF{order} does not differentiate degree {degree}")
-    return tuple(alpha)
+    return alpha
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
-from numpy.polynomial import legendre
+from numpy.polynomial import Legendre
 
 from servocore.dae import Dae
 from servocore.errors import InvalidSetting
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, Orders, Start
-from servocore.numerics.interpolation import Array, lagrange, symbolic_lagrange
+from servocore.numerics.interpolation import Array, lagrange
 from servocore.numerics.square_systems import SquareSystem
 
 _MOST_STAGES = 7
@@ -54,29 +55,42 @@ def tableau(family: str, stages: int) -> Tableau:
     """
     if stages not in range(1, _MOST_STAGES + 1):
         raise InvalidSetting(f"{stages} stages are not offered; use 1 to {_MOST_STAGES}")
-    polynomial = np.zeros(stages + 1)
-    polynomial[stages] = 1.0
-    if family == "radau":
-        polynomial[stages - 1] = -1.0  # the roots of P_s - P_{s-1} include the right end
-    c = np.asarray(np.sort(np.real(legendre.legroots(polynomial))) / 2.0 + 0.5, dtype=np.float64)
+    to_the_end = family == "radau"
+    # The roots of P_s - P_(s-1) include the right end.
+    polynomial = Legendre([*[0.0] * (stages - 1), -float(to_the_end), 1.0], domain=[0.0, 1.0])
+    c = np.sort(np.real(polynomial.roots()))
     for _ in range(3):  # polish the roots
-        value = legendre.legval(2 * c - 1, polynomial)
-        slope = 2.0 * legendre.legval(2 * c - 1, legendre.legder(polynomial))
-        c = np.asarray(c - value / slope, dtype=np.float64)
-    if family == "radau":
+        c = c - polynomial(c) / polynomial.deriv()(c)
+    if to_the_end:
         c[-1] = 1.0
-    powers, counts = np.vander(c, stages + 1, increasing=True), np.arange(1.0, stages + 1)
-    A = _solve(powers[:, :-1].T, (powers[:, 1:] / counts).T).T
-    b = _solve(powers[:, :-1].T, 1.0 / counts)
-    return Tableau(c, A, b, 2 * stages - (family == "radau"))
-
-
-def _solve(matrix: Array, right: Array) -> Array:
-    return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    powers, counts = np.vander([*c, 1.0], stages + 1, increasing=True), np.arange(1.0, stages + 1)
+    weights = np.linalg.solve(powers[:-1, :-1].T, (powers[:, 1:] / counts).T).T
+    return Tableau(c, weights[:-1], weights[-1], 2 * stages - to_the_end)
 
 
 @dataclass(frozen=True)
-class RadauIIA:
+class _Collocation:
+    """What Radau IIA and Gauss share: tableau, name and equations, by the number of stages."""
+
+    family: ClassVar[str]
+    stages: int
+    tableau: Tableau = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tableau", tableau(self.family, self.stages))
+
+    @property
+    def name(self) -> str:
+        """Name on command lines and in tables."""
+        return f"{self.family}{self.stages}"
+
+    def discretise(self, dae: Dae) -> Discretisation:
+        """Return the equations of one step."""
+        return _discretise(dae, self.tableau)
+
+
+@dataclass(frozen=True)
+class RadauIIA(_Collocation):
     """Radau IIA with s stages: collocation at nodes of which the last is the end of the step.
 
         H(X_i) sum_j w_ij (X_j - x0) = h f(X_i, Z_i, t0 + c_i h),    0 = h(X_i, Z_i, t0 + c_i h),    W = A^-1
@@ -86,16 +100,8 @@ class RadauIIA:
     or more stages one order: on index 5 two stages diverge, three do not converge.
     """
 
+    family = "radau"
     stages: int = 3
-    tableau: Tableau = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tableau", tableau("radau", self.stages))
-
-    @property
-    def name(self) -> str:
-        """Name on command lines and in tables."""
-        return f"radau{self.stages}"
 
     def orders(self, index: int) -> Orders:
         """Return the orders of convergence on a form of the given index."""
@@ -112,11 +118,11 @@ class RadauIIA:
         """Return the equations of one step; with one stage they are those of backward Euler."""
         if self.stages == 1:
             return BackwardEuler().discretise(dae)
-        return _discretise(dae, self.tableau)
+        return super().discretise(dae)
 
 
 @dataclass(frozen=True)
-class Gauss:
+class Gauss(_Collocation):
     """Gauss collocation with s stages; one stage is the implicit midpoint rule.
 
     Order 2 s on ordinary differential equations, symplectic, not stiffly accurate: on projected forms nothing damps
@@ -124,16 +130,8 @@ class Gauss:
     inputs lose four orders: with two their error grows like 1/h^2. Kept to show that; not a route to results.
     """
 
+    family = "gauss"
     stages: int = 1
-    tableau: Tableau = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tableau", tableau("gauss", self.stages))
-
-    @property
-    def name(self) -> str:
-        """Name on command lines and in tables."""
-        return f"gauss{self.stages}"
 
     def orders(self, index: int) -> Orders:
         """Return the orders of convergence on a form of the given index."""
@@ -145,10 +143,6 @@ class Gauss:
             forces = -lost if s % 2 else s - 4 - 2 * lost
             return Orders(forces + 2, forces + 1, forces)
         return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4)
-
-    def discretise(self, dae: Dae) -> Discretisation:
-        """Return the equations of one step."""
-        return _discretise(dae, self.tableau)
 
 
 def _discretise(dae: Dae, method: Tableau) -> Discretisation:
@@ -170,7 +164,7 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
         unknowns=ca.vec(unknowns),
         givens=ca.vertcat(state, ca.vec(reference), h, dae.p),
         residual=ca.vertcat(*residual),
-        guess=ca.vec(ca.mtimes(past, ca.DM(lagrange(method.c, method.c + 1.0)).T)),
+        guess=ca.vec(ca.mtimes(past, lagrange(method.c, method.c + 1.0))),
         unknown_scale=ca.repmat(unknown_scale, s, 1),
         residual_scale=ca.repmat(residual_scale, s, 1),
     )
@@ -179,19 +173,18 @@ def _discretise(dae: Dae, method: Tableau) -> Discretisation:
     end = (1.0 - weights.sum()) * old + ca.mtimes(unknowns, ca.DM(weights))
     if method.c[-1] == 1.0:
         end = unknowns[:, -1]
-    first = start.values[:, 0]
     return Discretisation(
         equations=equations,
         state=state,
         next_state=ca.vertcat(end, ca.vec(unknowns)),
         start=start,
-        first_state=ca.repmat(first, s + 1, 1),
+        first_state=ca.repmat(start.values[:, 0], s + 1, 1),
         x=old[:size_x],
         z=old[size_x:],
         nodes=tuple(float(c) for c in method.c),
         reference=reference,
         step=h,
         fraction=fraction,
-        between=ca.vertcat(ca.mtimes(past, symbolic_lagrange(method.c, [fraction])), ca.vec(past)),
+        between=ca.vertcat(ca.mtimes(past, lagrange(method.c, [fraction])), ca.vec(past)),
         labels=dae.labels * s,
     )

@@ -56,8 +56,7 @@ class GeneralizedAlpha:
         a1, rate1, h = ca.SX.sym("a", n), ca.SX.sym("v_dot", n), ca.SX.sym("h")
         q1, v1 = dae.x[places_q], dae.x[places_v]
         reference, (at_end,) = dae.reference_symbols(1)
-        x_dot = ca.SX.zeros(2 * n)
-        x_dot[places_q], x_dot[places_v] = v1, rate1
+        x_dot = _joined(places_q, places_v, v1, rate1)
         balance = dae.at(ca.mtimes(dae.H, x_dot) - dae.f, dae.x, dae.z, at_end)
         kept = [k for k in range(balance.numel()) if not balance[k].is_zero()]  # q_dot = v holds by construction
         residual = ca.vertcat(
@@ -81,15 +80,13 @@ class GeneralizedAlpha:
         )
         start, fraction = Start.of(dae), ca.SX.sym("fraction")
         back = (1 - fraction) * h
-        x_first, rate_first = start.values[: 2 * n, 0], start.rates[places_v]
+        first, rate_first = start.values[:, 0], start.rates[places_v]
         return Discretisation(
             equations=equations,
             state=old,
             next_state=ca.vertcat(q1, v1, dae.z, a1, rate1),
             start=start,
-            first_state=ca.vertcat(
-                x_first[places_q], x_first[places_v], start.values[2 * n :, 0], rate_first, rate_first
-            ),
+            first_state=ca.vertcat(first[places_q], first[places_v], first[2 * n :], rate_first, rate_first),
             x=_joined(places_q, places_v, q0, v0),
             z=z0,
             nodes=(1.0,),

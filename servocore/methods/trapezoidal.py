@@ -34,8 +34,9 @@ class Trapezoidal:
         history = ca.SX.sym("past", size_x + dae.z.numel(), 2)
         reference, (gamma0, gamma1) = dae.reference_symbols(2)
         old_x, old_z = history[:size_x, 0], history[size_x:, 0]
-        H = (dae.at(dae.H, old_x, old_z, gamma0) + dae.at(dae.H, dae.x, dae.z, gamma1)) / 2
-        f = (dae.at(dae.f, old_x, old_z, gamma0) + dae.at(dae.f, dae.x, dae.z, gamma1)) / 2
+        H, f = (
+            (dae.at(each, old_x, old_z, gamma0) + dae.at(each, dae.x, dae.z, gamma1)) / 2 for each in (dae.H, dae.f)
+        )
         residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, dae.at(dae.h, dae.x, dae.z, gamma1))
         first = ca.repmat(start.values[:, 0], 1, 2)
         return on_history(dae, history, residual, h=h, reference=reference, nodes=(0.0, 1.0), start=start, first=first)

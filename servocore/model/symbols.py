@@ -7,7 +7,7 @@ remain inputs of every compiled function: an FMU can tune them, a user can diffe
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import casadi as ca
@@ -57,10 +57,16 @@ class Parameter:
         return number
 
 
-def _require_unique(names: tuple[str, ...], kind: str) -> None:
+def require_unique(names: Sequence[str], kind: str) -> None:
+    """Raise `InvalidModel`, naming them, if some of the names are the same."""
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InvalidModel(f"{kind} named twice: {', '.join(repeated)}")
+
+
+def symbols(names: Iterable[str]) -> ca.SX:
+    """Return a column of symbols, empty without names."""
+    return ca.vertcat(ca.SX(0, 1), *map(ca.SX.sym, names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +85,9 @@ class Coordinates:
 
     def __init__(self, *quantities: Quantity) -> None:
         object.__setattr__(self, "quantities", quantities)
-        _require_unique(self.names, "coordinate")
-        for attribute, prefix in (("q", ""), ("v", "v_")):
-            symbols = [ca.SX.sym(prefix + quantity.name) for quantity in quantities]
-            object.__setattr__(self, attribute, ca.vertcat(ca.SX(0, 1), *symbols))
+        require_unique(self.names, "coordinate")
+        object.__setattr__(self, "q", symbols(self.names))
+        object.__setattr__(self, "v", symbols(f"v_{name}" for name in self.names))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -126,9 +131,8 @@ class Parameters:
 
     def __init__(self, *declared: Parameter) -> None:
         object.__setattr__(self, "declared", declared)
-        _require_unique(self.names, "parameter")
-        symbols = [ca.SX.sym(parameter.name) for parameter in declared]
-        object.__setattr__(self, "p", ca.vertcat(ca.SX(0, 1), *symbols))
+        require_unique(self.names, "parameter")
+        object.__setattr__(self, "p", symbols(self.names))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Coordinates, Parameters
+from servocore.model.symbols import Coordinates, Parameters, symbols
 from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
 from servocore.numerics.pivoting import last_good_columns
@@ -33,8 +33,14 @@ DERIVED = ca.SX()
 """Default of the fields that `MechanicalSystem` makes itself when they are not given."""
 
 
-def _column(length: int = 0) -> ca.SX:
-    return ca.SX(length, 1)
+def reference_symbols(components: int) -> ca.SX:
+    """Return symbols of a reference and its derivatives, shape (components, `MAX_REFERENCE_ORDER` + 1)."""
+    return ca.SX.sym("gamma", components, MAX_REFERENCE_ORDER + 1)
+
+
+def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
+    """Return the matrix with these entries on its diagonal, sparse."""
+    return ca.sparsify(ca.diag(ca.vertcat(*entries)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +120,7 @@ class MechanicalSystem:
     input_matrix: ca.SX
     potential: ca.SX = field(default_factory=lambda: ca.SX(0))
     force: ca.SX = DERIVED
-    constraints: ca.SX = field(default_factory=_column)
+    constraints: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
     gyroscopic: ca.SX = DERIVED
     multipliers: ca.SX = DERIVED
     gamma: ca.SX = DERIVED
@@ -133,15 +139,12 @@ class MechanicalSystem:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
         self._fill("force", ca.SX.zeros(n))
         self._fill("multipliers", ca.SX.sym("lam", m_h))
-        self._fill("gamma", ca.SX.sym("gamma", m, MAX_REFERENCE_ORDER + 1))
+        self._fill("gamma", reference_symbols(m))
         self._fill("guess", ca.SX.zeros(n))
         object.__setattr__(self, "home", self.home or (1.0,) * m)
-        self._fill("u", ca.vertcat(_column(), *[ca.SX.sym(each.name) for each in self.inputs]))
+        self._fill("u", symbols(each.name for each in self.inputs))
         object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
-        self._require_shapes(n, m, m_h)
-        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
-        self._require_shape("gyroscopic", (n, 1))
-        self._require_own_symbols()
+        self._require_fields(n, m, m_h)
         self._derive()
         self._require_symmetric_mass()
         self._require_freedom(n, m, m_h)
@@ -157,35 +160,30 @@ class MechanicalSystem:
         if getattr(self, attribute) is DERIVED:
             object.__setattr__(self, attribute, default)
 
-    def _require_shapes(self, n: int, m: int, m_h: int) -> None:
+    def _require_fields(self, n: int, m: int, m_h: int) -> None:
+        """Check sizes, and that no expression holds a foreign symbol; derive the gyroscopic forces in between."""
         if len(self.outputs) != m:
             raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
         if len(self.constraint_names) not in (0, m_h):
             raise InvalidModel(f"{self.name}: {len(self.constraint_names)} names for {m_h} holonomic constraints")
-        expected = {
-            "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
-            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
-            "gamma": (m, MAX_REFERENCE_ORDER + 1),
-        }  # fmt: skip
-        for attribute, shape in expected.items():
-            self._require_shape(attribute, shape)
-
-    def _require_shape(self, attribute: str, shape: tuple[int, int]) -> None:
-        found = ca.SX(getattr(self, attribute)).shape
-        if found != shape:
-            raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
-
-    def _require_own_symbols(self) -> None:
         q, v, p = self.q, self.v, self.p
-        allowed = {
-            "mass": (q, p), "output": (q, p), "input_matrix": (q, p), "potential": (q, p),
-            "force": (q, v, p), "gyroscopic": (q, v, p), "constraints": (q, p), "guess": (self.gamma, p),
+        fields = {
+            "mass": ((n, n), (q, p)), "output": ((m, 1), (q, p)), "input_matrix": ((m, n), (q, p)),
+            "potential": ((1, 1), (q, p)), "force": ((n, 1), (q, v, p)), "constraints": ((m_h, 1), (q, p)),
+            "multipliers": ((m_h, 1), ()), "guess": ((n, 1), (self.gamma, p)), "u": ((m, 1), ()),
+            "gamma": ((m, MAX_REFERENCE_ORDER + 1), ()), "gyroscopic": ((n, 1), (q, v, p)),
         }  # fmt: skip
-        for attribute, groups in allowed.items():
-            self._require_symbols(attribute, getattr(self, attribute), groups)
-        everything = (q, v, p, self.lam, self.u, self.gamma)
+        for attribute, (shape, _) in fields.items():
+            if attribute == "gyroscopic":
+                self._fill(attribute, gyroscopic_forces(self.mass, q, v))
+            found = ca.SX(getattr(self, attribute)).shape
+            if found != shape:
+                raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+        for attribute, (_, groups) in fields.items():
+            if groups:
+                self._require_symbols(attribute, getattr(self, attribute), groups)
         for quantity, expression in self.observables.items():
-            self._require_symbols(f"observable {quantity.name}", expression, everything)
+            self._require_symbols(f"observable {quantity.name}", expression, (q, v, p, self.lam, self.u, self.gamma))
 
     def _require_symbols(self, what: str, expression: ca.SX, groups: tuple[ca.SX, ...]) -> None:
         known = ca.vertcat(*[ca.vec(group) for group in groups])

@@ -111,23 +111,24 @@ def assembled(rows: Rows, x: Array) -> Array | None:
         return None
     lengths = np.linalg.norm(jacobian, axis=1)
     lengths[lengths < ROUND_OFF] = 1.0
-    damping = 1.0
+    residual, damping = residual / lengths, 1.0
     for _ in range(_ITERATIONS):
-        worst = float(np.abs(residual / lengths).max(initial=0.0))
+        worst = np.abs(residual).max(initial=0.0)
         if worst <= _CLOSED:
             break
         left, values, right = np.linalg.svd(jacobian / lengths[:, None], full_matrices=False)
-        size = float(np.linalg.norm(residual / lengths))
+        size = np.linalg.norm(residual)
         weights = values / (values**2 + max(damping * size**2, _DAMPING_FLOOR))
-        trial = x - right.T @ (weights * (left.T @ (residual / lengths)))
+        trial = x - right.T @ (weights * (left.T @ residual))
         new, at_trial = rows(trial)
-        if np.isfinite(new).all() and np.isfinite(at_trial).all() and np.linalg.norm(new / lengths) < size:
+        new = new / lengths
+        if np.isfinite(at_trial).all() and np.linalg.norm(new) < size:  # NaN is not less
             x, residual, jacobian, damping = trial, new, at_trial, max(damping / 4, 1.0)
         elif worst <= _ASSEMBLED:
             break
         else:
             damping *= 10.0
-    return x if float(np.abs(residual / lengths).max(initial=0.0)) <= _ASSEMBLED else None
+    return x if np.abs(residual).max(initial=0.0) <= _ASSEMBLED else None
 
 
 def _neighbours(rows: Rows, x: Array, distance: float) -> list[Array]:
@@ -155,11 +156,9 @@ def _dependent(jacobian: Array, rank: int) -> tuple[int, ...]:
     null, chosen = left[:, rank:], []
     while null.shape[1]:
         parts = np.linalg.norm(null, axis=1)
-        row = int(np.flatnonzero(parts >= _LARGE_ENOUGH * parts.max())[-1])
-        chosen.append(row)
+        chosen.append(int(np.flatnonzero(parts >= _LARGE_ENOUGH * parts.max())[-1]))
         # What remains are the dependences in which the chosen row has no part.
-        without = np.linalg.svd(null[[row]])[2][1:].T
-        null = null @ without
+        null = null @ np.linalg.svd(null[chosen[-1:]])[2][1:].T
     return tuple(sorted(chosen))
 
 

@@ -13,45 +13,27 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def lagrange(nodes: npt.ArrayLike, points: npt.ArrayLike) -> Array:
-    """Return the weights L with L @ values(nodes) = values(points), for polynomials of degree len(nodes) - 1.
+def lagrange(nodes: npt.ArrayLike, points: Iterable[Any]) -> Any:
+    """Return the weights W with values(nodes) @ W = values(points), for polynomials of degree len(nodes) - 1.
 
     Parameters
     ----------
     nodes : array_like, shape (n,)
         Where values are known; no two alike.
-    points : array_like, shape (m,)
+    points : iterable of float or casadi.SX, length m
         Where values are wanted, in the unit of the nodes.
 
     Returns
     -------
-    ndarray, shape (m, n)
-        Each row sums to one.
-    """
-    return np.column_stack(_weights(np.asarray(nodes, dtype=np.float64), np.asarray(points, dtype=np.float64)))
-
-
-def symbolic_lagrange(nodes: npt.ArrayLike, points: Iterable[ca.SX]) -> ca.SX:
-    """Return the weights W with values(nodes) @ W = values(points), as `lagrange` does for points that are symbols.
-
-    Parameters
-    ----------
-    nodes : array_like, shape (n,)
-        Where values are known; no two alike.
-    points : iterable of casadi.SX, length m
-        Where values are wanted, in the unit of the nodes.
-
-    Returns
-    -------
-    casadi.SX, shape (n, m)
-        Values stand side by side here, one column a node, as CasADi's columns do.
+    casadi.DM or casadi.SX, shape (n, m)
+        Values stand side by side here, one column a node, as CasADi's columns do. Each column of W sums to one.
     """
     places = np.asarray(nodes, dtype=np.float64)
     return ca.horzcat(*[ca.vertcat(*_weights(places, point)) for point in points])
 
 
 def _weights(nodes: Array, point: Any) -> list[Any]:
-    """Value at a point (or array of points) of each polynomial that is one at its own node and zero at the others."""
+    """Value at a point of each polynomial that is one at its own node and zero at the others."""
     weights = []
     for i, own in enumerate(nodes):
         others = np.delete(nodes, i)

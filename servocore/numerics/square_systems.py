@@ -14,7 +14,7 @@ system at the solution.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -81,11 +81,7 @@ class _Assembly:
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
         """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
-        if not self.explicit:
-            return list(expressions)
-        symbols, values = zip(*self.explicit, strict=True)
-        found: list[ca.SX] = ca.substitute(list(expressions), [ca.vertcat(*symbols)], [ca.vertcat(*values)])
-        return found
+        return _substituted(self.explicit, *expressions)
 
     def flush(self) -> None:
         """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
@@ -98,6 +94,15 @@ class _Assembly:
     def learn(self, symbols: ca.SX, values: ca.MX) -> None:
         self.symbols = ca.vertcat(self.symbols, symbols)
         self.values = ca.vertcat(self.values, values)
+
+
+def _substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[ca.SX]:
+    """Return `expressions` with (symbol, expression in its place) of all pairs put in at once."""
+    if not pairs:
+        return list(expressions)
+    symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
+    found: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
+    return found
 
 
 def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -155,8 +160,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         [ca.densify(each) for each in assembly.resolved(*outputs, worst)],
         {"cse": True},
     )
-    results = finish(assembly.values)
-    *found, residual = results if isinstance(results, tuple | list) else (results,)
+    *found, residual = finish.call([assembly.values])
     most = ca.MX(0)
     total = ca.MX(assembly.linear_blocks)
     for count in assembly.iterations:
@@ -173,27 +177,23 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     constants: list[tuple[ca.SX, ca.SX]] = []
     while system.unknowns.numel():
         jacobian = ca.jacobian(system.residual, system.unknowns)
-        by_row = jacobian.sparsity().T
-        starts, columns = by_row.colind(), by_row.row()
+        pattern = _dependence(jacobian)
         found: dict[int, tuple[int, ca.SX]] = {}
-        for i in range(system.unknowns.numel()):
-            if starts[i + 1] - starts[i] != 1 or not jacobian[i, columns[starts[i]]].is_constant():
-                continue
-            j = columns[starts[i]]
+        for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
+            j = int(pattern[i].argmax())
             value = -ca.substitute(system.residual[i], system.unknowns[j], ca.SX(0)) / jacobian[i, j]
-            if value.is_constant() and j not in found:
-                found[j] = (i, value)
+            if jacobian[i, j].is_constant() and value.is_constant():
+                found.setdefault(j, (i, value))
         if not found:
             break
-        symbols, values = system.unknowns[list(found)], ca.vertcat(*[value for _, value in found.values()])
-        constants += list(zip(ca.vertsplit(symbols), ca.vertsplit(values), strict=True))
-        rows = {i for i, _ in found.values()}
-        kept_rows = [i for i in range(system.residual.numel()) if i not in rows]
-        kept = [j for j in range(system.unknowns.numel()) if j not in found]
-        system = SquareSystem(
+        numbers = [(system.unknowns[j], value) for j, (_, value) in found.items()]
+        constants += numbers
+        kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in found.values()]).tolist()
+        kept = np.setdiff1d(range(len(pattern)), list(found)).tolist()
+        system = replace(
+            system,
             unknowns=system.unknowns[kept],
-            givens=system.givens,
-            residual=ca.substitute(system.residual[kept_rows], symbols, values),
+            residual=_substituted(numbers, system.residual[kept_rows])[0],
             guess=system.guess[kept],
             unknown_scale=system.unknown_scale[kept],
             residual_scale=system.residual_scale[kept_rows],
@@ -261,19 +261,23 @@ def _solve_linear(assembly: _Assembly, unknowns: ca.SX, residual: ca.SX, jacobia
 def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
     system = assembly.system
     core, kept_rows, torn = _tear(system, rows, columns)
-    unknowns, residual = system.unknowns[core], system.residual[kept_rows]
+    (residual,) = _substituted(torn, system.residual[kept_rows])
+    find = _iterated_once if assembly.flat else _iterated
+    unknowns, guess, scale = (each[core] for each in (system.unknowns, system.guess, system.unknown_scale))
+    assembly.learn(unknowns, find(assembly, residual, unknowns, guess, scale, system.residual_scale[kept_rows]))
     for symbol, expression in torn:
-        residual = ca.substitute(residual, symbol, expression)
-    guess, scale, row_scale = system.guess[core], system.unknown_scale[core], system.residual_scale[kept_rows]
-    if assembly.flat:
-        assembly.learn(unknowns, _iterated_once(assembly, residual, unknowns, guess, scale))
-        for symbol, expression in torn:
-            assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
-        return
+        assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+
+
+def _iterated(
+    assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX, row_scale: ca.SX
+) -> ca.MX:
+    """Return where Newton's method ends, or NaN if it does not."""
+    system = assembly.system
     prepare = ca.Function("sc_prepare", [system.givens], [guess / scale, scale, row_scale], {"cse": True})
     start, scale_value, row_scale_value = prepare(assembly.values[: system.givens.numel()])
 
-    size = len(core)
+    size = unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
     scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
     equations = ca.substitute(residual, unknowns, scaled * scale_symbol) / row_scale_symbol
@@ -293,12 +297,12 @@ def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -
     assembly.iterations.append(ticks)
     # A count at the limit is a failure: let it spread instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
-    assembly.learn(unknowns, root[:size] * scale_value * verdict)
-    for symbol, expression in torn:
-        assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+    return root[:size] * scale_value * verdict
 
 
-def _iterated_once(assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX) -> ca.MX:
+def _iterated_once(
+    assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX, _: ca.SX
+) -> ca.MX:
     """Return a guess after one Newton iteration, or NaN if that moved it by more than `STEP_TOLERANCE`."""
     jacobian, size = ca.jacobian(residual, unknowns), unknowns.numel()
     correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
@@ -332,19 +336,14 @@ def _tear(
             break
         i, j = best
         touched = [k for k in active_rows if pattern[k, j] and k != i]
-        for k in touched:
-            pattern[k] |= pattern[i]
-            constant = {(r, c) for r, c in constant if r != k or not pattern[i, c]}
+        pattern[touched] |= pattern[i]
+        constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
         active_rows.remove(i)
         active_columns.remove(j)
-        constant = {(r, c) for r, c in constant if c != j}
         pivots.append(best)
     torn: list[tuple[ca.SX, ca.SX]] = []
     for i, j in pivots:
-        row = residual[i]
-        for symbol, expression in torn:
-            row = ca.substitute(row, symbol, expression)
-        unknown = unknowns[j]
+        (row,), unknown = _substituted(torn, residual[i]), unknowns[j]
         coefficient = ca.jacobian(row, unknown)
         value = -ca.substitute(row, unknown, ca.SX(0)) / coefficient
         torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]
@@ -356,7 +355,7 @@ def _tear(
 
 def _dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
     pattern = np.zeros(jacobian.shape, dtype=bool)
-    pattern[tuple(np.array(jacobian.sparsity().get_triplet()))] = True
+    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
     return pattern
 
 
@@ -366,12 +365,10 @@ def _cheapest_pivot(
     active_rows: set[int],
 ) -> tuple[int, int] | None:
     """Return the constant entry whose elimination creates the fewest new entries, if those are few enough."""
-    best: tuple[int, int, int] | None = None
-    for i, j in constant:
-        if i not in active_rows:
-            continue
+
+    def fill(i: int, j: int) -> int:
         touched = [k for k in active_rows if pattern[k, j] and k != i]
-        fill = int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
-        if best is None or (fill, i, j) < best:
-            best = (fill, i, j)
+        return int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
+
+    best = min(((fill(i, j), i, j) for i, j in constant if i in active_rows), default=None)
     return best[1:] if best is not None and best[0] <= _TEARING_FILL else None

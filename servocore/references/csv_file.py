@@ -85,9 +85,13 @@ def from_csv(
     """
     require_order(rest_order)
     table = _read(path, columns, len(PREFIXES))
-    if table.derivatives.shape[1] > rest_order and tolerance is None:
-        return _hermite_path(table)
-    return _sampled_path(table, tolerance, rest_order)
+    if table.derivatives.shape[1] <= rest_order or tolerance is not None:
+        return _sampled_path(table, tolerance, rest_order)
+    _need_rows(table, 2)
+    found, worst = hermite(table.t, table.derivatives)
+    if worst is not None:
+        _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
+    return found
 
 
 def waypoints_from_csv(
@@ -117,14 +121,6 @@ def waypoints_from_csv(
     table = _read(path, columns, 1)
     _need_rows(table, 2)
     return through(table.derivatives[:, 0], table.t, rest_order=rest_order)
-
-
-def _hermite_path(table: _Table) -> PiecewisePolynomial:
-    _need_rows(table, 2)
-    path, worst = hermite(table.t, table.derivatives)
-    if worst is not None:
-        _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
-    return path
 
 
 def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:

@@ -115,13 +115,10 @@ def _peaks(derivatives: FloatArray, duration: float) -> FloatArray:
 def _resting_ends(derivatives: FloatArray, duration: float) -> tuple[FloatArray, tuple[bool, bool]]:
     """Find which ends rest, and make their derivatives exactly zero in a copy of the rows."""
     rows = derivatives.copy()
-    limit = REST * _peaks(rows, duration)[1:]
-    first, last = (bool((np.abs(rows[end, 1:]) <= limit).all()) for end in (0, -1))
-    if first:
-        rows[0, 1:] = 0.0
-    if last:
-        rows[-1, 1:] = 0.0
-    return rows, (first, last)
+    small = np.abs(rows[[0, -1], 1:]) <= REST * _peaks(rows, duration)[1:]
+    rests = small.reshape(2, -1).all(axis=1)
+    rows[np.array([0, -1])[rests], 1:] = 0.0
+    return rows, (bool(rests[0]), bool(rests[1]))
 
 
 def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], taylor: FloatArray) -> PiecewisePolynomial:

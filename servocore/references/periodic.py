@@ -55,16 +55,12 @@ class Periodic(Reference):
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         turn = np.fmod(t - self.start_time, self.period) / self.period
-        gamma = np.zeros((t.size, order + 1, self.dimension))
-        gamma[:, 0] = self.centre
-        for k, (cosine, sine) in enumerate(zip(self.cosines, self.sines, strict=True), 1):
-            angle = 2.0 * np.pi * np.fmod(k * turn, 1.0)
-            c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-            rate = 2.0 * np.pi * k / self.period
-            a, b = cosine, sine  # of the derivative at hand: (a cos + b sin)' = rate (b cos - a sin)
-            for j in range(order + 1):
-                gamma[:, j] += rate**j * (a * c + b * s)
-                a, b = b, -a
+        harmonics = np.arange(1.0, len(self.cosines) + 1.0)
+        # a cos + b sin is the real part of (a - i b) e^(i angle), of which every derivative is i rate times the last
+        waves = np.exp(2j * np.pi * np.fmod(turn[:, None] * harmonics, 1.0))
+        factors = np.vander(2j * np.pi * harmonics / self.period, order + 1, increasing=True)
+        gamma: FloatArray = np.einsum("nk,kj,kd->njd", waves, factors, self.cosines - 1j * self.sines).real
+        gamma[:, 0] += self.centre
         return gamma
 
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import factorial
+from math import perm
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 
 from servocore.references.base import FloatArray, Reference
 
@@ -53,17 +54,12 @@ class PiecewisePolynomial(Reference):
         left, right = self.knots[piece], self.knots[piece + 1]
         length = right - left
         u = ((t - left) - (right - t)) / (2.0 * length)
-        factors = self.coefficients[piece]
-        gamma = np.zeros((t.size, order + 1, self.dimension))
+        gamma = np.empty((t.size, order + 1, self.dimension))
+        factors = np.moveaxis(self.coefficients[piece], 1, 0)
         for k in range(order + 1):
-            for i in range(factors.shape[1] - 1, k - 1, -1):  # Horner's rule for the k-th derivative by u
-                gamma[:, k] = gamma[:, k] * u[:, None] + (factorial(i) // factorial(i - k)) * factors[:, i]
-            gamma[:, k] /= length[:, None] ** k
-        return self._at_rest_outside(t, gamma)
-
-    def _at_rest_outside(self, t: FloatArray, gamma: FloatArray) -> FloatArray:
-        """Replace the jets of resting times; a derivative above `smoothness` is the one just after."""
-        if self.rests_before:
+            slopes = np.array([perm(i, k) for i in range(k, len(factors))], dtype=np.float64)
+            gamma[:, k] = polyval(u[:, None], slopes[:, None, None] * factors[k:], tensor=False) / length[:, None] ** k
+        if self.rests_before:  # a derivative above `smoothness` is the one just after
             resting = t <= self.start_time
             gamma[resting, 0] = self.ends[0]
             gamma[resting, 1 : self.smoothness + 1] = 0.0

@@ -14,6 +14,7 @@ from math import comb, factorial, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polyder, polymul, polyval
 
 from servocore.errors import InvalidReference
 
@@ -117,8 +118,7 @@ class PolynomialProfile(Profile):
         """
         k = self.smoothness
         scale = factorial(2 * k + 1) // factorial(k) ** 2
-        tail = [Fraction((-1) ** i * scale * comb(k, i), k + 1 + i) for i in range(k + 1)]
-        return (0,) * (k + 1) + tuple(int(value) for value in tail)
+        return (0,) * (k + 1) + tuple((-1) ** i * scale * comb(k, i) // (k + 1 + i) for i in range(k + 1))
 
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
         """Evaluate as `Profile.jet` says."""
@@ -127,11 +127,11 @@ class PolynomialProfile(Profile):
         w, v = T * R, R - T
         s = np.empty((T.size, order + 1))
         small, large = np.minimum(T, R), np.maximum(T, R)
-        near = small ** (k + 1) * _horner(self._weights, large)
+        near = small ** (k + 1) * polyval(large, self._weights)
         s[:, 0] = np.where(T <= R, near, 1.0 - near)
         s[:, self.degree + 1 :] = 0.0
         for m, factor in enumerate(self._slopes[:order], 1):
-            s[:, m] = w ** max(k + 1 - m, 0) * _horner(factor, v) / duration**m
+            s[:, m] = w ** max(k + 1 - m, 0) * polyval(v, factor) / duration**m
         return s
 
 
@@ -249,32 +249,13 @@ def polynomial(degree: int) -> PolynomialProfile:
 
 def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
     """Coefficients in v of c G_0 ... c G_k, then of the derivatives of c G_k by T: the power of w is used up."""
-    factor, found = [Fraction(factorial(2 * k + 1), factorial(k) ** 2)], []
+    half = Fraction(1, 2)
+    factor, found = np.array([Fraction(factorial(2 * k + 1), factorial(k) ** 2)]), []
     for j in range(2 * k + 1):
         found.append(tuple(float(value) for value in factor))
-        slope = _slope(factor)
-        if j < k:
-            factor = [Fraction(0), *((k - j) * value for value in factor)]
-            for i, value in enumerate(slope):
-                factor[i] -= value / 2
-                factor[i + 2] += value / 2
-        else:
-            factor = [-2 * value for value in slope]
+        slope = polyder(factor)
+        factor = polyadd(polymul([0, k - j], factor), polymul([-half, 0, half], slope)) if j < k else -2 * slope
     return tuple(found)
-
-
-def _slope(coefficients: list[Fraction]) -> list[Fraction]:
-    """Coefficients of the derivative of a polynomial."""
-    return [i * value for i, value in enumerate(coefficients)][1:]
-
-
-def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
-    """Value of a polynomial, lowest coefficient first."""
-    value = np.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        value *= x
-        value += coefficient
-    return value
 
 
 DEGREE3 = polynomial(3)

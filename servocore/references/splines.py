@@ -13,6 +13,8 @@ from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_kn
 from servocore.references.profiles import three_phase
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy.typing as npt
     from scipy.interpolate import BSpline
 
@@ -168,9 +170,10 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
 def _interpolation(t: FloatArray, positions: FloatArray, free: Ends) -> _Fit:
     """Return the spline through all samples; an end rests if that predicts left-out samples as well."""
     rounding = 100.0 * np.finfo(np.float64).eps * float(np.abs(positions).max())
-    moving = _left_out_distance(t, positions, free)
-    start = _left_out_distance(t, positions, replace(free, start=True))
-    end = _left_out_distance(t, positions, replace(free, end=True))
+    moving, start, end = (
+        np.max([_distance(half(t), positions) for half in _half_fits(t, positions, ends)], axis=0)
+        for ends in (free, replace(free, start=True), replace(free, end=True))
+    )
     near = free.degree + 1  # samples that the treatment of an end moves most
     ends = replace(
         free,
@@ -180,26 +183,22 @@ def _interpolation(t: FloatArray, positions: FloatArray, free: Ends) -> _Fit:
     return _Fit(fit(t, positions, interpolation_knots(t, ends), ends), ends, None)
 
 
-def _left_out_distance(t: FloatArray, positions: FloatArray, ends: Ends) -> FloatArray:
-    """Distance (n,) in m between each sample and an interpolation of every second sample without it."""
-    distance = np.zeros(len(t))
-    for kept in _halves(len(t)):
-        half = fit(t[kept], positions[kept], interpolation_knots(t[kept], ends), ends)
-        distance = np.maximum(distance, _distance(half(t), positions))
-    return distance
+def _half_fits(
+    t: FloatArray, positions: FloatArray, ends: Ends, inner_knots: FloatArray | None = None
+) -> Iterator[BSpline]:
+    """Fit every second sample, then every other one, first and last with both; by interpolation if without knots."""
+    for first in (2, 1):
+        kept = np.unique([0, *range(first, len(t), 2), len(t) - 1])
+        knots = interpolation_knots(t[kept], ends) if inner_knots is None else inner_knots
+        yield fit(t[kept], positions[kept], knots, ends)
 
 
 def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) -> PiecewisePolynomial:
     """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
     order, near = found.ends.order, found.ends.degree + 1
-    judged = found.spline(t, nu=order)
-    error = _distance(found.spline(t), positions).max()
-    doubt = np.zeros(len(t))
-    for kept in _halves(len(t)):
-        knots = interpolation_knots(t[kept], found.ends) if found.inner_knots is None else found.inner_knots
-        half = fit(t[kept], positions[kept], knots, found.ends)
-        error = max(error, _distance(half(t), positions).max())
-        doubt = np.maximum(doubt, _distance(half(t, nu=order), judged))
+    judged, halves = found.spline(t, nu=order), list(_half_fits(t, positions, found.ends, found.inner_knots))
+    error = max(_distance(each(t), positions).max() for each in (found.spline, *halves))
+    doubt = np.max([_distance(half(t, nu=order), judged) for half in halves], axis=0)
     peak = np.linalg.norm(judged, axis=1).max()
     slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** order  # of a path worth the name
     limit = share * max(peak, slightest)
@@ -215,13 +214,6 @@ def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) ->
             "rounded or noisy and need a tolerance"
         )
     return to_path(found.spline, found.ends, float(error))
-
-
-def _halves(count: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Every second sample, and every other one; first and last belong to both."""
-    number = np.arange(count)
-    inside = (number > 0) & (number < count - 1)
-    return np.flatnonzero(~inside | (number % 2 == 0)), np.flatnonzero(~inside | (number % 2 == 1))
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -107,25 +107,19 @@ def march_bar(
     before = pieces + 1
     t = reference.start_time + dt * np.arange(-before, np.ceil(reference.duration / dt) + before + 1)
     w, v, a = reference.jet(t, 2)[:, :, 0].T
-    motion, rates = [np.stack([w, end_mass * v])], [np.stack([v, end_mass * a])]
+    sections = [np.array([[w, end_mass * v], [v, end_mass * a]])]
     for _ in range(pieces):
-        motion.append(_one_piece(motion[-1], impedance))
-        rates.append(_one_piece(rates[-1], impedance))
-    velocity, force = (np.stack([each[k] for each in rates]) for k in (0, 1))
-    return BarMotion(
-        t=t,
-        X=length * np.arange(pieces + 1) / pieces,
-        displacement=np.stack([each[0] for each in motion]),
-        velocity=velocity,
-        force=force,
-    )
+        sections.append(_one_piece(sections[-1], impedance))
+    (displacement, _), (velocity, force) = np.stack(sections, axis=2)
+    X = length * np.arange(pieces + 1) / pieces
+    return BarMotion(t=t, X=X, displacement=displacement, velocity=velocity, force=force)
 
 
 def _one_piece(values: Array, impedance: float) -> Array:
-    """Carry (v, N), or (w, impulse), shape (2, times), one piece further; what lies outside the horizon rests."""
-    later, sooner = (np.pad(values, ((0, 0), (1, 1)), mode="edge")[:, k:][:, : values.shape[1]] for k in (2, 0))
-    mean, half_difference = (later + sooner) / 2.0, (later - sooner) / 2.0
-    return np.stack([mean[0] + half_difference[1] / impedance, mean[1] + impedance * half_difference[0]])
+    """Carry (w, impulse) and (v, N), shape (2, 2, times), one piece further; what lies outside the horizon rests."""
+    padded = np.pad(values, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    later, sooner = padded[..., 2:], padded[..., :-2]
+    return (later + sooner) / 2.0 + (later - sooner)[:, ::-1] / 2.0 * [[1.0 / impedance], [impedance]]
 
 
 def _require_rest(reference: Reference) -> None:

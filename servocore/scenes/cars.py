@@ -32,14 +32,11 @@ from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import jets
-
-INPUT = Quantity("u", "N", "force on the last car, positive forwards")
-OUTPUT = Quantity("y", "m", "position of the first car")
 
 MOST_MASSES = MAX_REFERENCE_ORDER // 2
 """A chain of n masses needs the derivative of order 2 n of its path."""
@@ -64,15 +61,13 @@ class Chain(ABC):
     count: int
     what: ClassVar[str] = "masses"
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name of the model in messages."""
+    title: ClassVar[str]
+    force: ClassVar[Quantity]
+    output: ClassVar[Quantity]
 
-    @property
     @abstractmethod
-    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
-        """Input, output, and the positions of the n masses."""
+    def position(self, i: int) -> Quantity:
+        """Return the position of mass i = 1 ... n."""
 
     @abstractmethod
     def parameters(self) -> Parameters:
@@ -84,25 +79,23 @@ class Chain(ABC):
 
     def __call__(self) -> MechanicalSystem:
         """Return n coordinates without constraints: M constant and diagonal, V quadratic."""
-        p, (force, output, positions) = self.parameters(), self.quantities
+        p = self.parameters()
         masses, stiffnesses, rest_lengths = self.data(p)
-        coordinates = Coordinates(*positions)
-        gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+        coordinates = Coordinates(*map(self.position, range(1, self.count + 1)))
+        gamma = reference_symbols(1)
         potential, guess = ca.SX(0), [gamma[0, 0]]
         for (one, other), k, d in zip(pairwise(ca.vertsplit(coordinates.q)), stiffnesses, rest_lengths, strict=True):
             potential += k * (one - other - d) ** 2 / 2
             guess.append(guess[-1] - d)
-        input_matrix = ca.SX(1, self.count)
-        input_matrix[0, self.count - 1] = -1
         return MechanicalSystem(
-            name=self.name,
+            name=self.title.format(self.count),
             coordinates=coordinates,
             parameters=p,
-            inputs=(force,),
-            outputs=(output,),
-            mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+            inputs=(self.force,),
+            outputs=(self.output,),
+            mass=diagonal(masses),
             potential=potential,
-            input_matrix=input_matrix,
+            input_matrix=-ca.jacobian(coordinates.q[-1], coordinates.q),
             output=coordinates.q[0],
             gamma=gamma,
             guess=ca.vertcat(*guess),
@@ -116,9 +109,8 @@ class Chain(ABC):
         for mass, stiffness, length in zip(masses[1:], stiffnesses, rest_lengths, strict=True):
             x.append(x[-1] - length + force / stiffness)
             force = force + mass * x[-1].d().d()
-        driven, output, positions = self.quantities
-        found = {each.name: at.value for each, at in zip(positions, x, strict=True)}
-        return {driven.name: force.value, **found, output.name: first.value}
+        found = {self.position(i).name: each.value for i, each in enumerate(x, 1)}
+        return {self.force.name: force.value, **found, self.output.name: first.value}
 
     def scene(self, name: str, duration: float) -> Scene:
         """Return the scene in which the first mass moves from 0 m to 1 m in a time (s).
@@ -147,17 +139,13 @@ class Chain(ABC):
 class Cars(Chain):
     """Cars with masses, stiffnesses and rest lengths of their own, counted from the first."""
 
-    what = "cars"
+    what, title = "cars", "{} cars, points"
+    force = Quantity("u", "N", "force on the last car, positive forwards")
+    output = Quantity("y", "m", "position of the first car")
 
-    @property
-    def name(self) -> str:
-        """Name of the model in messages."""
-        return f"{self.count} cars, points"
-
-    @property
-    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
-        """The force, the position of the first car, x_1 ... x_n."""
-        return INPUT, OUTPUT, tuple(Quantity(f"x_{i}", "m", f"position of car {i}") for i in range(1, self.count + 1))
+    def position(self, i: int) -> Quantity:
+        """Return x_i."""
+        return Quantity(f"x_{i}", "m", f"position of car {i}")
 
     def parameters(self) -> Parameters:
         """Return masses, stiffnesses and rest lengths."""

@@ -43,23 +43,18 @@ PARAMETERS = Parameters(
     Parameter("line_mass", 1.0, "kg/m", 1e-3, 1e9, "rho A"),
     Parameter("end_mass", 0.5, "kg", 0.0, 1e9, "m, at the free end"),
 )
-INPUT = Quantity("u", "N", "force on the driven end, away from the free end")
-OUTPUT = Quantity("y", "m", "displacement of the free end")
 
 
 class Bar(Chain):
     """The bar cut into equal pieces, whose masses are halved between the nodes at their ends."""
 
-    @property
-    def name(self) -> str:
-        """Name of the model in messages."""
-        return f"elastic bar, {self.count} points"
+    title = "elastic bar, {} points"
+    force = Quantity("u", "N", "force on the driven end, away from the free end")
+    output = Quantity("y", "m", "displacement of the free end")
 
-    @property
-    def quantities(self) -> tuple[Quantity, Quantity, tuple[Quantity, ...]]:
-        """The force, the displacement of the free end, w_1 ... w_N."""
-        nodes = range(1, self.count + 1)
-        return INPUT, OUTPUT, tuple(Quantity(f"w_{i}", "m", f"displacement of node {i}") for i in nodes)
+    def position(self, i: int) -> Quantity:
+        """Return w_i."""
+        return Quantity(f"w_{i}", "m", f"displacement of node {i}")
 
     def parameters(self) -> Parameters:
         """Return `PARAMETERS`."""

@@ -18,7 +18,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.scenes import jets
 
@@ -42,9 +42,7 @@ def swing_angle(rope: ca.SX) -> ca.SX:
 
 def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
     """Rope tension that gives the load its prescribed acceleration: m |gamma'' + g e_z|, without multipliers."""
-    up = ca.SX.zeros(gamma.size1())
-    up[-1] = p["gravity"]
-    return p["load_mass"] * ca.norm_2(gamma[:, 2] + up)
+    return p["load_mass"] * ca.norm_2(_pull(gamma, p))
 
 
 def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -53,10 +51,15 @@ def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
     The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
     where the load swings by tens of degrees.
     """
-    pull = gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
+    pull = _pull(gamma, p)
     direction = -pull / ca.norm_2(pull)
     length = gamma[-1, 0] / direction[-1]
     return gamma[:-1, 0] - length * direction[:-1], length, direction
+
+
+def _pull(gamma: ca.SX, p: Parameters) -> ca.SX:
+    """Rope force on the load by its mass: acceleration less gravity."""
+    return gamma[:, 2] + ca.vertcat(ca.SX.zeros(gamma.size1() - 1), p["gravity"])
 
 
 def on_rails(
@@ -88,7 +91,7 @@ def on_rails(
     """
     coordinates, p, count = Coordinates(*rails, ROPE, *outputs), parameters, len(rails)
     trolley, length, load = ca.vertsplit(coordinates.q, [0, count, count + 1, 2 * count + 2])
-    lam, gamma = ca.SX.sym("lam"), ca.SX.sym("gamma", count + 1, MAX_REFERENCE_ORDER + 1)
+    lam, gamma = ca.SX.sym("lam"), reference_symbols(count + 1)
     rope = load - ca.vertcat(trolley, 0)
     above, hanging, _ = suspension(gamma, p)
     masses = (*rails.values(), p["winch_inertia"] / p["winch_radius"] ** 2, *[p["load_mass"]] * (count + 1))
@@ -99,7 +102,7 @@ def on_rails(
         parameters=p,
         inputs=tuple(inputs),
         outputs=tuple(outputs),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * load[-1],
         constraints=ca.sumsqr(rope) - length**2,
         input_matrix=ca.horzcat(driven, ca.SX(count + 1, count + 1)),

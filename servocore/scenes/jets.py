@@ -13,14 +13,16 @@ array([ 0.33333333, -0.11111111,  0.07407407])
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 from math import factorial
+from operator import mul
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterable
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -81,39 +83,35 @@ class Jet:
         """
         if self.order == 0:
             raise ValueError("the derivative of a jet of order 0 is unknown: start with one order more")
-        return Jet(np.stack([k * self.coefficients[k] for k in range(1, self.order + 1)]))
+        return Jet(np.stack([k * each for k, each in enumerate(self.coefficients[1:], 1)]))
 
     def __neg__(self) -> Jet:
         return Jet(-self.coefficients)
 
     def __add__(self, other: Jet | npt.ArrayLike) -> Jet:
-        a, b = _pair(self, other)
-        return _series(min(a.order, b.order), lambda k, _: a.coefficients[k] + b.coefficients[k])
+        jet = other if isinstance(other, Jet) else Jet.constant(other, self.order)
+        return Jet(np.stack([a + b for a, b in zip(self.coefficients, jet.coefficients, strict=False)]))
 
     __radd__ = __add__
 
     def __sub__(self, other: Jet | npt.ArrayLike) -> Jet:
-        a, b = _pair(self, other)
-        return _series(min(a.order, b.order), lambda k, _: a.coefficients[k] - b.coefficients[k])
+        return self + (-other if isinstance(other, Jet) else np.negative(other))
 
     def __rsub__(self, other: Jet | npt.ArrayLike) -> Jet:
         return -self + other
 
     def __mul__(self, other: Jet | npt.ArrayLike) -> Jet:
-        if not isinstance(other, Jet):
-            factor = np.asarray(other, dtype=np.float64)
-            return _series(self.order, lambda k, _: self.coefficients[k] * factor)
-        a, b = self.coefficients, other.coefficients
-        return _series(min(self.order, other.order), lambda k, _: _convolve(a, b, 0, k, k))
+        a, b = _factors(self, other)
+        return Jet(np.stack([_sum_of_products(b, a[k::-1]) for k in range(len(a))]))
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Jet | npt.ArrayLike) -> Jet:
-        if not isinstance(other, Jet):
-            divisor = np.asarray(other, dtype=np.float64)
-            return _series(self.order, lambda k, _: self.coefficients[k] / divisor)
-        a, b = self.coefficients, other.coefficients
-        return _series(min(self.order, other.order), lambda k, c: (a[k] - _convolve(c, b, 0, k - 1, k)) / b[0])
+        a, b = _factors(self, other)
+        c: list[FloatArray] = []
+        for each in a:
+            c.append((each - _sum_of_products(b[1:], c[::-1])) / b[0])
+        return Jet(np.stack(c))
 
     def __rtruediv__(self, other: npt.ArrayLike) -> Jet:
         return Jet.constant(other, self.order) / self
@@ -122,10 +120,7 @@ class Jet:
         """Integer power of at least 1, by repeated products."""
         if not (isinstance(exponent, int) and exponent >= 1):
             raise ValueError(f"a jet can be raised to whole powers of 1 or more, not {exponent!r}")
-        power = self
-        for _ in range(exponent - 1):
-            power = power * self
-        return power
+        return reduce(mul, [self] * exponent)
 
 
 def components(derivatives: npt.ArrayLike) -> tuple[Jet, ...]:
@@ -147,14 +142,10 @@ def components(derivatives: npt.ArrayLike) -> tuple[Jet, ...]:
 
 def sqrt(x: Jet) -> Jet:
     """Positive square root c: from c^2 = x follows 2 c_0 c_k = x_k - sum_(0<i<k) c_i c_(k-i)."""
-    a = x.coefficients
-
-    def coefficient(k: int, c: Sequence[FloatArray]) -> FloatArray:
-        if k == 0:
-            return np.asarray(np.sqrt(a[0]))
-        return np.asarray((a[k] - _convolve(c, c, 1, k - 1, k)) / (2.0 * c[0]))
-
-    return _series(x.order, coefficient)
+    c = [np.sqrt(x.value)]
+    for each in x.coefficients[1:]:
+        c.append((each - _sum_of_products(c[1:], c[:0:-1])) / (2.0 * c[0]))
+    return Jet(np.stack(c))
 
 
 def atan2(y: Jet, x: Jet) -> Jet:
@@ -163,33 +154,23 @@ def atan2(y: Jet, x: Jet) -> Jet:
     The value jumps by 2 pi across the negative x axis from one instant to another; derivatives do not.
     """
     angle = np.arctan2(y.value, x.value)
-    order = min(x.order, y.order)
-    if order == 0:
+    if min(x.order, y.order) == 0:
         return Jet(angle[None])
     rate = (x * y.d() - y * x.d()) / (x * x + y * y)
-    return _series(order, lambda k, _: angle if k == 0 else np.asarray(rate.coefficients[k - 1] / k))
+    return Jet(np.stack([angle, *(each / k for k, each in enumerate(rate.coefficients, 1))]))
 
 
-def _pair(a: Jet, b: Jet | npt.ArrayLike) -> tuple[Jet, Jet]:
-    return a, b if isinstance(b, Jet) else Jet.constant(b, a.order)
+def _factors(a: Jet, b: Jet | npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of both, up to the lower of their orders; of what is no jet the only one."""
+    if not isinstance(b, Jet):
+        return a.coefficients, np.asarray(b, dtype=np.float64)[None]
+    count = min(a.order, b.order) + 1
+    return a.coefficients[:count], b.coefficients[:count]
 
 
-def _series(order: int, coefficient: Callable[[int, Sequence[FloatArray]], FloatArray]) -> Jet:
-    """Build a jet coefficient by coefficient, each from its number and the ones before it."""
-    found: list[FloatArray] = []
-    for k in range(order + 1):
-        found.append(coefficient(k, found))
-    return Jet(np.stack(found))
-
-
-def _convolve(
-    a: Sequence[FloatArray] | FloatArray, b: Sequence[FloatArray] | FloatArray, first: int, last: int, k: int
-) -> FloatArray:
-    """Sum of a_i b_(k-i) for i = first ... last; zero if there is no such i."""
-    total = np.zeros(())
-    for i in range(first, last + 1):
-        total = total + a[i] * b[k - i]
-    return total
+def _sum_of_products(a: Iterable[FloatArray], b: Iterable[FloatArray]) -> FloatArray:
+    """Sum of the products of pairs, as many as there are; zero if there are none."""
+    return sum((x * y for x, y in zip(a, b, strict=False)), np.zeros(()))
 
 
 def _factorials(values: FloatArray) -> FloatArray:

@@ -39,7 +39,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
@@ -66,11 +66,7 @@ def points() -> MechanicalSystem:
     coordinates = Coordinates(CAR, SLIDE, OUTPUT)
     x, s, y = ca.vertsplit(coordinates.q)
     p = PARAMETERS
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
-    input_matrix = ca.SX(1, 3)
-    input_matrix[0, 0] = -1
-    force = ca.SX(3, 1)
-    force[1] = -p["damping"] * coordinates.velocity("s")
+    gamma = reference_symbols(1)
     masses = (p["car_mass"], p["mass"] * ca.sin(p["inclination"]) ** 2, p["mass"])
     return MechanicalSystem(
         name="mass on car, points",
@@ -78,11 +74,11 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["stiffness"] * s**2 / 2,
-        force=force,
+        force=-p["damping"] * coordinates.velocity("s") * ca.jacobian(s, coordinates.q).T,
         constraints=y - x - s * ca.cos(p["inclination"]),
-        input_matrix=input_matrix,
+        input_matrix=-ca.jacobian(x, coordinates.q),
         output=y,
         gamma=gamma,
         guess=ca.vertcat(gamma[0, 0], 0, gamma[0, 0]),
@@ -149,7 +145,7 @@ def internal_motion(t: Array, reference: Reference, parameters: Mapping[str, flo
         position, speed = _second_order(t, reference, (inertia, d, k), drive)
         forced = push * reference.jet(t, 2)[:, 2, 0]
         return position, (forced - d * speed - k * position) / inertia
-    forces = push * np.moveaxis(reference.jet(t, 4)[:, 2:, 0], 1, 0)
+    forces = push * reference.jet(t, 4)[:, 2:, 0].T
     if d:
         integrate, limit = (forward, reference.start_time) if k >= 0.0 else (backward, reference.end_time)
         (position,) = integrate(lambda time, s: np.array([(drive(time) - k * s[0]) / d]), t, limit, 1)

@@ -41,7 +41,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
@@ -81,11 +81,8 @@ def points() -> MechanicalSystem:
     a, b = coordinates["a"], coordinates["b"]
     p = PARAMETERS
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
-    gamma = ca.SX.sym("gamma", 1, MAX_REFERENCE_ORDER + 1)
+    gamma = reference_symbols(1)
     masses = (*[p["first_inertia"]] * 2, *[p["second_mass"]] * 2, *[p["second_inertia"]] * 2, 0, 0)
-    input_matrix, force = ca.SX(1, 8), ca.SX(8, 1)
-    input_matrix[0, 6] = -1
-    force[7] = -p["joint_damping"] * coordinates.velocity("b")
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
     along = ca.vertcat(ca.cos(start), ca.sin(start))
@@ -95,15 +92,15 @@ def points() -> MechanicalSystem:
         parameters=p,
         inputs=(INPUT,),
         outputs=(OUTPUT,),
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["joint_stiffness"] * b**2 / 2,
-        force=force,
+        force=-p["joint_damping"] * coordinates.velocity("b") * ca.jacobian(b, coordinates.q).T,
         constraints=ca.vertcat(
             first - ca.vertcat(ca.cos(a), ca.sin(a)),
             second - ca.vertcat(ca.cos(a + b), ca.sin(a + b)),
             centre - p["first_length"] * first - p["second_centre"] * second,
         ),
-        input_matrix=input_matrix,
+        input_matrix=-ca.jacobian(a, coordinates.q),
         output=a + weight * b,
         gamma=gamma,
         guess=ca.vertcat(along, (p["first_length"] + p["second_centre"]) * along, along, start, 0),

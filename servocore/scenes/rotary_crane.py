@@ -28,7 +28,7 @@ from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Limit, Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
@@ -71,7 +71,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
     direction, place, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
     rope = load - ca.vertcat(place, 0)
     lam = ca.SX.sym("lam", 4)
-    gamma = ca.SX.sym("gamma", 3, MAX_REFERENCE_ORDER + 1)
+    gamma = reference_symbols(3)
     above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
     radius = ca.norm_2(above)
     masses = (
@@ -81,20 +81,18 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         p["winch_inertia"] / p["winch_radius"] ** 2,
         *[p["load_mass"]] * 3,
     )
-    forces = ca.SX(9, 3)  # of unit inputs: -B^T
-    forces[0, 0], forces[1, 0] = -direction[1], direction[0]
-    forces[4, 1] = 1
-    forces[5, 2] = 1 / p["winch_radius"]
+    turning = ca.horzcat(-direction[1], direction[0], ca.SX(1, 7))
+    driven = ca.jacobian(ca.vertcat(s, rope_length / p["winch_radius"]), q)
     return MechanicalSystem(
         name="rotary crane, points",
         coordinates=coordinates,
         parameters=PARAMETERS,
         inputs=INPUTS,
         outputs=OUTPUTS,
-        mass=ca.sparsify(ca.diag(ca.vertcat(*masses))),
+        mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
         constraints=ca.vertcat(ca.sumsqr(direction) - 1, place - s * direction, ca.sumsqr(rope) - rope_length**2),
-        input_matrix=-forces.T,
+        input_matrix=-ca.vertcat(turning, driven),
         output=load,
         multipliers=lam,
         gamma=gamma,
@@ -109,11 +107,6 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
             SWING: hanging_load.swing_angle(rope),
         },
     )
-
-
-def bodies() -> MechanicalSystem:
-    """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
-    return assemble_bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
@@ -188,10 +181,6 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     }
 
 
-def _trolley_radius(gamma: ca.SX, p: Parameters) -> ca.SX:
-    return ca.norm_2(gamma[:2, 0] - gamma[2, 0] / (p["gravity"] + gamma[2, 2]) * gamma[:2, 2])
-
-
 LIMITS = (
     *hanging_load.limits("girder"),
     Limit(
@@ -199,7 +188,7 @@ LIMITS = (
         "m",
         SMALLEST_RADIUS,
         "the trolley reaches the slewing axis",
-        _trolley_radius,
+        lambda gamma, p: ca.norm_2(hanging_load.suspension(gamma, p)[0]),
     ),
 )
 
@@ -215,6 +204,9 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     angle = np.unwrap(answer["phi"] + np.where(sign < 0.0, np.pi, 0.0))
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
 
+
+bodies = partial(assemble_bodies, PARAMETERS, INPUTS, OUTPUTS)
+"""Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
 """Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""

@@ -12,8 +12,8 @@ import casadi as ca
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
-from servocore.model.symbols import Coordinates, Parameters
-from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
+from servocore.model.symbols import Coordinates, Parameters, require_unique
+from servocore.model.system import MechanicalSystem, reference_symbols
 
 Part: TypeAlias = RigidBody | PointMass | Quantity
 """A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
@@ -61,10 +61,7 @@ class Assembly:
     orthonormality: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
-        names = self._names
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise InvalidModel(f"parts named twice: {', '.join(repeated)}")
+        require_unique(self._names, "parts")
         for part in self.parts:
             if not isinstance(part, Quantity):
                 part.check(self.parameters)
@@ -157,7 +154,7 @@ class Assembly:
         """
         q, driven = self.coordinates.q, ca.vertcat(ca.SX(0, 1), *inputs.values())
         lam = self.multipliers(constraints) if multipliers is None else multipliers
-        gamma = ca.SX.sym("gamma", len(inputs), MAX_REFERENCE_ORDER + 1)
+        gamma = reference_symbols(len(inputs))
         return MechanicalSystem(
             name=name,
             coordinates=self.coordinates,
@@ -201,9 +198,7 @@ class Assembly:
     @property
     def _slices(self) -> list[ca.SX]:
         """Coordinates of every part."""
-        ends = [0]
-        for part in self.parts:
-            ends.append(ends[-1] + len(_quantities(part)))
+        ends = itertools.accumulate((len(_quantities(part)) for part in self.parts), initial=0)
         return [self.coordinates.q[a:b] for a, b in itertools.pairwise(ends)]
 
     def _coordinates_of(self, name: str, kind: type, what: str) -> ca.SX:

@@ -49,23 +49,23 @@ def cylindrical(a: Place, b: Place) -> ca.SX:
 
 def prismatic(a: Place, b: Place) -> ca.SX:
     """Return the rows of a slider: a common axis, and no rotation about it, shape (5,)."""
-    return ca.vertcat(on_line(a, b), _parallel(a, b), ca.dot(a.binormal, b.normal))
+    return ca.vertcat(cylindrical(a, b), ca.dot(a.binormal, b.normal))
 
 
 def fixed(a: Place, b: Place) -> ca.SX:
     """Return the rows of a weld: a common point and a common triad, shape (6,)."""
-    return ca.vertcat(spherical(a, b), _parallel(a, b), ca.dot(a.binormal, b.normal))
+    return ca.vertcat(revolute(a, b), ca.dot(a.binormal, b.normal))
 
 
 def on_line(a: Place, b: Place) -> ca.SX:
     """Return the rows that keep the point `b` on the axis of `a`, shape (2,), m."""
-    gap = b.position - a.position
+    gap = spherical(a, b)
     return ca.vertcat(ca.dot(gap, a.normal), ca.dot(gap, a.binormal))
 
 
 def on_plane(a: Place, b: Place) -> ca.SX:
     """Return the row that keeps the point `b` in the plane through `a` across its axis, shape (1,), m."""
-    return ca.dot(b.position - a.position, a.axis)
+    return ca.dot(spherical(a, b), a.axis)
 
 
 def distance(a: Place, b: Place, length: Scalar) -> ca.SX:
@@ -73,7 +73,7 @@ def distance(a: Place, b: Place, length: Scalar) -> ca.SX:
 
     With its multiplier lam the tension (positive when it pulls) is 2 length lam.
     """
-    return ca.sumsqr(b.position - a.position) - length**2
+    return ca.sumsqr(spherical(a, b)) - length**2
 
 
 def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
@@ -89,7 +89,7 @@ def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
 
 def displacement(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
     """Return the row that makes `coordinate` (m) the position of `b` along the axis of `a`, shape (1,)."""
-    return ca.dot(b.position - a.position, a.axis) - coordinate
+    return on_plane(a, b) - coordinate
 
 
 def _parallel(a: Place, b: Place) -> ca.SX:
