@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -47,54 +48,52 @@ def generalise(
     InvalidModel
         If the number of coordinates is wrong or F leaves the constraint manifold.
     """
+    mu, nu, P = coordinates.q, coordinates.v, ca.jacobian(mapping, coordinates.q)
+    _require_mapping(system, coordinates, mapping)
+
+    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
+        moved: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, ca.mtimes(P, nu)])
+        return moved
+
+    mass, potential, force, gyroscopic, input_matrix, output = pulled_back(
+        system.mass, system.potential, system.force, system.gyroscopic, system.input_matrix, system.output
+    )
+    if observables is None:
+        forces = ca.vertcat(system.lam, system.u)
+        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
+        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
+    return replace(
+        system,
+        name=name or f"{system.name}, generalised",
+        coordinates=coordinates,
+        mass=ca.mtimes([P.T, mass, P]),
+        potential=potential,
+        force=ca.mtimes(P.T, force),
+        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(ca.mtimes(P, nu), mu, nu))),
+        input_matrix=ca.mtimes(input_matrix, P),
+        output=output,
+        constraints=ca.SX(0, 1),
+        multipliers=DERIVED,
+        constraint_names=(),
+        guess=guess,
+        observables=observables,
+    )
+
+
+def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.SX) -> None:
+    """Raise `InvalidModel` if F has the wrong size or does not satisfy the constraints."""
+    n = len(system.coordinates)
     if len(coordinates) != system.degrees_of_freedom:
         raise InvalidModel(
             f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
             f" not {len(coordinates)} generalised coordinates"
         )
-    if mapping.shape != (len(system.coordinates), 1):
-        raise InvalidModel(
-            f"{system.name}: the mapping has shape {mapping.shape}, expected {(len(system.coordinates), 1)}"
-        )
-    mu, nu = coordinates.q, coordinates.v
-    P = ca.jacobian(mapping, mu)
-    velocity = ca.mtimes(P, nu)
-
-    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
-        pulled: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, velocity])
-        return pulled
-
-    mass, potential, force, gyroscopic, input_matrix, output, constraints = pulled_back(
-        system.mass, system.potential, system.force, system.gyroscopic,
-        system.input_matrix, system.output, system.constraints,
-    )  # fmt: skip
-    _require_on_manifold(system, coordinates, constraints)
-    if observables is None:
-        forces = ca.vertcat(system.lam, system.u)
-        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
-        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
-    return MechanicalSystem(
-        name=name or f"{system.name}, generalised",
-        coordinates=coordinates,
-        parameters=system.parameters,
-        inputs=system.inputs,
-        outputs=system.outputs,
-        mass=ca.mtimes([P.T, mass, P]),
-        potential=potential,
-        force=ca.mtimes(P.T, force),
-        gyroscopic=ca.mtimes(P.T, gyroscopic + ca.mtimes(mass, ca.jtimes(velocity, mu, nu))),
-        input_matrix=ca.mtimes(input_matrix, P),
-        output=output,
-        gamma=system.gamma,
-        guess=guess,
-        home=system.home,
-        observables=observables,
+    if mapping.shape != (n, 1):
+        raise InvalidModel(f"{system.name}: the mapping has shape {mapping.shape}, expected {(n, 1)}")
+    violation = ca.Function(
+        "violation", [coordinates.q, system.p], [ca.substitute(system.constraints, system.q, mapping)]
     )
-
-
-def _require_on_manifold(system: MechanicalSystem, coordinates: Coordinates, constraints: ca.SX) -> None:
-    """Evaluate g(F(mu)) at a point without symmetry: it must vanish there as it must everywhere."""
-    violation = ca.Function("violation", [coordinates.q, system.p], [constraints])
+    # A point without symmetry: what vanishes there vanishes everywhere.
     mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
     worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)
     if not worst < 1e-9:

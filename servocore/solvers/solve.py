@@ -50,7 +50,7 @@ def solve(
     Parameters
     ----------
     scene : Scene
-        The problem, with its reference and parameters.
+        With its reference and parameters.
     formulation, method : Formulation, Method, optional
         What the analysis recommends when neither is given; else `Reduced` and `BackwardEuler`.
     step : float or Adaptive, optional
@@ -67,7 +67,6 @@ def solve(
     Returns
     -------
     Solution
-        At start_time, start_time + step, ..., end_time.
 
     Raises
     ------
