@@ -116,9 +116,9 @@ def _resting_ends(derivatives: FloatArray, duration: float) -> tuple[FloatArray,
     """Find which ends rest, and make their derivatives exactly zero in a copy of the rows."""
     rows = derivatives.copy()
     small = np.abs(rows[[0, -1], 1:]) <= REST * _peaks(rows, duration)[1:]
-    rests = small.reshape(2, -1).all(axis=1)
-    rows[np.array([0, -1])[rests], 1:] = 0.0
-    return rows, (bool(rests[0]), bool(rests[1]))
+    first, last = (bool(each.all()) for each in small)
+    rows[np.array([0, -1])[[first, last]], 1:] = 0.0
+    return rows, (first, last)
 
 
 def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], taylor: FloatArray) -> PiecewisePolynomial:
