@@ -16,14 +16,20 @@ from servocore.errors import (
     InvalidSetting,
     ServocoreError,
     ServocoreWarning,
-)  # fmt: skip
+)
 from servocore.formulations import Formulation, Original, Projected, Reduced
-from servocore.methods.backward_euler import BackwardEuler
-from servocore.methods.base import Discretisation, Method, Orders, Start
-from servocore.methods.bdf import BDF
-from servocore.methods.collocation import Gauss, RadauIIA
-from servocore.methods.generalized_alpha import GeneralizedAlpha
-from servocore.methods.trapezoidal import Trapezoidal
+from servocore.methods import (
+    BDF,
+    BackwardEuler,
+    Discretisation,
+    Gauss,
+    GeneralizedAlpha,
+    Method,
+    Orders,
+    RadauIIA,
+    Start,
+    Trapezoidal,
+)
 from servocore.model.generalise import generalise
 from servocore.model.parameter_files import read_parameters
 from servocore.model.quantity import Quantity
@@ -33,12 +39,23 @@ from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
 from servocore.problem import Problem
-from servocore.references.base import Reference
-from servocore.references.csv_file import from_csv, waypoints_from_csv
-from servocore.references.periodic import figure_of_eight, periodic
-from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, Profile, three_phase
-from servocore.references.rest_to_rest import rest_to_rest
-from servocore.references.splines import sampled, through
+from servocore.references import (
+    DEGREE3,
+    DEGREE5,
+    DEGREE7,
+    DEGREE9,
+    DEGREE13,
+    Profile,
+    Reference,
+    figure_of_eight,
+    from_csv,
+    periodic,
+    rest_to_rest,
+    sampled,
+    three_phase,
+    through,
+    waypoints_from_csv,
+)
 from servocore.solution import Solution, Statistics
 from servocore.solvers import Adaptive, BoundaryValue, ExactInversion, Route, simulate, solve
 from servocore.stepping.forward_dynamics import compile_plant
@@ -99,7 +116,7 @@ __all__ = [
     "three_phase",
     "through",
     "waypoints_from_csv",
-]  # fmt: skip
+]
 # Extend: for systems, formulations, methods and routes of one's own.
 __all__ += [
     "MAX_REFERENCE_ORDER",
@@ -121,4 +138,4 @@ __all__ += [
     "Unknown",
     "c_compiler",
     "generalise",
-]  # fmt: skip
+]

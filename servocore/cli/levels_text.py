@@ -63,18 +63,12 @@ def csv_text(levels: Sequence[Level]) -> str:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(COLUMNS)
     for level in levels:
-        size = (
-            level.scene,
-            level.model,
-            int(level.needed),
-            level.coordinates,
-            level.index,
-            level.internal_degrees_of_freedom,
-        )
+        size = level.scene, level.model, int(level.needed), level.coordinates, level.index
+        states = level.internal_degrees_of_freedom
         for route, cost in level.costs.items():
             spread = cost.microseconds
             times = (spread.median, spread.lower, spread.upper) if spread else (None,) * 3
-            writer.writerow((*size, route, cost.unknowns, *times, cost.error, cost.refusal))
+            writer.writerow((*size, states, route, cost.unknowns, *times, cost.error, cost.refusal))
     return text.getvalue()
 
 

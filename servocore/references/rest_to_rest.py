@@ -49,7 +49,8 @@ class RestToRest(Reference):
 
         first, last = np.array(self.start), np.array(self.end)
         way = last - first
-        gamma: FloatArray = s[:, :, None] * way + 0.0  # + 0.0 turns -0.0 into 0.0
+        gamma: FloatArray = s[:, :, None] * way
+        gamma += 0.0  # turns -0.0 into 0.0
         late = s[:, 0] > 0.5
         gamma[~late, 0] += first
         gamma[late, 0] = last - (1.0 - s[late, :1]) * way
