@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import ClassVar
 
 import casadi as ca
@@ -45,6 +46,7 @@ class Tableau:
                 raise InvalidSetting(f"the quadrature condition B({k}) fails")
 
 
+@lru_cache(maxsize=32)  # methods are made anew for every run, and roots are dearer than a run of a small scene
 def tableau(family: str, stages: int) -> Tableau:
     """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven.
 

@@ -14,7 +14,7 @@ from math import comb, factorial, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial.polynomial import polyadd, polyder, polymul, polyval
+from numpy.polynomial.polynomial import polyadd, polyder, polymul
 
 from servocore.errors import InvalidReference
 
@@ -127,11 +127,11 @@ class PolynomialProfile(Profile):
         w, v = T * R, R - T
         s = np.empty((T.size, order + 1))
         small, large = np.minimum(T, R), np.maximum(T, R)
-        near = small ** (k + 1) * polyval(large, self._weights)
+        near = small ** (k + 1) * _horner(self._weights, large)
         s[:, 0] = np.where(T <= R, near, 1.0 - near)
         s[:, self.degree + 1 :] = 0.0
         for m, factor in enumerate(self._slopes[:order], 1):
-            s[:, m] = w ** max(k + 1 - m, 0) * polyval(v, factor) / duration**m
+            s[:, m] = w ** max(k + 1 - m, 0) * _horner(factor, v) / duration**m
         return s
 
 
@@ -245,6 +245,15 @@ def polynomial(degree: int) -> PolynomialProfile:
         If the degree is even or less than 1.
     """
     return PolynomialProfile(f"degree-{degree}", degree)
+
+
+def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
+    """Value of a polynomial, lowest coefficient first; in place, for NumPy's own makes two arrays a coefficient."""
+    value = np.full_like(x, coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value *= x
+        value += coefficient
+    return value
 
 
 def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:

@@ -266,11 +266,13 @@ def _steps(control: StepControl, now: Reached, h: float, parts: int) -> Run | No
     """Take a step in `parts` equal parts; None if one of them fails."""
     program, problem, part = control.program, control.problem, h / parts
     state = program.rescaled(now.state, part / now.spacing)
-    done: list[Run] = []
+    iterations, factorisations, residual = 0, 0, 0.0
     for k in range(parts):
         times = now.time + k * part + part * np.array(program.nodes)
         state, report = program.advance(state, problem.reference.jet(times, program.order), part, problem.p)
         if not report.converged:
             return None
-        done.append(Run(state[:, None], report.newton_iterations, report.factorisations, report.residual))
-    return joined(done)
+        iterations += report.newton_iterations
+        factorisations += report.factorisations
+        residual = max(residual, report.residual)
+    return Run(state[:, None], iterations, factorisations, residual)
