@@ -249,7 +249,7 @@ def _followed(motion: _Motion, begin: float, through: float, end: float, first: 
     found = [first]
     for k in range(1, len(times)):
         known = slice(max(0, k - 3), k)
-        ahead = (lagrange(times[known], times[k : k + 1]) @ np.array(found[known]))[0]
+        ahead = np.column_stack(found[known]) @ np.asarray(lagrange(times[known], [times[k]])).ravel()
         x = motion.configuration(times[k], ahead)
         if x is None:
             return None

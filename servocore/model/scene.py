@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -15,7 +15,7 @@ from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 
 ModelFactory = Callable[[], MechanicalSystem]
-"""Makes a model. It must be hashable; factories that compare equal make one model between them."""
+"""Makes a model. Factories that compare equal make one model; one without a hash makes a new one every time."""
 
 ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 """(reference jets (N, orders, m), parameter values) -> arrays (N,) by name."""
@@ -105,7 +105,8 @@ class Scene:
         name = name or self.default_model
         if name not in self.models:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
-        return _made(self.models[name])
+        factory = self.models[name]
+        return _made(factory) if isinstance(factory, Hashable) else factory()
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if its dimension does not fit."""
