@@ -22,7 +22,10 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import FloatArray, Reference
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
+from servocore.structure.signature import Signature
 from servocore.structure.structural_analysis import is_regular
+
+_MOST_MADE = 128  # compiled functions that are kept with a system
 
 Settings = ParamSpec("Settings")
 Made = TypeVar("Made")
@@ -51,7 +54,7 @@ class ResolvedSystem:
     def array(self) -> DerivativeArray:
         """The derivative array; raises `InvalidModel` where the signature method does not apply."""
         if isinstance(self.outcome, InvalidModel):
-            raise self.outcome
+            raise InvalidModel(str(self.outcome))  # a new one: an exception that is kept keeps all frames it passed
         return self.outcome
 
     def dae(self, formulation: Formulation) -> Dae:
@@ -74,9 +77,10 @@ class ResolvedSystem:
             What else it takes; hashable.
         """
         key = (make, settings, tuple(named.items()))
-        if key not in self._made:
-            self._made[key] = make(self, *settings, **named)
-        found: Made = self._made[key]
+        found: Made = self._made.pop(key) if key in self._made else make(self, *settings, **named)
+        self._made[key] = found  # the last one now
+        if len(self._made) > _MOST_MADE:
+            del self._made[next(iter(self._made))]  # the one that was not asked for longest
         return found
 
     def suits(self, p: Array) -> bool:
@@ -198,6 +202,11 @@ class Problem:
     def array(self) -> DerivativeArray:
         """Its derivative array; raises `InvalidModel` where the signature method does not apply."""
         return self.resolved.array
+
+    @property
+    def signature(self) -> Signature:
+        """What the signature method finds, with the structural index; raises as `array` does."""
+        return self.array.signature
 
     @property
     def flat(self) -> bool:

@@ -130,10 +130,10 @@ class MechanicalSystem:
     u: ca.SX = DERIVED
     home_parameters: tuple[float, ...] = ()
     constraint_names: tuple[str, ...] = ()
-    G: ca.SX = field(init=False)
-    C: ca.SX = field(init=False)
-    bias: ca.SX = field(init=False)
-    constraint_forces: ca.SX = field(init=False)
+    G: ca.SX = field(init=False, repr=False)
+    C: ca.SX = field(init=False, repr=False)
+    bias: ca.SX = field(init=False, repr=False)
+    constraint_forces: ca.SX = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()

@@ -7,6 +7,7 @@ The conversions cost ten times what a small function itself takes. This module t
 from __future__ import annotations
 
 from functools import lru_cache
+from threading import Lock
 
 import casadi as ca
 import numpy as np
@@ -26,7 +27,8 @@ class Call:
     Notes
     -----
     Arguments are broadcast to nothing: each must have exactly as many entries as the function declares. Matrices
-    are read and returned column by column (Fortran order), vectors are one-dimensional. A `Call` is not re-entrant.
+    are read and returned column by column (Fortran order), vectors are one-dimensional. Threads that share a `Call`
+    take turns: its buffer holds one set of arguments.
 
     Where CasADi gives up, as in a linear system that is singular to the last bit, it leaves results as they were. All
     of them are then NaN.
@@ -39,7 +41,7 @@ class Call:
         for k in range(function.n_out()):
             if function.nnz_out(k) != function.numel_out(k):
                 raise ValueError(f"result {k} of {function.name()} is sparse")
-        self._name = function.name()
+        self._name, self._turn = function.name(), Lock()
 
     def __call__(self, *arguments: npt.ArrayLike) -> tuple[Array, ...]:
         """Evaluate; raises ValueError if an argument has the wrong size."""
@@ -49,10 +51,19 @@ class Call:
             flat = np.asarray(argument, dtype=np.float64).ravel(order="F")
             if flat.size != size:
                 raise ValueError(f"argument {k} of {self._name} has {flat.size} entries, expected {size}")
-            if size:
-                self._buffer.set_arg(k, flat.data)
             held.append(flat)
         results = [np.empty(rows * columns) for rows, columns in self._shapes]
+        with self._turn:
+            self._fill(held, results)
+        return tuple(
+            result if columns == 1 else result.reshape((rows, columns), order="F")
+            for result, (rows, columns) in zip(results, self._shapes, strict=True)
+        )
+
+    def _fill(self, arguments: list[Array], results: list[Array]) -> None:
+        for k, argument in enumerate(arguments):
+            if argument.size:
+                self._buffer.set_arg(k, argument.data)
         for k, result in enumerate(results):
             if result.size:
                 self._buffer.set_res(k, result.data)
@@ -61,10 +72,6 @@ class Call:
         if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
             for result in results:
                 result.fill(np.nan)
-        return tuple(
-            result if columns == 1 else result.reshape((rows, columns), order="F")
-            for result, (rows, columns) in zip(results, self._shapes, strict=True)
-        )
 
 
 @lru_cache(maxsize=256)  # to build a map costs more than to evaluate it, and runs of one length follow one another

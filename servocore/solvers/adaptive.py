@@ -90,12 +90,14 @@ class ToTolerance:
         """
         program = program_of(problem, self.formulation, self.method, self.native)
         order = self.method.orders(program.index).forces
-        if program.index == 1:
+        if program.index <= 1:
             return _by_steps(problem, StepControl(self.control, program, problem, order), times, progress)
-        return _by_runs(problem, program, self.control, order, times)
+        return _by_runs(problem, program, self.control, order, times, progress)
 
 
-def _by_runs(problem: Problem, program: Program, control: Adaptive, order: int, t: Array) -> Solution:
+def _by_runs(
+    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, progress: Progress | None
+) -> Solution:
     """Halve the step of whole runs until the inputs at the instants `t` agree to the tolerance."""
     inputs = len(problem.system.inputs)
     coarse, last_change, total = None, None, 0
@@ -105,7 +107,7 @@ def _by_runs(problem: Problem, program: Program, control: Adaptive, order: int, 
         if total + count > control.most_steps:
             raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t))
+        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), progress)
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
         fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
@@ -118,7 +120,9 @@ def _by_runs(problem: Problem, program: Program, control: Adaptive, order: int, 
                 error = float((estimate / np.maximum(peaks, 1e-300)).max())
                 return replace(fine, statistics=replace(fine.statistics, error_estimate=error))
             if ratio is not None and ratio[unmet].min() < _STAGNATION:
-                raise IntegrationFailed(_stagnation(problem, program, control, estimate / peaks, count))
+                raise IntegrationFailed(
+                    _stagnation(problem, program, control, estimate / np.maximum(peaks, 1e-300), count)
+                )
             last_change = change
         coarse = fine
     raise IntegrationFailed(f"{program.name}: {_MOST_HALVINGS} halvings of the step are not enough")
@@ -133,7 +137,7 @@ def _observed_order(ratio: Array | None, order: int) -> Array | float:
 
 
 def _stagnation(problem: Problem, program: Program, control: Adaptive, relative: Array, count: int) -> str:
-    worst = int(np.nan_to_num(relative).argmax())
+    worst = int(relative.argmax())
     return (
         f"{program.name}: {problem.system.inputs[worst].name} stopped improving at {relative[worst]:.2g} of its peak"
         f" after {count} steps, {control.rtol:g} was asked for; likely causes: round-off, which grows like 1/h^2 on"

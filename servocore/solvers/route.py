@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
@@ -10,8 +10,12 @@ from servocore.solution import Solution
 from servocore.solvers.loop import Progress
 
 
+@runtime_checkable
 class Route(Protocol):
-    """A way to solve; implementations are frozen dataclasses that hold their settings."""
+    """A way to solve; implementations are frozen dataclasses that hold their settings.
+
+    `solve` takes one of its user's in the place of the method.
+    """
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Solve a problem and report it at the instants `times`.

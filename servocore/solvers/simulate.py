@@ -173,6 +173,9 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
     """
     system, gamma = resolved.system, resolved.system.gamma[:, :2]
     known = [(quantity, each) for quantity, each in observed(system) if not ca.depends_on(each, ca.vec(system.gamma))]
+    known.sort(
+        key=lambda each: each[0] not in system.observables
+    )  # observables first, then inputs, outputs, coordinates
     distances = ca.norm_2(system.output - gamma[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - gamma[:, 1])
     results = ca.vertcat(*(each for _, each in known)), violations_of(system), ca.vertcat(*distances)
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]

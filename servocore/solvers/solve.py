@@ -36,7 +36,7 @@ _DEFAULT_STEPS = 200
 def solve(
     scene: Scene,
     formulation: Formulation | None = None,
-    method: Method | BoundaryValue | None = None,
+    method: Method | Route | None = None,
     *,
     step: float | Adaptive | None = None,
     output_step: float | None = None,
@@ -51,7 +51,7 @@ def solve(
     ----------
     scene : Scene
         With its reference and parameters.
-    formulation, method : Formulation, Method, optional
+    formulation, method : Formulation, Method or Route, optional
         What the analysis recommends when neither is given; else `Reduced` and `BackwardEuler`.
     step : float or Adaptive, optional
         Step in s, which must divide the duration of the path (a 200th of it when not given), or the accuracy wanted.
@@ -87,10 +87,11 @@ def solve(
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
-    if checks:
-        require_feasible(problem, times)
+    own = route is method  # such a route brings no checks of its own, and chooses its instants
+    if checks or own:
+        require_feasible(problem, None if own else times)
     solution = route.run(problem, times, progress)
-    if checks:
+    if checks or own:
         require_one_branch(problem, solution)
     return replace(solution, advice=advice)
 
@@ -98,7 +99,7 @@ def solve(
 def chosen_route(
     problem: Problem,
     formulation: Formulation,
-    method: Method | BoundaryValue,
+    method: Method | Route,
     step: float | Adaptive | None,
     native: bool,
     checks: bool,
@@ -115,6 +116,7 @@ def chosen_route(
             raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
         if isinstance(step, Adaptive):
             raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+    if isinstance(method, Route):
         return method
     if checks:
         warn_before(problem, formulation, method)
