@@ -41,7 +41,7 @@ class QuickStep:
     """
 
     def __init__(self, program: Program, function: ca.Function) -> None:
-        self.is_compiled = bool(function.is_a("External"))
+        self.is_compiled = function.class_name() == "External"
         self._arguments, self._results = np.zeros(function.numel_in(0)), np.zeros(function.numel_out(0))
         self._buffer, self._evaluate = function.buffer()
         self._buffer.set_arg(0, self._arguments.data)

@@ -162,7 +162,7 @@ class Program:
 
     def to_json(self) -> str:
         """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
-        if self.step.is_a("External", True):
+        if self.step.class_name() == "External":
             raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
         return to_json(self, _FORMAT)
 
