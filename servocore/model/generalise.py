@@ -41,7 +41,7 @@ def generalise(
     observables : mapping, optional
         Observables of the new system; those of `system` that use no multipliers and inputs when not given.
     name : str, optional
-        Name of the new system.
+        Of the new system.
 
     Raises
     ------
@@ -50,18 +50,15 @@ def generalise(
     """
     mu, nu, P = coordinates.q, coordinates.v, ca.jacobian(mapping, coordinates.q)
     _require_mapping(system, coordinates, mapping)
-
-    def pulled_back(*expressions: ca.SX) -> list[ca.SX]:
-        moved: list[ca.SX] = ca.substitute(list(expressions), [system.q, system.v], [mapping, ca.mtimes(P, nu)])
-        return moved
-
-    mass, potential, force, gyroscopic, input_matrix, output = pulled_back(
-        system.mass, system.potential, system.force, system.gyroscopic, system.input_matrix, system.output
+    kept = _without_forces(system) if observables is None else {}
+    mass, potential, force, gyroscopic, input_matrix, output, *seen = ca.substitute(
+        [
+            *(system.mass, system.potential, system.force, system.gyroscopic, system.input_matrix, system.output),
+            *kept.values(),
+        ],
+        [system.q, system.v],
+        [mapping, ca.mtimes(P, nu)],
     )
-    if observables is None:
-        forces = ca.vertcat(system.lam, system.u)
-        kept = {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
-        observables = dict(zip(kept, pulled_back(*kept.values()), strict=True)) if kept else {}
     return replace(
         system,
         name=name or f"{system.name}, generalised",
@@ -76,8 +73,14 @@ def generalise(
         multipliers=DERIVED,
         constraint_names=(),
         guess=guess,
-        observables=observables,
+        observables=dict(zip(kept, seen, strict=True)) if observables is None else observables,
     )
+
+
+def _without_forces(system: MechanicalSystem) -> dict[Quantity, ca.SX]:
+    """Return the observables that use no multipliers and inputs: what motion alone tells."""
+    forces = ca.vertcat(system.lam, system.u)
+    return {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
 
 
 def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.SX) -> None:

@@ -79,10 +79,9 @@ def solve(
     ServocoreWarning
         If the run cannot succeed as it is set up, or an input turns out to be off by more than half of its peak.
     """
-    problem, advice = Problem.of(scene, model), ""
+    problem, advice, form = Problem.of(scene, model), "", formulation or Reduced()
     if formulation is None and method is None:
         method, advice = recommended(problem)
-    form = formulation or Reduced()
     if output_step is not None and not isinstance(step, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
