@@ -19,11 +19,11 @@ from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.calls import Call
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
-from servocore.structure.signature import equilibrated
+from servocore.structure.signature import condition_number
 
 _SINGULAR_CONDITION = 1e12
 _SURVEY_POINTS = 201
@@ -204,11 +204,3 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
 
 def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:
     return Call(resolved.once(inversion).function), Call(resolved.once(system_jacobian))
-
-
-def condition_number(matrix: Array) -> float:
-    """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
-    if not np.isfinite(matrix).all():
-        return float("inf")
-    values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
-    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")

@@ -36,6 +36,8 @@ class Statistics:
     input_noise : float or None
         Round-off floor of the inputs, relative to their peaks, as seen in the result: what in them alternates from
         instant to instant. An upper bound, close where the step is small; None for runs too short to tell.
+    branch : str
+        Of exact inversions: that the answers belong to one branch of the equations, and how that is known.
     """
 
     steps: int
@@ -50,6 +52,7 @@ class Statistics:
     error_estimate: float | None = None
     choices_of_states: int = 1
     input_noise: float | None = None
+    branch: str = ""
 
 
 NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendulum
 
 import servocore as sc
-from servocore.analysis import ADVICE, condition_number
+from servocore.analysis import ADVICE
+from servocore.structure.signature import condition_number
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
 CRANE_MODELS = [(name, model) for name in CRANES for model in sc.scenes.REGISTRY[name]().models]

@@ -97,10 +97,10 @@ def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(dis
         assert np.sign(found["phi"][-1] - found["phi"][0]) == sign
 
 
-def test_an_angle_that_cannot_be_followed_is_refused_with_its_time():
+def test_a_trolley_that_follows_its_branch_through_the_axis_is_refused_with_the_time():
     """Without its limits the crane passes right through the axis, in the middle of a step."""
     through = replace(near_axis(0.0), limits=())
-    with pytest.raises(sc.IntegrationFailed, match=r"phi cannot be followed from t = 8 s to 12 s, near t = 10 s"):
+    with pytest.raises(sc.IntegrationFailed, match=r"at t = 12 s s is -2\.\d+ m, on another branch"):
         sc.solve(through, sc.Reduced(), step=4.0)
 
 

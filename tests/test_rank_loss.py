@@ -88,9 +88,12 @@ def test_a_motion_that_goes_on_smoothly_is_right_and_comes_with_a_warning(step):
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
-def test_a_motion_that_changes_over_with_its_guess_is_refused(step):
-    with pytest.raises(sc.IntegrationFailed, match=SENTENCE + "; this one changes over from one to the other"):
-        sc.solve(scene(guess="crossed after"), sc.Reduced(), sc.BackwardEuler(), step=step)
+def test_a_guess_that_changes_over_does_not_decide_about_the_motion(step):
+    subject = scene(guess="crossed after")
+    with pytest.warns(sc.ServocoreWarning, match=SENTENCE + "; this one goes on smoothly"):
+        solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
+    assert error(subject, solution) < 1e-8
+    assert solution.statistics.branch.startswith("one: followed")
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1])

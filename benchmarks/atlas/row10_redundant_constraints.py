@@ -203,23 +203,15 @@ def _through_stretched(found: Findings) -> None:
         "parallelogram", "analyse", "instant of the loss of rank [s]", value, about(meeting, 1e-4), seen, SURVIVES
     )
     _pointwise(found, misled, meeting)
-    try:
-        quietly(misled, sc.Reduced(), sc.BackwardEuler(), step=0.016)
-        seen_error = "nothing"
-    except sc.IntegrationFailed as error:
-        seen_error, found.facts["refusal"] = type(error).__name__, str(error)
-    found.add("parallelogram", "solve, guess of the other branch after", "outcome", value, "IntegrationFailed",
-              seen_error, REFUSED)  # fmt: skip
     for route, subject, form, expected in (
         ("reduced", scene, sc.Reduced(), at_most(1e-6)),
-        ("reduced, follow_branch, guess of the other branch after", replace(misled, follow_branch=True), sc.Reduced(),
-         at_most(1e-6)),
+        ("reduced, guess of the other branch after", misled, sc.Reduced(), at_most(1e-6)),
         ("original", scene, sc.Original(), at_most(0.05)),
-    ):  # fmt: skip
+    ):
         solution = quietly(subject, form, sc.BackwardEuler(), step=0.016)
         error = relative_error(subject, solution)
         found.add("parallelogram", route, "relative input error", value, expected, error, SURVIVES)
-        found.facts[route.partition(",")[0] + ("_followed" if "follow" in route else "")] = error
+        found.facts["reduced_followed" if "guess" in route else route] = error
     found.curves["followed"] = (solution.t, scene.exact(solution.t)["torque"])
 
 
@@ -295,7 +287,7 @@ def draw(found: Findings) -> Figure:
     )
     t, values, crossed, exact = found.curves["pointwise"]
     right.plot(t, exact, color="0.75", lw=4, label="exact, parallelogram")
-    right.plot(*found.curves["followed"], color=GOOD, ls="--", label="follow_branch")
+    right.plot(*found.curves["followed"], color=GOOD, ls="--", label="solve")
     right.plot(t, values, color=BAD, label="pointwise, misleading guess")
     right.plot(t, crossed, color=OTHER, ls="", marker="^", markevery=8, label="exact, crossed assembly")
     right.set_ylim(-60, 120)
@@ -307,8 +299,8 @@ ROW = Row(
     name=NAME,
     title="Redundant constraints and rank drops",
     avoid="constraint rows as a raw formulation takes them; motions through positions where two assemblies meet",
-    do="`solve` and `analyse`, which count by rank and leave redundant rows out; `follow_branch` through a loss of"
-    " rank",
+    do="`solve` and `analyse`, which count by rank and leave redundant rows out, and `solve` through a loss of rank,"
+    " since it follows one branch",
     theory="Redundant rows leave multipliers undetermined: the system Jacobian is singular for good, and counting rows"
     " denies the mechanism a motion that it has. In a Bricard linkage (six hinges, one degree of freedom) the rows are"
     " dependent only where the loop is closed: the smallest singular value falls in proportion to the distance from"
@@ -317,19 +309,19 @@ ROW = Row(
     survivor="The rank is taken at configurations that satisfy the constraints, and a row is left out only if the"
     " others imply it nearby. `analyse` names it, `solve` leaves it out: {doubled:.0e} of the peak on the crane,"
     " {four:.0e} on a parallelogram of four hinges in space, {bricard:.0e} on the Bricard linkage (61 coordinates, 61"
-    " rows, rank 60) with a constraint violation of {bricard_violation:.0e}. Through the stretched position a scene"
-    " with `follow_branch` goes on smoothly whatever its guess: {reduced_followed:.0e}.",
+    " rows, rank 60) with a constraint violation of {bricard_violation:.0e}. Through the stretched position"
+    " `solve` goes on smoothly whatever the guess: {reduced_followed:.0e}.",
     limit="As it stands, a system with redundant rows is refused: “{hinges}”. Too many inputs are refused by the true"
     " count: “{overactuated}”. Multipliers of rows left out are zero, which is one choice among many. A motion may"
     " come within {nearest:g} rad of the stretched position ({short:.0e} of the peak, no alarm); through it `solve`"
-    " warns and `analyse` reports the instant. A solution that changes over, {misled:.0%} of the peak off and to"
-    " round-off the crossed assembly's, is refused: “{refusal}”. The loss of rank is looked for at 201 instants of a"
-    " motion, a condition beyond 1e5 counts; one that begins and ends between two of them goes unseen, and so does a"
-    " change over in steps that a user takes by hand. With a guess on the right branch the reduced form errs by"
-    " {reduced:.0e}, the original form by {original:.1%}.",
+    " warns and `analyse` reports the instant. Steps that a user takes by hand from such a guess change over,"
+    " {misled:.0%} of the peak off and to round-off the crossed assembly's torque. The loss of rank is looked for at"
+    " 201 instants of a motion, a condition beyond 1e5 counts; one that begins and ends between two of them goes"
+    " unseen. With a guess on the right branch the reduced form errs by {reduced:.0e}, the original form by"
+    " {original:.1%}.",
     caption="Top: the smallest singular value of the Bricard linkage's constraints, and its torque. Bottom left:"
     " towards the stretched position of the parallelogram. Bottom right: through it; a pointwise solution crosses over"
-    " with its guess, `follow_branch` does not.",
+    " with its guess, `solve` does not.",
     measure=measure,
     draw=draw,
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -18,10 +18,12 @@ from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, run
+from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
+from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
 from servocore.stepping.observation import compile_observation
+from servocore.stepping.program import Program
 from servocore.structure.inversion import inversion
 
 
@@ -42,9 +44,47 @@ class Pointwise:
     native: bool = False
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
-        """Invert at every instant; see `Route`."""
+        """Invert at every instant; see `Route`.
+
+        The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
+        each from where the one before was heading.
+        """
         program = program_of(problem, self.formulation, self.method, self.native)
-        return solution_of(problem, [Segment(program, times, run(problem, program, times, progress))])
+        if problem.follow_branch:
+            done = run(problem, program, times, progress)
+            return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
+        done = _at_every_instant(problem, program, times, progress)
+        try:
+            states, how = on_one_branch(problem, times, done.states)
+        except IntegrationFailed as error:
+            unsolved = np.flatnonzero(~np.isfinite(done.states[:, 1:]).all(axis=0))
+            if not len(unsolved):
+                raise
+            k = int(unsolved[0])
+            raise failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
+        return solution_of(problem, [Segment(program, times, replace(done, states=states))], branch=how)
+
+
+def _at_every_instant(problem: Problem, program: Program, times: Array, progress: Progress | None) -> Run:
+    """Solve every instant from the guess of the model; NaN where that fails."""
+    if problem.reference.max_order < program.start_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {problem.reference.max_order},"
+            f" {program.name} needs order {program.start_order}"
+        )
+    parts, count = [], len(times)
+    for k in range(0, count, CHUNK):
+        t = times[k : k + CHUNK]
+        blank, h = np.zeros((program.state_size, len(t))), np.zeros(len(t))
+        jets = side_by_side(problem.reference.jet(t, program.order))
+        states, counts, worst = mapped(program.step, len(t))(blank, jets, h, np.tile(problem.p[:, None], len(t)))
+        good = np.isfinite(worst).ravel()
+        iterations, factorisations = (counts.reshape(2, -1, order="F") @ good).round()
+        states = np.where(good, states.reshape(program.state_size, -1, order="F"), np.nan)
+        parts.append(Run(states, int(iterations), int(factorisations), float(np.max(worst.ravel()[good], initial=0.0))))
+        if progress is not None:
+            progress(min(k + CHUNK, count) - 1, count - 1)
+    return joined(parts)
 
 
 class ExactInversion:
@@ -98,6 +138,11 @@ class ExactInversion:
         require_feasible(problem)
         self._problem, self._order = problem, array.reference_order
         self._functions = problem.resolved.once(compile_inputs, native)
+        self._table: BranchTable | IntegrationFailed | None
+        try:
+            self._table = prepared_table(problem)
+        except IntegrationFailed as error:  # told by the call, which may know a better reason
+            self._table = error
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(each.name for each in problem.system.inputs)
 
@@ -120,44 +165,56 @@ class ExactInversion:
             If an instant is not solved, or on another branch of the equations than the one wanted.
         """
         times = np.asarray(t, dtype=np.float64)
-        jets = side_by_side(self._problem.reference.jet(times.reshape(-1), self._order))
-        found = self._evaluated(0, jets, times.size)
-        if not np.isfinite(found).all():
-            found = self._searched(found, jets, times.reshape(-1))
-        inputs, signs = found[:, : len(self.inputs)], found[:, len(self.inputs) :]
+        flat = times.reshape(-1)
+        jets = side_by_side(self._problem.reference.jet(flat, self._order))
+        if isinstance(self._table, BranchTable):
+            found = self._evaluated(2, jets, self._table.states_at(flat, jets))
+        else:
+            found = self._from_guesses(jets)
+        self._require_answers(found, flat)
+        if isinstance(self._table, IntegrationFailed):
+            raise self._table
+        return found[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
+
+    def _from_guesses(self, jets: Array) -> Array:
+        """Solve by the quick function, and by Newton's method what it leaves open."""
+        found = self._evaluated(0, jets)
+        left = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        if len(left):
+            columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
+            found = found.copy()
+            found[left] = self._evaluated(1, jets[:, columns])
+        return found
+
+    def _evaluated(self, which: int, jets: Array, *states: Array) -> Array:
+        """Return inputs and what must be positive, shape (count, columns), by one of the compiled functions."""
+        count = jets.shape[1] // (self._order + 1)
+        if not count:
+            return np.empty((0, len(self.inputs) + len(self._signs)))
+        p = np.tile(self._problem.p[:, None], count)
+        found = mapped(self._functions[which], count)(*states, jets, p)[0]
+        return found.reshape(-1, count, order="F").T
+
+    def _require_answers(self, found: Array, t: Array) -> None:
+        """Raise `IntegrationFailed` if an instant is not solved, or a value has a sign that it must not have."""
+        name, signs = self._problem.system.name, found[:, len(self.inputs) :]
+        unsolved = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        if len(unsolved):
+            raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
         if not (signs > 0.0).all():
             at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
             raise IntegrationFailed(
-                f"{self._problem.system.name}: at t = {times.reshape(-1)[at]:.6g} s {quantity.name} is"
-                f" {signs[at, which]:.4g} {quantity.unit}, on another branch of the equations than the one wanted"
+                f"{name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g} {quantity.unit}, on another"
+                f" branch of the equations than the one wanted"
             )
-        return inputs.reshape(*times.shape, len(self.inputs))
-
-    def _evaluated(self, which: int, jets: Array, count: int) -> Array:
-        """Return inputs and what must be positive, shape (count, columns), by the quick function or the other."""
-        if not count:
-            return np.empty((0, len(self.inputs) + len(self._signs)))
-        (found,) = mapped(self._functions[which], count)(jets, np.tile(self._problem.p[:, None], count))
-        return found.reshape(-1, count, order="F").T
-
-    def _searched(self, found: Array, jets: Array, t: Array) -> Array:
-        """Solve by Newton's method what the quick function left open."""
-        left = np.flatnonzero(~np.isfinite(found).all(axis=1))
-        columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
-        found = found.copy()
-        found[left] = self._evaluated(1, jets[:, columns], len(left))
-        open_still = left[~np.isfinite(found[left]).all(axis=1)]
-        if len(open_still):
-            name, time = self._problem.system.name, t[open_still[0]]
-            raise IntegrationFailed(f"{name}: the equations were not solved at t = {time:.6g} s")
-        return found
 
 
-def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.Function, ca.Function]:
+def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.Function, ca.Function, ca.Function]:
     """Compile (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks.
 
-    gamma has shape (m, reference_order + 1).
+    The third reads them from unknowns of the derivative array that are known: (unknowns, gamma, p) -> the same. gamma
+    has shape (m, reference_order + 1).
     """
     system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
     wanted = [(quantity, each) for quantity, each in system.observables.items() if quantity.positive]
@@ -173,4 +230,4 @@ def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.F
     if native:
         made = compiled({"quick": quick, "seeking": seeking}, system.name)
         quick, seeking = made["quick"], made["seeking"]
-    return quick, seeking
+    return quick, seeking, read

@@ -155,3 +155,11 @@ def equilibrated(matrix: Array) -> Array:
             factor = np.where(largest > 0.0, largest, 1.0)
             scaled = scaled / (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)
     return scaled
+
+
+def condition_number(matrix: Array) -> float:
+    """Return the condition number of a matrix after its rows and columns are scaled to unit maximum."""
+    if not np.isfinite(matrix).all():
+        return float("inf")
+    values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
+    return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")

@@ -1,0 +1,308 @@
+"""One branch along a path: where the equations have several solutions, an instant is to continue its neighbour.
+
+Newton's method from a guess lands on whichever solution is near. Whether the answers at two instants belong to one
+motion is told by their derivatives, which the derivative array holds: the Taylor polynomial of each must lead to the
+other. Where it does not, the interval is bisected, each new instant starting from where the one before was heading,
+until the polynomials agree or the interval has shrunk to nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import IntegrationFailed
+from servocore.numerics.calls import Array, Call, at_instants, mapped, side_by_side
+from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.signature import condition_number
+
+CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
+FOLLOWED = "one: followed from instant to instant"
+
+_APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
+_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
+_MOST_BISECTIONS = 45
+_MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
+_SINGULAR_CONDITION = 1e12
+_SURVEYED = 400  # instants at least, to tell whether guesses keep to one branch
+_TURN = 2.0 * np.pi
+_NONE = np.zeros(0, dtype=np.intp)
+
+Powers = tuple[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Taylor:
+    """Taylor polynomials of all unknowns of a derivative array, from the unknowns themselves.
+
+    Attributes
+    ----------
+    powers : tuple of (ndarray, ndarray)
+        For every power of time: places of unknowns, and places of the derivatives that are their coefficients.
+    of_q : tuple of (ndarray, ndarray)
+        The same for the coordinates alone, by their number.
+    q, rates : ndarray
+        Places of the coordinates and of their velocities.
+    wraps : ndarray of bool
+        Which coordinates are known up to full turns only.
+    """
+
+    powers: Powers
+    of_q: Powers
+    q: npt.NDArray[np.intp]
+    rates: npt.NDArray[np.intp]
+    wraps: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, array: DerivativeArray) -> Taylor:
+        """Find the places in an array."""
+        n, quantities = len(array.system.coordinates), array.system.coordinates.quantities
+        q, rates = (np.array(array.places((k, order) for k in range(n)), dtype=np.intp) for order in (0, 1))
+        wraps = np.array([each.wraps for each in quantities], dtype=bool)
+        positions = tuple((k, 0) for k in range(n))
+        return cls(_powers(array, array.unknowns), _powers(array, positions), q, rates, wraps)
+
+    def ahead(self, y: Array, h: Array | float) -> Array:
+        """Return the unknowns (size, N) as they would be `h` later."""
+        return _summed(self.powers, y, h, len(y))
+
+    def apart(self, first: Array, last: Array, h: Array, scale: Array) -> npt.NDArray[np.bool_]:
+        """Whether neighbours (size, N), `h` apart, belong to two motions; `scale` is the range of the coordinates."""
+        q0, q1 = first[self.q], last[self.q]
+        n, wraps = len(self.q), self.wraps.any()
+        miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
+        for each in miss if wraps else ():
+            each[self.wraps] = (each[self.wraps] + _TURN / 2) % _TURN - _TURN / 2
+        moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
+        moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
+        worst = np.maximum(*np.abs(miss))
+        # Not <=, so that NaN counts as apart.
+        found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, _SLIGHT * scale[:, None])).all(axis=0)
+        return found
+
+
+def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
+    place = {each: k for k, each in enumerate(array.unknowns)}
+    found = []
+    for power in range(max(order for _, order in array.unknowns) + 1):
+        known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]
+        to, of = (np.array(each, dtype=np.intp) for each in zip(*known, strict=True)) if known else (_NONE, _NONE)
+        found.append((to, of))
+    return tuple(found)
+
+
+def _summed(powers: Powers, y: Array, h: Array | float, size: int) -> Array:
+    """Return the sums of `powers` at `h`, shape (size, N)."""
+    found, factor = np.zeros((size, y.shape[1])), 1.0 + 0.0 * np.asarray(h)
+    for power, (to, of) in enumerate(powers):
+        factor = factor * h / power if power else factor
+        found[to] += y[of] * factor
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """What follows a branch of a flat problem along its path.
+
+    Attributes
+    ----------
+    problem : Problem
+        Without internal dynamics.
+    taylor : Taylor
+        Of its derivative array.
+    search, jacobian : Call
+        Newton's method from a guess, and the system Jacobian.
+    scale : ndarray, shape (n,)
+        Ranges of the coordinates.
+    """
+
+    problem: Problem
+    taylor: Taylor
+    search: Call
+    jacobian: Call
+    scale: Array
+
+    @classmethod
+    def along(cls, problem: Problem, states: Array) -> Branch:
+        """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
+        taylor, search, jacobian = problem.resolved.once(_compiled)
+        q = states[taylor.q]
+        known = np.where(np.isfinite(q), q, np.nan)
+        with np.errstate(invalid="ignore"):
+            ranges = np.nan_to_num(np.nanmax(known, axis=1) - np.nanmin(known, axis=1)) if known.size else np.zeros(0)
+        return cls(problem, taylor, search, jacobian, np.maximum(ranges, 1e-9 * np.array(_nominal(problem))))
+
+    def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:
+        """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
+        return np.flatnonzero(self.taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), self.scale))
+
+    def follow(self, state: Array, begin: float, end: float) -> Array:
+        """Return the answer at `end` on the branch of an answer at `begin`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If the branch ends on the way, or cannot be told from another.
+        """
+        waiting, trials = [end], 0
+        while waiting:
+            trials += 1
+            found = self._continued(state, begin, waiting[-1])
+            if found is not None:
+                state, begin = found, waiting.pop()
+                continue
+            middle = (begin + waiting[-1]) / 2
+            exhausted = len(waiting) > _MOST_BISECTIONS or trials > _MOST_TRIALS
+            if exhausted or not min(begin, waiting[-1]) < middle < max(begin, waiting[-1]):
+                raise IntegrationFailed(
+                    f"{self.problem.system.name}: the branch cannot be followed beyond t = {begin:.9g} s: it ends"
+                    f" there, or meets another"
+                )
+            waiting.append(middle)
+        return state
+
+    def require_regular(self, t: Array, states: Array, instants: npt.NDArray[np.intp]) -> None:
+        """Raise `IntegrationFailed` if the equations determine no answer at one of some instants."""
+        problem = self.problem
+        for k in instants:
+            jet = side_by_side(problem.reference.jet(t[k : k + 1], problem.array.reference_order))
+            condition = condition_number(self.jacobian(states[:, k], jet, problem.p)[0])
+            if not condition < _SINGULAR_CONDITION:
+                raise IntegrationFailed(
+                    f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
+                    f" {condition:.2g}"
+                )
+
+    def connects(self, t: Array, states: Array) -> bool:
+        """Whether following the branch of the first of two answers (size, 2) leads to the second."""
+        try:
+            found = self.follow(states[:, 0], float(t[0]), float(t[1]))
+        except IntegrationFailed:
+            return False
+        off = found[self.taylor.q] - states[self.taylor.q, 1]
+        off[self.taylor.wraps] = (off[self.taylor.wraps] + _TURN / 2) % _TURN - _TURN / 2
+        return bool((np.abs(off) <= _SLIGHT * self.scale).all())
+
+    def along_all(self, t: Array, states: Array) -> Array:
+        """Return the answers (size, N) at the instants `t` on one branch, that of the first answer which is finite.
+
+        Raises
+        ------
+        IntegrationFailed
+            If no instant is solved, or the branch cannot be followed.
+        """
+        solved = np.flatnonzero(np.isfinite(states).all(axis=0))
+        if not len(solved):
+            name = self.problem.system.name
+            raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
+        first, found = int(solved[0]), states.copy()
+        for k in range(first, 0, -1):
+            found[:, k - 1] = self.follow(found[:, k], float(t[k]), float(t[k - 1]))
+        for k in range(first + 1, len(t)):
+            found[:, k] = self.follow(found[:, k - 1], float(t[k - 1]), float(t[k]))
+        return found
+
+    def _continued(self, state: Array, begin: float, end: float) -> Array | None:
+        found = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
+        if found is None:
+            return None
+        apart = self.taylor.apart(state[:, None], found[:, None], np.array([end - begin]), self.scale)
+        return None if apart[0] else found
+
+    def _solved(self, time: float, guess: Array) -> Array | None:
+        problem = self.problem
+        jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
+        found, _, residual = self.search(jet, problem.p, guess)
+        return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
+
+
+def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call, Call]:
+    search = Call(resolved.once(inversion).search)
+    return Taylor.of(resolved.array), search, Call(resolved.once(system_jacobian))
+
+
+def _nominal(problem: Problem) -> tuple[float, ...]:
+    return problem.system.coordinates.nominal
+
+
+def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str]:
+    """Return answers (size, N) at the instants `t` that belong to one branch, and how that is known.
+
+    Parameters
+    ----------
+    problem : Problem
+        Without internal dynamics.
+    t : ndarray, shape (N,)
+        Instants in rising order.
+    states : ndarray, shape (size, N)
+        Answers from the guess of the model; NaN where there is none.
+
+    Raises
+    ------
+    IntegrationFailed
+        If they jump and no branch can be followed.
+    """
+    if len(t) < 2 or states.shape[0] != len(problem.array.unknowns):
+        return states, ""
+    branch = Branch.along(problem, states)
+    seeming = branch.jumps(t, states)
+    for k in seeming:  # instants far apart seem to jump: look in between
+        if not np.isfinite(states[:, k : k + 2]).all() or not branch.connects(t[k : k + 2], states[:, k : k + 2]):
+            found = branch.along_all(t, states)
+            branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
+            return found, FOLLOWED
+    return states, CONTINUOUS
+
+
+@dataclass(frozen=True, eq=False)
+class BranchTable:
+    """Answers along a path, all on one branch, from which the answer at any instant is found.
+
+    Attributes
+    ----------
+    branch : Branch
+        What follows it.
+    t : ndarray, shape (N,)
+        Instants in rising order.
+    states : ndarray, shape (size, N)
+        The answers.
+    """
+
+    branch: Branch
+    t: Array
+    states: Array
+
+    def states_at(self, t: Array, jets: Array) -> Array:
+        """Return the answers (size, M) at instants in any order, for their reference jets side by side."""
+        if not len(t):
+            return np.empty((len(self.states), 0))
+        after = np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1)
+        near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
+        first, h = self.states[:, near], t - self.t[near]
+        problem, taylor = self.branch.problem, self.branch.taylor
+        search = mapped(problem.resolved.once(inversion).search, len(t))
+        found = search(jets, np.tile(problem.p[:, None], len(t)), taylor.ahead(first, h))[0]
+        found = found.reshape(len(first), -1, order="F").copy()
+        for k in np.flatnonzero(taylor.apart(first, found, h, self.branch.scale)):
+            found[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
+        return found
+
+
+def prepared_table(problem: Problem) -> BranchTable | None:
+    """Return answers along the path of a problem on one branch; None if the guess of the model is the answer itself."""
+    ends, inverse = problem.reference.stretches, problem.resolved.once(inversion)
+    each = max(1, -(-_SURVEYED // (len(ends) - 1)))
+    t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
+    kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
+    if how == CONTINUOUS and inverse.expression is not None:
+        exact = at_instants(inverse.expression, jets=jets, p=problem.p)[0]
+        if np.isfinite(exact).all():
+            return None
+    return BranchTable(Branch.along(problem, kept), t, kept)

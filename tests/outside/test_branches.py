@@ -1,0 +1,74 @@
+"""Where several configurations belong to one output, the answer is one motion: that of the first instant."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside.systems import LOOP, elbow_arm, vtol
+
+import servocore as sc
+
+
+def assert_right(found, exact, tolerance=1e-10):
+    for name, values in exact.items():
+        if name in found:
+            assert np.abs(found[name] - values).max() <= tolerance * np.abs(values).max()
+
+
+@pytest.mark.parametrize("steps", [25, 200, 1000])
+def test_an_aircraft_turns_over_on_one_branch(steps):
+    aircraft = vtol()
+    solution = sc.solve(aircraft.scene, step=5.0 / steps)
+    assert_right(solution, aircraft.exact(solution.t))
+    assert 13.9 < solution["f"].min() < 14.1
+    assert solution.statistics.branch.startswith("one: followed")
+
+
+@cache
+def inputs_of_the_aircraft():
+    return sc.ExactInversion(vtol().scene)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(0.0, 5.0), min_size=7, max_size=7))
+def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times):
+    exact, found = vtol().exact(np.array(times)), inputs_of_the_aircraft()(times)
+    for k, name in enumerate(("f", "torque")):
+        np.testing.assert_allclose(found[:, k], exact[name], rtol=1e-9, atol=1e-9)
+
+
+@settings(max_examples=15, deadline=None)
+@given(duration=st.floats(3.0, 12.0), turn=st.floats(-0.6, 0.6), lift=st.floats(0.6, 1.5))
+def test_other_loops_are_flown_on_one_branch_too(duration, turn, lift):
+    """Where the thrust vanishes the branches meet, and refusal is right; elsewhere the answer is."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    points = [(cos * x - sin * z, lift * (sin * x + cos * z)) for x, z in LOOP]
+    aircraft = vtol(path=sc.through(points, duration=duration))
+    exact = aircraft.exact(np.linspace(0.0, duration, 2001))
+    try:
+        solution = sc.solve(aircraft.scene)
+    except sc.ServocoreError:
+        assert exact["f"].min() < 1.0
+        return
+    assert_right(solution, aircraft.exact(solution.t), 1e-8)
+
+
+@pytest.mark.parametrize("guess", [(0.3, 1.0), (-0.5, 1.5), (0.0, 0.5), (0.5, 2.0), (0.2, 1.2)])
+def test_a_constant_guess_is_a_start_and_not_a_law(guess):
+    arm = elbow_arm(guess)
+    solution = sc.solve(arm.scene)
+    exact = arm.exact(solution.t)
+    if np.mod(solution["b"][0], 2 * np.pi) > np.pi:
+        pytest.skip("this guess leads to the other assembly, whose torques are others")
+    assert_right({name: solution[name] for name in ("T_1", "T_2")}, {name: exact[name] for name in ("T_1", "T_2")})
+
+
+def test_round_after_round_the_arm_keeps_its_elbow():
+    arm = elbow_arm(cycles=5)
+    solution = sc.solve(arm.scene, step=0.05)
+    assert_right(solution, {name: values for name, values in arm.exact(solution.t).items() if name != "b"})
+    assert np.ptp(np.sign(np.sin(solution["b"]))) == 0.0
