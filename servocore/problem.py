@@ -17,6 +17,7 @@ import numpy as np
 from servocore.dae import Dae
 from servocore.errors import InvalidModel
 from servocore.formulations.base import Formulation
+from servocore.model.magnitudes import decades_of, scaled_to
 from servocore.model.scene import Limit, Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
@@ -189,6 +190,7 @@ class Problem:
         else:
             scene, system = subject, subject.model(model)
             p = system.parameters.values(scene.parameters)
+            system = scaled_to(system, decades_of(scene.reference))
         resolved = resolve(system, tuple(p.tolist()))
         left_out = system.listed_constraints(resolved.redundant)
         return cls(scene.name, resolved, p, scene.reference, scene.limits, scene.follow_branch, left_out)

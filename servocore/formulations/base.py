@@ -31,10 +31,10 @@ def mechanical_unknowns(system: MechanicalSystem) -> tuple[ca.SX, ca.SX, tuple[U
     x, z = ca.vertcat(system.q, system.v), ca.vertcat(system.lam, system.u)
     coordinates = system.coordinates.quantities
     described = (
-        *(Unknown(f"q.{each.name}", 0, each.nominal) for each in coordinates),
-        *(Unknown(f"q.{each.name}", 1, each.nominal) for each in coordinates),
+        *(Unknown(f"q.{each.name}", 0, each.magnitude) for each in coordinates),
+        *(Unknown(f"q.{each.name}", 1, each.magnitude) for each in coordinates),
         *(Unknown(f"lam.{k + 1}") for k in range(system.lam.numel())),
-        *(Unknown(f"u.{each.name}", 0, each.nominal) for each in system.inputs),
+        *(Unknown(f"u.{each.name}", 0, each.magnitude) for each in system.inputs),
     )
     return x, z, described
 

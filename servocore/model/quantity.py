@@ -17,8 +17,9 @@ class Quantity:
         SI unit as FMI spells it: ``m``, ``rad``, ``N.m``, ``m/s2``.
     description : str
         One line for tables and tool tips.
-    nominal : float
-        Typical magnitude in `unit`; scales Newton's stopping test.
+    nominal : float, optional
+        Typical magnitude of its changes in `unit`: scales Newton's stopping test and the points at which a structure
+        is looked at. For a coordinate without one it is derived from the path.
     wraps : bool
         True for an angle computed by atan2: a trajectory of it is made continuous.
     positive : bool
@@ -29,6 +30,11 @@ class Quantity:
     name: str
     unit: str = "1"
     description: str = ""
-    nominal: float = 1.0
+    nominal: float | None = None
     wraps: bool = False
     positive: bool = False
+
+    @property
+    def magnitude(self) -> float:
+        """The nominal value, or one unit if there is none."""
+        return 1.0 if self.nominal is None else self.nominal

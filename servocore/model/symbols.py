@@ -6,9 +6,10 @@ remain inputs of every compiled function: an FMU can tune them, a user can diffe
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -97,7 +98,14 @@ class Coordinates:
     @property
     def nominal(self) -> tuple[float, ...]:
         """Typical magnitudes in the order of q."""
-        return tuple(quantity.nominal for quantity in self.quantities)
+        return tuple(quantity.magnitude for quantity in self.quantities)
+
+    def scaled(self, magnitudes: Sequence[float]) -> Coordinates:
+        """Return the same symbols with these nominal values."""
+        found = copy.copy(self)
+        pairs = zip(self.quantities, magnitudes, strict=True)
+        object.__setattr__(found, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
+        return found
 
     def __len__(self) -> int:
         return len(self.quantities)

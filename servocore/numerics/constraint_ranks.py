@@ -76,7 +76,7 @@ def constraint_rank(
     if not count:
         return ConstraintRank(0, 0)
     scale = np.asarray(nominal, dtype=np.float64)
-    rows = scaled_rows(constraints, q, p, values, scale)
+    rows = _balanced(scaled_rows(constraints, q, p, values, scale), [np.asarray(start) / scale for start in starts])
     for start in starts:
         found = _neighbours(rows, np.asarray(start) / scale, _APART)
         if found:
@@ -102,6 +102,22 @@ def scaled_rows(constraints: ca.SX, q: ca.SX, p: ca.SX, values: Array, scale: Ar
         return residual.ravel(), jacobian.reshape(residual.size, x.size) * scale
 
     return rows
+
+
+def _balanced(rows: Rows, places: Sequence[Array]) -> Rows:
+    """Divide rows by the lengths that their gradients have near some places, so that units do not decide on zero."""
+    points = [point for place in places for point in (place, *_around(place, _APART))]
+    with np.errstate(invalid="ignore"):
+        lengths = np.nan_to_num(
+            np.max([np.linalg.norm(rows(point)[1], axis=1) for point in points], axis=0), posinf=0.0
+        )
+    lengths = np.where(lengths > 0.0, lengths, 1.0)
+
+    def balanced(x: Array) -> tuple[Array, Array]:
+        residual, jacobian = rows(x)
+        return residual / lengths, jacobian / lengths[:, None]
+
+    return balanced
 
 
 def assembled(rows: Rows, x: Array) -> Array | None:
@@ -133,9 +149,12 @@ def assembled(rows: Rows, x: Array) -> Array | None:
 
 def _neighbours(rows: Rows, x: Array, distance: float) -> list[Array]:
     """Return assembled configurations near `x`: the nearest first, then from starts some `distance` off it."""
+    return [found for found in (assembled(rows, start) for start in (x, *_around(x, distance))) if found is not None]
+
+
+def _around(x: Array, distance: float) -> list[Array]:
     angles = 1.0 + np.arange(x.size)
-    starts = [x, *(x + distance * np.sin(k * angles + k) for k in range(1, _NEIGHBOURS + 1))]
-    return [found for found in (assembled(rows, start) for start in starts) if found is not None]
+    return [x + distance * np.sin(k * angles + k) for k in range(1, _NEIGHBOURS + 1)]
 
 
 def unit_rows(jacobian: Array) -> Array:

@@ -8,8 +8,11 @@ unknowns, needs Newton's method on two blocks of three.
 
 ``fast_newton`` says nothing of how it ended, and takes NaN for convergence. So each block carries a *clock*, an
 unknown of its own whose Newton correction is exactly one tick: -r/r' = tick for r = exp(-clock/tick). It counts the
-iterations inside compiled loops, and `Convergence` is judged from the count and from the residual of the whole
-system at the solution.
+iterations inside compiled loops, and convergence is judged from the count.
+
+Where unknowns are large beside their nominal values (accelerations of stiff parts), corrections end at round-off above
+`STEP_TOLERANCE`. After `QUICK_ITERATIONS` the rest is done with care: an equation counts as solved where a change of
+unknowns and givens by some round-off explains what is left of it.
 """
 
 from __future__ import annotations
@@ -26,9 +29,13 @@ from servocore.numerics.expressions import largest
 STEP_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
 
+QUICK_ITERATIONS = 12
+"""After as many Newton iterations those that remain look at round-off, which takes twice as long."""
+
 MAX_ITERATIONS = 30
 """A block that needs as many Newton iterations has failed."""
 
+_ROUND_OFF = 64 * np.finfo(np.float64).eps  # relative change of unknowns and givens that explains a residual
 _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
 
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
@@ -281,23 +288,37 @@ def _iterated(
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
     scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
     equations = ca.substitute(residual, unknowns, scaled * scale_symbol) / row_scale_symbol
-    find_root = ca.rootfinder(
-        "sc_newton",
-        "fast_newton",
-        {
-            "x": ca.vertcat(scaled, clock),
-            "p": ca.vertcat(assembly.symbols, scale_symbol, row_scale_symbol),
-            "g": ca.vertcat(equations, ca.exp(-clock / _TICK)),
-        },
-        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False,
-         "common_options": {"cse": True}},
-    )  # fmt: skip
-    root = find_root(ca.vertcat(start, 0), ca.vertcat(assembly.values, scale_value, row_scale_value))
+    x, p = ca.vertcat(scaled, clock), ca.vertcat(assembly.symbols, scale_symbol, row_scale_symbol)
+    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), assembly.symbols)(
+        ca.vertcat(start, 0), ca.vertcat(assembly.values, scale_value, row_scale_value)
+    )
     ticks = root[size] / _TICK
     assembly.iterations.append(ticks)
     # A count at the limit is a failure: let it spread instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale_value * verdict
+
+
+def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
+    """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` what round-off changes in p."""
+    options = {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
+    problem = {"x": x, "p": p, "g": equations}
+    quick = ca.rootfinder("sc_newton", "fast_newton", problem, {**options, "max_iter": QUICK_ITERATIONS})
+    J = ca.jacobian(equations, x)
+    # Componentwise backward error (Oettli and Prager, 1964).
+    floor = ca.mtimes(ca.fabs(J), ca.fabs(x)) + ca.mtimes(ca.fabs(ca.jacobian(equations, data)), ca.fabs(data))
+    beyond = ca.if_else(ca.fabs(equations) <= _ROUND_OFF * floor, 0.0, equations)
+    beyond[-1] = equations[-1]
+    careful = ca.rootfinder("sc_careful_newton", "fast_newton", problem, {
+        **options, "max_iter": MAX_ITERATIONS - QUICK_ITERATIONS,
+        "jacobian_function": ca.Function("sc_beyond", [x, p], [J, beyond], ["x", "p"], ["J", "g"], {"cse": True}),
+    })  # fmt: skip
+    start, given = ca.MX.sym("start", x.numel()), ca.MX.sym("p", p.numel())
+    enough = ca.Function("sc_enough", [start, given], [start])
+    more = ca.Function("sc_more", [start, given], [careful(start, given)])
+    root = quick(start, given)
+    root = ca.Function.if_else("sc_rest", more, enough)(root[-1] > (QUICK_ITERATIONS - 0.5) * _TICK, root, given)
+    return ca.Function("sc_root", [start, given], [root])
 
 
 def _iterated_once(

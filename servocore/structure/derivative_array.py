@@ -143,4 +143,4 @@ def nominal(system: MechanicalSystem, variable: int) -> float:
     n, m_h = len(system.coordinates), system.lam.numel()
     if variable < n:
         return system.coordinates.nominal[variable]
-    return 1.0 if variable < n + m_h else system.inputs[variable - n - m_h].nominal
+    return 1.0 if variable < n + m_h else system.inputs[variable - n - m_h].magnitude

@@ -20,6 +20,7 @@ from servocore.numerics.calls import Array
 from servocore.structure.signature import SecondOrderEquations, Signature, equilibrated, signature
 
 _COPIES, _TREMOR = 16, 1e-7  # of each point, to tell a coefficient from the round-off of terms that cancel
+_DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may not reach far
 _PROBES = 3  # points at which a coefficient must vanish to count as absent
 
 
@@ -85,7 +86,7 @@ def jacobian_at_probes(system: MechanicalSystem, found: Signature, p: Array | No
     """Return the system Jacobian as numbers at points without symmetry near the system's home."""
     arguments = [found.equations.y, system.gamma, system.p]
     evaluate = ca.Function("sc_system_jacobian", arguments, [found.jacobian])
-    return [np.asarray(evaluate(*point)) for point in _probe_points(system, found.equations, p)]
+    return [np.asarray(evaluate(*point)) for point in _probe_points(system, found.equations, evaluate, p)]
 
 
 def is_regular(system: MechanicalSystem, found: Signature, p: Array | None = None) -> bool:
@@ -107,17 +108,36 @@ def _left_over(system: MechanicalSystem, found: Signature) -> str:
 
 
 def _probe_points(
-    system: MechanicalSystem, equations: SecondOrderEquations, p: Array | None = None, *, disturbed: bool = False
+    system: MechanicalSystem,
+    equations: SecondOrderEquations,
+    evaluate: ca.Function,
+    p: Array | None = None,
+    *,
+    disturbed: bool = False,
 ) -> list[tuple[Array, Array, Array]]:
-    """Return points (y, gamma, p) near the system's home: fixed numbers without symmetry.
+    """Return points (y, gamma, p) near the system's home at which `evaluate` is finite: numbers without symmetry."""
+    for distance in _DISTANCES:
+        points = _points(system, equations, distance, p, disturbed)
+        finite = [point for point in points if np.isfinite(np.asarray(evaluate(*point))).all()]
+        if finite:
+            return finite
+    return points
 
-    With `disturbed` the parameters leave their home as well, by a few per cent of themselves and of one.
+
+def _points(
+    system: MechanicalSystem, equations: SecondOrderEquations, distance: float, p: Array | None, disturbed: bool
+) -> list[tuple[Array, Array, Array]]:
+    """Return fixed points (y, gamma, p), with coordinates and their derivatives near those of the system's home.
+
+    They are up to `distance` of their nominal values away, or of one unit if that is less. With `disturbed` the
+    parameters leave their home as well, by a few per cent of themselves and of one.
     """
     q, home = system.home_configuration()
     generator = np.random.default_rng(20090601)
     points = []
     for _ in range(_PROBES):
-        y = 0.3 * generator.uniform(0.5, 1.0, equations.y.shape) * generator.choice([-1.0, 1.0], equations.y.shape)
+        y = distance * generator.uniform(0.5, 1.0, equations.y.shape) * generator.choice([-1.0, 1.0], equations.y.shape)
+        y[: len(q)] *= np.minimum(1.0, system.coordinates.nominal)[:, None]
         y[: len(q), 0] += q
         gamma = generator.uniform(-0.3, 0.3, system.gamma.shape)
         gamma[:, 0] = system.home
@@ -208,7 +228,7 @@ def _without_vanishing(
     evaluate = ca.Function("by", [y, system.gamma, system.p], [by_derivatives])
 
     def present(disturbed: bool) -> npt.NDArray[np.bool_]:
-        points = _probe_points(system, equations, disturbed=disturbed)
+        points = _probe_points(system, equations, evaluate, disturbed=disturbed)
         found: npt.NDArray[np.bool_] = np.any([_is_not_noise(evaluate, point) for point in points], axis=0)
         return found
 

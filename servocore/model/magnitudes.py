@@ -1,0 +1,78 @@
+"""Typical magnitudes of coordinates that have no nominal value, derived from how far a path goes.
+
+Newton's method stops where corrections are small beside a typical magnitude, which is one unit unless somebody says
+otherwise. For a path of a nanometre that is no accuracy at all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.references.base import Reference
+
+_INSTANTS = 9  # of a path, to see how far it goes
+_FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
+_ROUND_OFF = 1e-9  # of the largest change of a unit: less is none
+_SMALLEST = 1e-4  # of a coordinate itself: changes below it do not show in its magnitude
+
+
+def decades_of(path: Reference) -> tuple[float, ...]:
+    """Return the common logarithm of how far each component of a path goes, in whole decades; -inf where it rests."""
+    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    extent = np.ptp(path.jet(t, 0)[:, 0], axis=0)
+    with np.errstate(divide="ignore"):
+        return tuple(np.round(np.log10(extent)).tolist())
+
+
+@lru_cache(maxsize=256)  # every solve asks, and what was compiled for a system is kept with the object
+def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> MechanicalSystem:
+    """Return the system with nominal values for an extent of the path; the same object where its own serve.
+
+    A coordinate changes as its guess does, or as the constraints at home make it follow the outputs; one that neither
+    moves is as large as others of its unit.
+    """
+    quantities = system.coordinates.quantities
+    if len(decades) != len(system.outputs):
+        return system
+    home, _ = system.home_configuration()
+    magnitudes = _changes(system, np.array([10.0**each for each in decades]))
+    for unit in {each.unit for each in quantities}:
+        alike = [k for k, each in enumerate(quantities) if each.unit == unit]
+        largest = magnitudes[alike].max()
+        still = [k for k in alike if not magnitudes[k] > _ROUND_OFF * largest]
+        magnitudes[still] = largest or 1.0
+    derived = 10.0 ** np.round(np.log10(np.maximum(magnitudes, _SMALLEST * np.nan_to_num(np.abs(home)))))
+    sizes = [_chosen(each, size) for each, size in zip(quantities, derived.tolist(), strict=True)]
+    if sizes == list(system.coordinates.nominal):
+        return system
+    return replace(system, coordinates=system.coordinates.scaled(sizes))
+
+
+def _chosen(quantity: Quantity, derived: float) -> float:
+    """Return what counts: a nominal value that is given, or one unit, unless the path says something else."""
+    if derived < _FAR_LESS * quantity.magnitude or (quantity.nominal is None and derived * _FAR_LESS > 1.0):
+        return derived
+    return quantity.magnitude
+
+
+def _changes(system: MechanicalSystem, extent: Array) -> Array:
+    """Return how far each coordinate goes when the outputs leave home by `extent`."""
+    home, p = system.home_configuration()
+    gamma = np.zeros((2, *system.gamma.shape))
+    gamma[:, :, 0] = np.array(system.home) + np.outer((1.0, -1.0), extent)
+    evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
+        system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
+    found = [np.abs(np.asarray(evaluate(each, home, p)[0]).ravel() - home) for each in gamma]
+    rows = np.asarray(evaluate(gamma[0], home, p)[1])
+    if np.isfinite(rows).all():
+        outputs = np.eye(len(rows))[:, len(rows) - len(extent) :] * extent
+        found.append(np.abs(np.linalg.pinv(rows, rcond=1e-9) @ outputs).max(axis=1))
+    largest: Array = np.nan_to_num(np.max(found, axis=0), nan=0.0, posinf=0.0)
+    return largest

@@ -1,0 +1,198 @@
+"""Units decide nothing: the same machine in nanometres or in kilometres has the same answer."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside.systems import named, symbols
+
+import servocore as sc
+from servocore.numerics.square_systems import QUICK_ITERATIONS
+from servocore.scenes import jets
+
+
+def cars(size: float, nominal: float | None, scaled_guess: bool) -> sc.MechanicalSystem:
+    """Two cars whose spring is as stiff again as at rest when it is stretched by `size`."""
+    quantities = [sc.Quantity(name, "m", nominal=nominal) for name in ("x_1", "x_2")]
+    coordinates, gamma = sc.Coordinates(*quantities), symbols(1)
+    first, second = ca.vertsplit(coordinates.q)
+    d = second - first
+    return sc.MechanicalSystem(
+        name="cars",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=named("u", "N"),
+        outputs=named("y"),
+        mass=ca.SX.eye(2),
+        output=second,
+        input_matrix=-ca.SX([[1, 0]]),
+        potential=d**2 / 2 + d**4 / (4 * size**2),
+        gamma=gamma,
+        guess=ca.vertcat(gamma[0, 0], gamma[0, 0]) if scaled_guess else ca.SX.zeros(2),
+        home=(0.0,),
+    )
+
+
+def exact_force(reference: np.ndarray, size: float) -> np.ndarray:
+    """d + d^3/size^2 = -y'', by Newton's method on jets, which gains digits and orders alike; u = (2 y - d)''."""
+    (y,) = jets.components(reference)
+    pull = -1.0 * y.d().d()
+    d = pull
+    for _ in range(30):
+        d = d - (d + d * d * d * (1 / size**2) - pull) / (1.0 + d * d * (3 / size**2))
+    return y.derivatives()[2] + (y - d).derivatives()[2]
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-10.0, 6.0), st.sampled_from([None, 1.0]), st.booleans())
+def test_cars_on_a_path_of_any_size_are_driven_alike(power, nominal, scaled_guess):
+    size = 10.0**power
+    reference = sc.rest_to_rest((0.0,), (size,), 4.0)
+    scene = sc.Scene("cars", {"spring": partial(cars, size, nominal, scaled_guess)}, reference)
+    for form, method in ((None, None), (sc.Reduced(), sc.BackwardEuler())):
+        solution = sc.solve(scene, form, method, step=0.1)
+        exact = exact_force(reference.jet(solution.t, 4), size)
+        assert np.abs(solution["u"] - exact).max() <= 1e-10 * np.abs(exact).max()
+    t = np.linspace(0.3, 3.9, 7)
+    exact = exact_force(reference.jet(t, 4), size)
+    assert np.abs(sc.ExactInversion(scene)(t).ravel() - exact).max() <= 1e-10 * np.abs(exact).max()
+
+
+def small_arm(size: float) -> sc.MechanicalSystem:
+    """Two links of length `size` with a motor in each joint."""
+    coordinates, gamma = sc.Coordinates(*named("a b", "rad")), symbols(2)
+    a, b = ca.vertsplit(coordinates.q)
+    elbow = size * ca.vertcat(ca.cos(a), ca.sin(a))
+    tip = elbow + size * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
+    J_1, J_2 = ca.jacobian(elbow, coordinates.q), ca.jacobian(tip, coordinates.q)
+    return sc.MechanicalSystem(
+        name="arm",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=named("T_1 T_2", "N.m"),
+        outputs=named("X Y"),
+        mass=ca.mtimes(J_1.T, J_1) + ca.mtimes(J_2.T, J_2),
+        output=tip,
+        input_matrix=-ca.SX.eye(2),
+        gamma=gamma,
+        guess=ca.SX([0.3, 1.2]),
+        home=(1.1 * size, 1.0 * size),
+    )
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-6, 1e6])
+def test_an_arm_of_any_size_moves_alike_in_every_form(size):
+    def torques(unit, form):
+        reference = sc.rest_to_rest((1.1 * unit, 1.0 * unit), (0.4 * unit, 1.5 * unit), 2.0)
+        scene = sc.Scene("arm", {"links": partial(small_arm, unit)}, reference)
+        found = sc.solve(scene, form, sc.RadauIIA(2), step=0.05)
+        return np.array([found["T_1"], found["T_2"]]) / unit**2
+
+    for form in (sc.Projected(), sc.Reduced()):
+        expected = torques(1.0, form)
+        assert np.abs(torques(size, form) - expected).max() <= 1e-9 * np.abs(expected).max()
+
+
+def hanging(size: float, nominal: float) -> sc.MechanicalSystem:
+    """A bead on a circle of radius `size`, in Cartesian coordinates, pushed along x."""
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "m", nominal=nominal) for name in ("x", "z")))
+    gamma = symbols(1)
+    x, z = ca.vertsplit(coordinates.q)
+    return sc.MechanicalSystem(
+        name="bead",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=named("f", "N"),
+        outputs=named("X"),
+        mass=ca.SX.eye(2),
+        output=x,
+        input_matrix=-ca.SX([[1, 0]]),
+        constraints=(x**2 + z**2 - size**2) / 2,
+        gamma=gamma,
+        guess=ca.vertcat(gamma[0, 0], -size),
+        home=(0.0,),
+    )
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-5, 1.0, 1e5])
+@pytest.mark.parametrize("honest", [False, True])
+def test_a_constraint_is_not_redundant_because_it_is_small(size, honest):
+    """Without gravity a bead on a circle needs f = x'' + x lam with z'' + z lam = 0."""
+    reference = sc.rest_to_rest((0.0,), (0.7 * size,), 2.0)
+    scene = sc.Scene("bead", {"bead": partial(hanging, size, size if honest else 1.0)}, reference)
+    assert scene.model().constraint_rank().rank == 1
+    solution = sc.solve(scene, step=0.05)
+    (x,) = jets.components(reference.jet(solution.t, 4))
+    z = -1.0 * jets.sqrt(size**2 - x * x)
+    exact = x.derivatives()[2] - x.value * z.derivatives()[2] / z.value
+    assert np.abs(solution["f"] - exact).max() <= 1e-10 * np.abs(exact).max()
+
+
+def elastic_crank(rod: float, order: str, sign: int) -> sc.MechanicalSystem:
+    """A slider crank with a rod that yields, in the crank's angle and the rod's compression or extension."""
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "rad" if name == "a" else "m") for name in order))
+    a, d = coordinates["a"], coordinates["d"]
+    slider = 0.15 * ca.cos(a) + ca.sqrt((rod + sign * d) ** 2 - (0.15 * ca.sin(a)) ** 2)
+    v, gamma = ca.jtimes(slider, coordinates.q, coordinates.v), symbols(1)
+    start = ca.acos((0.15**2 + gamma[0, 0] ** 2 - rod**2) / (0.3 * gamma[0, 0]))
+    return sc.MechanicalSystem(
+        name="slider crank",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=named("T", "N.m"),
+        outputs=named("X"),
+        mass=ca.hessian((0.003 * coordinates.velocity("a") ** 2 + 2 * v**2) / 2, coordinates.v)[0],
+        output=slider,
+        input_matrix=-ca.jacobian(a, coordinates.q),
+        potential=1e7 * d**2 / 2,
+        gamma=gamma,
+        guess=ca.vertcat(*[start if name == "a" else 0 for name in order]),
+        home=(rod + 0.02,),
+    )
+
+
+@pytest.mark.parametrize("rod", [0.3, 1.0])
+@pytest.mark.parametrize("order", ["ad", "da"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_mechanism_that_does_not_reach_far_is_looked_at_nearby(rod, order, sign):
+    reference = sc.rest_to_rest((rod + 0.02,), (rod + 0.1,), 0.5)
+    scene = sc.Scene("crank", {"elastic": partial(elastic_crank, rod, order, sign)}, reference)
+    report = sc.analyse(scene)
+    assert (report.classification, report.index) == ("flat", 5)
+    solution = sc.solve(scene)
+    jet = reference.jet(solution.t, 2)
+    # The spring carries the slider: the force along the rod is 2 X'' over the cosine of the rod's angle.
+    slope = 0.15 * np.sin(solution["a"]) / (rod + sign * solution["d"])
+    force = 2.0 * jet[:, 2, 0] / np.sqrt(1.0 - slope**2)
+    assert np.abs(-sign * 1e7 * solution["d"] - force).max() <= 1e-9 * np.abs(force).max()
+
+
+def test_newtons_method_stops_where_corrections_are_round_off():
+    """Round-off of a rod of 0.3 m in a spring of 1e6 N/m is far more than a small part of the nominal 1e-5 m."""
+    coordinates = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("w", "m", nominal=1e-5))
+    a, w = ca.vertsplit(coordinates.q)
+    slider, gamma = 0.1 * ca.cos(a) + ca.sqrt((0.3 + w) ** 2 - (0.1 * ca.sin(a)) ** 2), symbols(1)
+    J = ca.jacobian(slider, coordinates.q)
+    home = 0.1 * np.cos(1.2) + np.sqrt(0.3**2 - (0.1 * np.sin(1.2)) ** 2)
+    system = sc.MechanicalSystem(
+        name="slider crank",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=named("T", "N.m"),
+        outputs=named("X"),
+        mass=ca.mtimes(J.T, J) + ca.diag(ca.SX([0.01, 0.2])),
+        output=slider,
+        input_matrix=-ca.SX([[1, 0]]),
+        potential=1e6 * w**2 / 2,
+        gamma=gamma,
+        guess=ca.SX([1.2, 0.0]),
+        home=(home,),
+    )
+    scene = sc.Scene("crank", {"elastic": lambda: system}, sc.rest_to_rest((home,), (home - 0.02,), 1.0))
+    statistics = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=0.002).statistics
+    assert statistics.newton_iterations <= (QUICK_ITERATIONS + 1) * statistics.steps
