@@ -3,7 +3,8 @@
 Forward in time unstable internal dynamics grow without bound, backward the stable ones do. The solution that stays
 bounded (stable inversion, Devasia, Chen & Paden 1996; as boundary value problem Taylor & Li 2002) starts to act before
 the path begins and ends after it: at the left end of a longer horizon it lies on the unstable manifold of the
-equilibrium there, at the right end on the stable one.
+equilibrium there, at the right end on the stable one. Along a path that repeats itself, the bounded solution repeats
+itself as well.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ _AT_REST = 1e-9
 
 @dataclass(frozen=True)
 class BoundaryValue:
-    """Bounded inversion by Gauss collocation over a horizon longer than the path.
+    """Bounded inversion by Gauss collocation over a horizon longer than the path, or over one period of it.
+
+    A path that comes back to where it began, with all derivatives that enter, counts as one period (or several) of a
+    motion that goes on for ever; the horizon is then the path itself. Any other must be at rest at its ends.
 
     Parameters
     ----------
@@ -76,7 +80,7 @@ class BoundaryValue:
         Raises
         ------
         InvalidReference
-            If the reference does not start and end at rest, or lacks derivatives.
+            If the reference neither starts and ends at rest nor repeats itself, or lacks derivatives.
         IntegrationFailed
             If Newton's method fails or the mesh cannot be refined to the tolerance.
         """
@@ -113,6 +117,24 @@ class _Bounded:
     left: Equilibrium
     right: Equilibrium
     method: Gauss
+    periodic: bool
+
+    @property
+    def suspects(self) -> str:
+        """Why there may be no bounded solution."""
+        if self.periodic:
+            return "a path too fast for the system, or undamped internal dynamics in resonance with it"
+        return "a path too fast for the system, or a horizon that is too short"
+
+    @property
+    def conditions(self) -> tuple[Array, Array, Array]:
+        """L, R, b of the boundary conditions L x + R x = b with the internal states x at the left and right end."""
+        left, right, size = self.left.stable, self.right.unstable, self.dae.x.numel()
+        if self.periodic:
+            return np.eye(size), -np.eye(size), np.zeros(size)
+        L, R = np.zeros((size, size)), np.zeros((size, size))
+        L[: len(left)], R[len(left) :] = left, right
+        return L, R, np.concatenate([left @ self.left.states, right @ self.right.states])
 
 
 def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
@@ -124,19 +146,32 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
             f"the path has derivatives up to order {reference.max_order}, {name} needs {array.reference_order}"
         )
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
+    periodic = _repeats(ends, reference.duration)
     size = float(np.abs(ends[:, 0]).max()) + 1.0
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
-        if np.abs(jet[1]).max() > _AT_REST * size / reference.duration:
+        if not periodic and np.abs(jet[1]).max() > _AT_REST * size / reference.duration:
             raise InvalidReference(
-                f"a bounded inversion needs a path at rest at its ends, but it moves at t = {time:g} s"
+                f"a bounded inversion needs a path that is at rest at its ends or repeats itself, but this one moves"
+                f" at t = {time:g} s and does not end as it began"
             )
     linear = problem.resolved.once(linearisation, problem.resolved.once(inversion))
     left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
-    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages))
+    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
+
+
+def _repeats(ends: Array, duration: float) -> bool:
+    """Whether a path ends as it began, in motion; `ends` are its jets (2, orders, m)."""
+    weights = duration ** np.arange(ends.shape[1])[:, None]
+    first, last = ends * weights
+    moving = np.abs(ends[:, 1:] * weights[1:]).max()
+    return bool(moving > _AT_REST and np.abs(last - first).max() <= _AT_REST * (np.abs(first).max() + 1.0))
 
 
 def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
     """Return a grid through the start of the reference that reaches far enough beyond both ends."""
+    if bounded.periodic:
+        path = bounded.problem.reference
+        return np.linspace(path.start_time, path.end_time, max(1, round(path.duration / step)) + 1)
     needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
     rates = np.array([value.real for value in bounded.left.eigenvalues])
     growing, decaying = rates[rates > 0.0], -rates[rates < 0.0]
@@ -178,7 +213,10 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     residual = evaluate(y)
     for iteration in range(1, _MOST_ITERATIONS + 1):
         matrix = scipy.sparse.csc_array(assemble(y), shape=(len(y), len(y)))
-        change = scipy.sparse.linalg.splu(matrix).solve(-residual)
+        try:
+            change = scipy.sparse.linalg.splu(matrix).solve(-residual)
+        except RuntimeError:  # exactly singular
+            break
         y, residual, length = _damped(evaluate, y, residual, change)
         if length == 1.0 and np.abs(change).max() <= 1e-10 * (1.0 + np.abs(y).max()):
             return _algebraic(bounded, mesh, y[ends]), iteration
@@ -186,7 +224,7 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
             break
     raise IntegrationFailed(
         f"{bounded.problem.system.name}: Newton's method on the whole horizon failed with {len(mesh) - 1} intervals;"
-        f" likely causes: a path too fast for the system, or a horizon that is too short"
+        f" likely causes: {bounded.suspects}"
     )
 
 
@@ -218,30 +256,23 @@ def _collocation(
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
     starts = width * np.arange(count)
     take = starts[:, None] + np.arange(width + size_x)
-    global_rows = (height * np.arange(count)[:, None] + rows).ravel() + len(bounded.left.stable)
+    global_rows = (height * np.arange(count)[:, None] + rows).ravel() + size_x
     global_columns = (starts[:, None] + columns).ravel()
-    left, right = bounded.left.stable, bounded.right.unstable
+    L, R, b = bounded.conditions
     total = width * count + size_x
-    dense = [
-        (left, np.arange(size_x), 0),
-        (right, np.arange(total - size_x, total), total - len(right)),
-    ]
+    dense = [(L, np.arange(size_x)), (R, np.arange(total - size_x, total))]
 
     def evaluate(y: Array) -> Array:
         (inside,) = residuals(y[take].T, *constant)
-        return np.concatenate([
-            left @ (y[:size_x] - bounded.left.states),
-            inside.ravel(order="F"),
-            right @ (y[-size_x:] - bounded.right.states),
-        ])  # fmt: skip
+        return np.concatenate([L @ y[:size_x] + R @ y[-size_x:] - b, inside.ravel(order="F")])
 
     def assemble(y: Array) -> _Triplets:
         (inside,) = jacobians(y[take].T, *constant)
         data, i, j = [inside.ravel(order="F")], [global_rows], [global_columns]
-        for matrix, places, first in dense:
+        for matrix, places in dense:
             data.append(matrix.ravel())
-            i.append(np.repeat(first + np.arange(len(matrix)), size_x))
-            j.append(np.tile(places, len(matrix)))
+            i.append(np.repeat(np.arange(size_x), size_x))
+            j.append(np.tile(places, size_x))
         return np.concatenate(data), (np.concatenate(i), np.concatenate(j))
 
     ends = (width * np.arange(count + 1))[:, None] + np.arange(size_x)
