@@ -145,6 +145,45 @@ def feedforward(
         )
 
 
+FAR_OFF = 0.5
+"""Of its peak: an input that is off by this or more is of no use."""
+
+_UNNOTICED = 1e-3  # of the largest input: what is smaller may be all round-off
+
+
+def far_off(
+    solution: sc.Solution, path: Callable[[], sc.Reference], parameters: Mapping[str, float], route: Route
+) -> str | None:
+    """Tell which input of a run is off by `FAR_OFF` of its peak or more; None if none is.
+
+    The crane has a closed form, with which every row of a run that was stepped is compared.
+
+    Parameters
+    ----------
+    solution : Solution
+        What `feedforward` returned for the other arguments.
+    path, parameters, route
+        As there.
+    """
+    default = next(iter(FORMULATIONS))
+    if route.formulation == default:
+        return None  # nothing was stepped
+    exact = sc.scenes.rotary_crane().with_parameters(**parameters).with_reference(path()).exact(solution.t)
+    inputs = COLUMNS[:3]
+    peaks = {name: float(np.abs(exact[name]).max()) for name in inputs}
+    off = {name: np.nan_to_num(np.abs(solution[name] - exact[name]), nan=np.inf) for name in inputs}
+    shares = {name: float(off[name].max()) / max(peaks[name], _UNNOTICED * max(peaks.values())) for name in inputs}
+    worst = max(inputs, key=lambda name: shares[name])
+    if shares[worst] < FAR_OFF:
+        return None
+    unit, k = solution.unit(worst), int(off[worst].argmax())
+    return (
+        f"{solution.route}: these inputs are of no use; {worst} is off by {100.0 * shares[worst]:.3g} % of its peak, at"
+        f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} and should be {exact[worst][k]:.4g} {unit};"
+        f" with --formulation {default} they are exact"
+    )
+
+
 def table(solution: sc.Solution) -> str:
     """Return `COLUMNS` of a solution as the text of a CSV file, in full double precision."""
     return csv_text({"time": solution.t, **{name: solution[name] for name in COLUMNS}})

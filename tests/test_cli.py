@@ -18,6 +18,7 @@ from crane_fmu.cli import app
 from crane_fmu.feedforward import line
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
+INPUTS = ((1, "M_b"), (2, "F"), (3, "M_w"))
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
 PAPER = ["--formulation", "projected", "--method", "backward-euler"]
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,9 +98,11 @@ class TestFeedforward:
     @pytest.mark.parametrize("method", METHODS)
     def test_every_method_can_be_asked_for(self, method):
         result = run("feedforward", *LINE, "--formulation", "projected", "--method", method)
-        assert result.exit_code == 0
         header, values = table(result.stdout)
         assert header == HEADER
+        exact = sc.scenes.rotary_crane().exact(values[:, 0])
+        off = [np.abs(values[:, k] - exact[name]).max() / np.abs(exact[name]).max() for k, name in INPUTS]
+        assert result.exit_code == (1 if max(off) >= 0.5 else 0)  # Gauss with two stages loses M_b
         if not method.startswith("gauss"):  # between its nodes a collocation polynomial that damps nothing may stray
             np.testing.assert_allclose(values[:, 5], sc.scenes.rotary_crane().exact(values[:, 0])["s"], atol=1e-6)
 
@@ -133,6 +136,49 @@ class TestFeedforward:
         assert result.exit_code == 0
         assert result.stderr == "crane-fmu: note: mind the gap\n"
         assert len(result.stdout.splitlines()) == 202
+
+    @pytest.mark.parametrize(
+        "options",
+        [
+            ["--formulation", "projected", "--step", 0.5],
+            ["--formulation", "original", "--method", "gauss1", "--step", 0.1],
+            ["--formulation", "original", "--method", "trapezoidal", "--step", 0.05],
+        ],
+    )
+    def test_inputs_off_by_half_their_peak_end_with_code_1_and_one_true_sentence(self, options):
+        result = run("feedforward", *LINE, *options, "--output", "inputs.csv")
+        assert result.exit_code == 1
+        assert result.stdout == ""
+        said = re.fullmatch(
+            r"crane-fmu: rotary crane, points, .*: these inputs are of no use; (\w+) is off by (\S+) % of its peak, at"
+            r" t = (\S+) s it is (\S+) (?:N|N\.m) and should be (\S+) (?:N|N\.m);"
+            r" with --formulation reduced they are exact\n",
+            result.stderr,
+        )
+        assert said is not None, result.stderr
+        name, (share, time, found, right) = said[1], map(float, said.groups()[1:])
+        values = np.genfromtxt("inputs.csv", delimiter=",", names=True)
+        exact = sc.scenes.rotary_crane().exact(values["time"])[name]
+        k = int(np.abs(values["time"] - time).argmin())
+        assert (found, right) == pytest.approx((values[name][k], exact[k]), rel=1e-3, abs=1e-9)
+        assert share == pytest.approx(100.0 * np.abs(values[name] - exact).max() / np.abs(exact).max(), rel=0.01)
+        assert share >= 50.0
+
+    def test_what_code_1_advises_helps(self):
+        advised = run("feedforward", *LINE, "--formulation", "reduced", "--method", "gauss1", "--step", 0.1)
+        assert advised.exit_code == 0
+        assert advised.stderr == ""
+
+    def test_inputs_off_by_a_quarter_of_their_peak_are_what_a_step_is_for(self):
+        result = run("feedforward", *LINE, *PAPER, "--step", 0.1)
+        assert result.exit_code == 0
+        _, values = table(result.stdout)
+        exact = sc.scenes.rotary_crane().exact(values[:, 0])["M_b"]
+        assert np.abs(values[:, 1] - exact).max() > 0.2 * np.abs(exact).max()
+
+    def test_an_input_that_is_zero_but_for_round_off_has_no_peak_to_be_off_from(self):
+        radial = ["--from", 5, 2.83, -5, "--to", 3, 1.698, -5, "--duration", 10]
+        assert run("feedforward", *radial, "--formulation", "original", "--step", 0.01).exit_code == 0
 
     @pytest.mark.parametrize("profile", PROFILES)
     def test_every_profile_can_be_asked_for(self, profile):

@@ -1,7 +1,7 @@
 """What command lines of this project share: refusals in one sentence, a progress bar that waits, tables.
 
-Exit codes: 0 when everything asked for was done; 2 when it was not, with one sentence on the standard error
-stream. Whatever else is raised is a defect and ends with its traceback.
+Exit codes: 0 when everything asked for was done; 1 when it was done and is of no use, 2 when it was not done, each with
+one sentence on the standard error stream. Whatever else is raised is a defect and ends with its traceback.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from typer.core import TyperGroup
 
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
 
-REFUSED = 2
+OF_NO_USE, REFUSED = 1, 2
+"""Exit codes beside 0."""
+
 WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
 
@@ -31,7 +33,8 @@ SETTINGS: dict[str, Any] = {
     "pretty_exceptions_enable": False,
     "rich_markup_mode": "rich",
     "context_settings": {"help_option_names": ["-h", "--help"]},
-    "epilog": "Exit code 0: done. Exit code 2: refused, with one sentence on the error stream and no file.",
+    "epilog": "Exit code 0: done. Exit code 1: done, but the result is of no use, as one sentence on the error stream"
+    " says. Exit code 2: refused, with one sentence on the error stream and no file.",
 }
 """How every command line of this project is set up, beside its name, help and `SentenceGroup`."""
 
@@ -72,6 +75,25 @@ class SentenceGroup(TyperGroup):
     def _refuse(self, sentence: str) -> NoReturn:
         print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
         sys.exit(REFUSED)
+
+
+@contextmanager
+def held_notes() -> Iterator[list[warnings.WarningMessage]]:
+    """Hold the warnings inside back and give them on at the end, but for those removed from the list."""
+    notes: list[warnings.WarningMessage] = []
+    try:
+        with warnings.catch_warnings(record=True) as notes:
+            warnings.simplefilter("always", ServocoreWarning)
+            yield notes
+    finally:
+        for each in notes:
+            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+
+
+def end_as_of_no_use(name: str, sentence: str) -> NoReturn:
+    """End the command called `name`, whose results are written but of no use, with a sentence that says so."""
+    print(f"{name}: {sentence}", file=sys.stderr)
+    raise typer.Exit(OF_NO_USE)
 
 
 class PatientProgress(AbstractContextManager["PatientProgress"]):
