@@ -45,6 +45,8 @@ class Demo:
         Where it is.
     files : tuple of str
         What is there, relative to `folder`.
+    summary : tuple of str
+        What the default gives, then what the scheme of the paper gives, as sentences.
     tables : tuple of Table
         The results as tables of texts.
     notes : tuple of str
@@ -53,6 +55,7 @@ class Demo:
 
     folder: Path
     files: tuple[str, ...]
+    summary: tuple[str, ...]
     tables: tuple[Table, ...]
     notes: tuple[str, ...]
 
@@ -67,7 +70,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
     announce : callable
         Is told what is going on.
     steps : sequence of float
-        Step sizes in s, largest first: the first one for FMU, figures and table.
+        Step sizes in s of the scheme of the paper, largest first; rows of tables and the FMU's steps are the first.
 
     Returns
     -------
@@ -85,7 +88,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         fmu = draft / ROTARY_CRANE.file_name
         found = study(scene, announce, steps)
         announce("running the FMU")
-        outputs = run_fmu(fmu, scene.reference, steps[0], model=found.models[0], formulation="projected")
+        outputs = run_fmu(fmu, scene.reference, steps[0])
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
@@ -94,15 +97,16 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         write_report(draft, contents.sections(found, outputs, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
     tables = (
-        contents.error_table(found, factors=False),
-        contents.difference_table(found),
+        contents.error_table(found),
         contents.fmu_table(found, outputs),
         contents.tracking_table(found.tracking),
         contents.loop_table(loop),
         *([] if cycle is None else [contents.cycle_table(cycle)]),
+        contents.paper_table(found, factors=False),
+        contents.difference_table(found),
     )
     missing = "the working cycle is left out: its example files are not installed"
-    return Demo(target, files, tables, () if cycle is not None else (missing,))
+    return Demo(target, files, contents.summary(found), tables, () if cycle is not None else (missing,))
 
 
 def build_system(folder: Path, announce: Announce) -> Path:

@@ -61,8 +61,8 @@ def draw_inputs(axes: list[Axes], solution: sc.Solution) -> None:
 
 
 def main() -> None:
-    """Solve the default manoeuvre with small steps and draw it."""
-    solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.001)
+    """Solve the default manoeuvre and draw it."""
+    solution = sc.solve(sc.scenes.rotary_crane(), step=0.01)
     with plt.rc_context(STYLE):
         figure = plt.figure(figsize=(9.2, 4.0), layout="constrained")
         grid = figure.add_gridspec(3, 2, width_ratios=(1.15, 1))

@@ -37,6 +37,8 @@ class Illustration:
         Name of its files, without suffix.
     title : str
         What it shows, in a few words.
+    by : str
+        Form and method that it comes from; written into the drawing as well.
     caption : str
         What to see in it.
     figure : Figure
@@ -45,19 +47,21 @@ class Illustration:
 
     name: str
     title: str
+    by: str
     caption: str
     figure: Figure
 
     def files(self) -> dict[str, bytes]:
         """Return the picture as the content of files by name."""
-        return {self.name + suffix: picture(self.figure, suffix) for suffix in (".png", ".svg")}
+        return {self.name + suffix: picture(self.figure, suffix, self.by) for suffix in (".png", ".svg")}
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the report: title, headings, rows of finished texts, and what to know about it."""
+    """A table of the report: title, form and method, headings, rows of finished texts, what to know about it."""
 
     title: str
+    by: str
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
@@ -96,6 +100,7 @@ def parameter_table(scene: sc.Scene) -> Table:
     ]
     return Table(
         "Data of the crane, a declared assumption",
+        "given, nothing is computed",
         ("symbol", "value", "parameter", "meaning"),
         tuple(rows),
         "These values were chosen for this report; they are not those of a printed table. "

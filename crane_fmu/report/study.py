@@ -1,4 +1,7 @@
-"""The numbers of the demo: errors against the closed form, differences of the models, tracking, the working cycle."""
+"""The numbers of the demo: errors against the closed form, differences of the models, tracking, the working cycle.
+
+Two ways to the inputs are shown: the default, and beside it the scheme of the paper.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-import scipy.interpolate
 
 import servocore as sc
 from crane_fmu.report.style import Array, Trajectories
@@ -15,6 +17,10 @@ from crane_fmu.report.style import Array, Trajectories
 INPUTS = ("M_b", "F", "M_w")
 MOTION = ("phi", "s", "l")
 STEPS = (0.1, 0.05, 0.025, 0.0125)
+
+DEFAULT = "form reduced, exact inversion at every instant"
+PAPER = "form projected, method backward Euler: the scheme of the paper"
+"""What tables and figures call the two ways to the inputs: that of the library by default, and that of the paper."""
 
 Announce = Callable[[str], None]
 """Called with what is going on now."""
@@ -65,9 +71,11 @@ class Cycle:
     scene : Scene
         The crane on the path through the waypoints.
     solution : Solution
-        Its inputs, with a step of `STEPS[0]`.
+        Its inputs by the default, every `STEPS[0]`.
     errors : Errors
-        Largest ones against the closed form.
+        Largest ones of these against the closed form.
+    paper : Errors
+        Those of the scheme of the paper with a step of `STEPS[0]`.
     apart : float
         Largest distance between the path through the waypoints and the one through the samples, in m.
     """
@@ -76,6 +84,7 @@ class Cycle:
     scene: sc.Scene
     solution: sc.Solution
     errors: Errors
+    paper: Errors
     apart: float
 
 
@@ -87,23 +96,27 @@ class Study:
     ----------
     scene : Scene
         Crane, parameters, default manoeuvre.
-    solutions : mapping of (model, step) to Solution
-        Projected formulation, backward Euler.
-    errors : mapping of (model, step) to Errors
-        Largest ones of each solution against the closed form.
+    exact : mapping of model to Solution
+        By the default: exact inversion, every `steps[0]`.
+    errors : mapping of model to Errors
+        Largest ones of these against the closed form.
+    paper : mapping of (model, step) to Solution
+        By the scheme of the paper.
+    paper_errors : mapping of (model, step) to Errors
+        Largest ones of these against the closed form.
     differences : mapping of (names of two models, step) to Errors
-        Largest ones between their solutions.
-    reduced : Errors
-        Those of the reduced formulation, exact inversion at every instant, at the largest step.
+        Largest ones between models by the scheme of the paper.
     tracking : tuple of LoadRun
-        Forward simulations under inputs of the coarsest step, the finest one and the closed form.
+        Forward simulations under inputs by the default, at any instant and as a table, and by the scheme of the paper
+        with the largest step and the smallest.
     """
 
     scene: sc.Scene
-    solutions: Mapping[tuple[str, float], sc.Solution]
-    errors: Mapping[tuple[str, float], Errors]
+    exact: Mapping[str, sc.Solution]
+    errors: Mapping[str, Errors]
+    paper: Mapping[tuple[str, float], sc.Solution]
+    paper_errors: Mapping[tuple[str, float], Errors]
     differences: Mapping[tuple[str, float], Errors]
-    reduced: Errors
     tracking: tuple[LoadRun, ...]
 
     @property
@@ -114,16 +127,16 @@ class Study:
     @property
     def steps(self) -> tuple[float, ...]:
         """Step sizes in s, largest first."""
-        return tuple(dict.fromkeys(step for _, step in self.solutions))
+        return tuple(dict.fromkeys(step for _, step in self.paper))
 
     @property
     def base(self) -> sc.Solution:
-        """The smallest model at the largest step: the run that the figures and the table of inputs show."""
-        return self.solutions[self.models[0], self.steps[0]]
+        """The smallest model by the default: the run that the figures and the table of inputs show."""
+        return self.exact[self.models[0]]
 
 
 def study(scene: sc.Scene, announce: Announce, steps: Sequence[float] = STEPS) -> Study:
-    """Compute the default manoeuvre with every model and every step, and simulate the crane under the inputs.
+    """Compute the default manoeuvre with every model, in both ways, and simulate the crane under the inputs.
 
     Parameters
     ----------
@@ -132,23 +145,35 @@ def study(scene: sc.Scene, announce: Announce, steps: Sequence[float] = STEPS) -
     announce : callable
         Is told what is going on.
     steps : sequence of float
-        Step sizes in s, largest first.
+        Step sizes in s of the scheme of the paper, largest first.
     """
-    solutions = {}
+    exact, paper = {}, {}
     for model in scene.models:
+        announce(f"{model} model, exact inversion")
+        exact[model] = sc.solve(scene, step=steps[0], model=model)
         for step in steps:
-            announce(f"{model} model, step {step:g} s")
-            solutions[model, step] = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, model=model)
-    errors = {run: error(scene, solution) for run, solution in solutions.items()}
+            announce(f"{model} model, scheme of the paper, step {step:g} s")
+            paper[model, step] = by_the_paper(scene, step, model)
     differences = {
-        (f"{one} and {other}", step): apart(solutions[other, step], solutions[one, step])
+        (f"{one} and {other}", step): apart(paper[other, step], paper[one, step])
         for one, other in combinations(scene.models, 2)
         for step in steps
     }
-    reduced = error(scene, sc.solve(scene, sc.Reduced(), step=steps[0]))
     small = scene.default_model
-    runs = track(scene, [solutions[small, step] for step in (steps[0], steps[-1])], announce)
-    return Study(scene, solutions, errors, differences, reduced, tuple(runs))
+    return Study(
+        scene,
+        exact,
+        {model: error(scene, run) for model, run in exact.items()},
+        paper,
+        {run: error(scene, solution) for run, solution in paper.items()},
+        differences,
+        tuple(track(scene, exact[small], [paper[small, step] for step in (steps[0], steps[-1])], announce)),
+    )
+
+
+def by_the_paper(scene: sc.Scene, step: float, model: str | None = None) -> sc.Solution:
+    """Solve by the scheme of the paper: the projected form, stepped by backward Euler."""
+    return sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, model=model)
 
 
 def error(scene: sc.Scene, solution: sc.Solution) -> Errors:
@@ -167,27 +192,21 @@ def largest(values: Array) -> float:
     return float(np.abs(values).max())
 
 
-def track(scene: sc.Scene, solutions: Sequence[sc.Solution], announce: Announce) -> list[LoadRun]:
-    """Simulate the crane forward under the inputs of several runs, and under those of the closed form."""
-    under: list[tuple[str, sc.Solution | Callable[[float], Array]]] = [
-        (f"inputs computed with a step of {run.t[1] - run.t[0]:g} s", run) for run in solutions
+def track(scene: sc.Scene, exact: sc.Solution, paper: Sequence[sc.Solution], announce: Announce) -> list[LoadRun]:
+    """Simulate the crane forward under inputs by the default, at any instant and as a table, and by the paper."""
+    under: list[tuple[str, sc.Solution | sc.ExactInversion]] = [
+        ("exact inversion", sc.ExactInversion(scene)),
+        (f"exact inversion, a row every {exact.t[1] - exact.t[0]:g} s", exact),
+        *((f"scheme of the paper, step {run.t[1] - run.t[0]:g} s", run) for run in paper),
     ]
     found = []
-    for label, inputs in [*under, ("inputs of the closed form", exact_inputs(scene))]:
+    for label, inputs in under:
         announce(f"forward simulation, {label}")
-        t = inputs.t if isinstance(inputs, sc.Solution) else solutions[-1].t
+        t = inputs.t if isinstance(inputs, sc.Solution) else paper[-1].t
         simulated = sc.simulate(scene, inputs, t=t)
         driven = np.column_stack([simulated[name] for name in "xyz"])
         found.append(LoadRun(label, simulated.t, scene.reference.jet(simulated.t, 0)[:, 0], driven))
     return found
-
-
-def exact_inputs(scene: sc.Scene) -> Callable[[float], Array]:
-    """Return the inputs of the closed form as a function of time: a spline through so many values that it is exact."""
-    t = np.linspace(scene.reference.start_time, scene.reference.end_time, 4001)
-    exact = scene.exact(t)
-    spline = scipy.interpolate.make_interp_spline(t, np.column_stack([exact[name] for name in INPUTS]), k=5)
-    return lambda time: np.asarray(spline(time), dtype=np.float64)
 
 
 def working_cycle(scene: sc.Scene, through: sc.Reference, samples: sc.Reference, waypoints: Array) -> Cycle:
@@ -205,5 +224,6 @@ def working_cycle(scene: sc.Scene, through: sc.Reference, samples: sc.Reference,
     t = np.linspace(through.start_time, through.end_time, 2001)
     off = largest(np.linalg.norm(through.jet(t, 0)[:, 0] - samples.jet(t, 0)[:, 0], axis=1))
     on_path = scene.with_reference(through)
-    solution = sc.solve(on_path, sc.Projected(), sc.BackwardEuler(), step=STEPS[0])
-    return Cycle(waypoints, on_path, solution, error(on_path, solution), off)
+    solution = sc.solve(on_path, step=STEPS[0])
+    paper = error(on_path, by_the_paper(on_path, STEPS[0]))
+    return Cycle(waypoints, on_path, solution, error(on_path, solution), paper, off)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from io import BytesIO
+from textwrap import fill
 from typing import Any, Protocol
 
 import matplotlib as mpl
@@ -20,11 +21,17 @@ Array = npt.NDArray[np.float64]
 BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
 """Colours that colour-blind readers tell apart (Okabe and Ito)."""
 
+FAINT = "#5c5c5c"
+"""Of remarks."""
+
 WIDTH = 6.7
 """Width of a figure in inches: the text width of an A4 page."""
 
 WIDE = 8.2
 """Width of a figure with panels beside each other."""
+
+_REMARK = 100
+"""Most characters of a line below a figure."""
 
 _RC: Any = {
     "font.family": "DejaVu Sans",
@@ -94,8 +101,20 @@ def panels(labels: Sequence[str], columns: int = 1, height: float = 1.75) -> tup
 
 
 @styled
-def picture(figure: Figure, suffix: str) -> bytes:
-    """Return the figure as the content of a file, the same every time; suffix is .png, .svg or .pdf."""
+def picture(figure: Figure, suffix: str, by: str) -> bytes:
+    """Return the figure as the content of a file, the same every time.
+
+    Parameters
+    ----------
+    figure : Figure
+        The drawing.
+    suffix : str
+        .png, .svg or .pdf.
+    by : str
+        Form and method that it comes from, written at its edge: a picture goes where its caption does not.
+    """
+    edge = figure.suptitle if figure.get_layout_engine() is None else figure.supxlabel
+    edge(fill(by, _REMARK), x=0.99, horizontalalignment="right", fontsize=8.0, color=FAINT)
     stream = BytesIO()
     metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
     figure.savefig(stream, format=suffix[1:], metadata=metadata)

@@ -100,7 +100,7 @@ def reference_function(reference: sc.Reference) -> Figure:
 
 
 def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return M_b and F of both sets of coordinates on top of each other, with the closed form."""
+    """Return M_b and F of both sets of coordinates on top of each other, by one scheme, with the closed form."""
     curves = (
         Curve("generalised coordinates (GEN)", generalised.t, generalised, COMPUTED),
         Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
@@ -116,8 +116,8 @@ def closed_form(scene: sc.Scene) -> Curve:
 
 
 def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return some quantities of a run, computed and in closed form."""
-    return stack(names, (Curve("computed", solution.t, solution, COMPUTED), closed_form(scene)))
+    """Return some quantities of a run by the default, computed and in closed form."""
+    return stack(names, (Curve("exact inversion", solution.t, solution, COMPUTED), closed_form(scene)))
 
 
 @styled
