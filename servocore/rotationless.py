@@ -17,6 +17,7 @@ from servocore.model.rotationless.joints import (
     on_plane,
     prismatic,
     revolute,
+    rope,
     spherical,
 )
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, turned
@@ -37,6 +38,7 @@ __all__ = [
     "on_plane",
     "prismatic",
     "revolute",
+    "rope",
     "spherical",
     "turned",
 ]

@@ -24,7 +24,10 @@ class Quantity:
         True for an angle computed by atan2: a trajectory of it is made continuous.
     positive : bool
         True for what the equations hold only the square of: a negative value belongs to another branch, on which a
-        step that is too large may land.
+        step that is too large may land. And for the tension of a rope, which cannot push.
+    nonnegative : bool
+        True for what is never negative by definition, such as the angle from a direction: one number as its limit is an
+        upper one. Nothing is checked.
     """
 
     name: str
@@ -33,8 +36,21 @@ class Quantity:
     nominal: float | None = None
     wraps: bool = False
     positive: bool = False
+    nonnegative: bool = False
 
     @property
     def magnitude(self) -> float:
         """The nominal value, or one unit if there is none."""
         return 1.0 if self.nominal is None else self.nominal
+
+    @property
+    def never_negative(self) -> bool:
+        """Whether it is declared to have no negative values."""
+        return self.positive or self.nonnegative
+
+    @property
+    def wrong_sign(self) -> str:
+        """What to say of a value that is not positive, behind it."""
+        if self.unit == "N":
+            return "it must stay positive: a rope cannot push"
+        return "on another branch of the equations than the one wanted"

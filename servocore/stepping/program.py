@@ -145,9 +145,10 @@ class Program:
         """Raise `IntegrationFailed` if observed values belong to another branch of the equations."""
         for channel, value in zip(self.channels, values, strict=True):
             if channel.positive and not value > 0.0:
+                helps = "" if channel.unit == "N" else "; a smaller step keeps to its own"
                 raise IntegrationFailed(
-                    f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit}, on another branch"
-                    f" of the equations than the one wanted; a smaller step keeps to its own"
+                    f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit},"
+                    f" {channel.wrong_sign}{helps}"
                 )
 
     def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import casadi as ca
+import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
+from servocore.model.rotationless.joints import Distance
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
 from servocore.model.symbols import Coordinates, Parameters, require_unique
 from servocore.model.system import MechanicalSystem, reference_symbols
@@ -148,7 +150,8 @@ class Assembly:
         multipliers : mapping of str to casadi.SX, optional
             What `multipliers` returned, if observables use them.
         observables : mapping of Quantity to casadi.SX, optional
-            What else a solution reports.
+            What else a solution reports. The tension of every rope is added, as ``rope.tension`` of a joint ``rope``,
+            unless it is among them already: it must stay positive.
         force : casadi.SX, optional
             Applied forces f(q, v, p), shape (n,).
         """
@@ -171,7 +174,7 @@ class Assembly:
             gamma=gamma,
             guess=self.configuration(guess(gamma[:, 0])),
             home=home,
-            observables=observables or {},
+            observables=self._with_tensions(observables or {}, constraints, lam),
             constraint_names=self._row_names(constraints),
         )
 
@@ -179,6 +182,32 @@ class Assembly:
         """Return symbols of the multipliers by name of the joint, '' for those of orthonormality."""
         rows = {"": self.orthonormality, **constraints}
         return {key: ca.SX.sym(f"lam_{key or 'orthonormality'}", each.numel()) for key, each in rows.items()}
+
+    def _with_tensions(
+        self, observables: Mapping[Quantity, ca.SX], constraints: Mapping[str, ca.SX], lam: Mapping[str, ca.SX]
+    ) -> dict[Quantity, ca.SX]:
+        """Return the observables with the tension of every rope among them, declared positive."""
+        found = dict(observables)
+        for name, row in constraints.items():
+            if not (isinstance(row, Distance) and row.is_rope(self.coordinates.q)):
+                continue
+            tension = row.tension(lam[name])
+            same = [each for each, value in found.items() if self._equal(value, tension, lam)]
+            for each in same:
+                found = {replace(k, positive=True) if k == each else k: value for k, value in found.items()}
+            if not same:
+                found[Quantity(f"{name}.tension", "N", f"tension of {name}", positive=True)] = tension
+        return found
+
+    def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:
+        """Whether two expressions are the same function, told at a point without symmetry."""
+        symbols = [self.coordinates.q, ca.vertcat(*lam.values()), self.parameters.p]
+        compare = ca.Function("sc_compare", symbols, [one, other], {"allow_free": True})
+        if compare.get_free():
+            return False
+        point = [np.sin(1.0 + 7 * k + np.arange(each.numel())) for k, each in enumerate(symbols[:2])]
+        first, second = (float(each) for each in compare(*point, self.parameters.values()))
+        return abs(first - second) <= 1e-9 * max(abs(first), abs(second))
 
     def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
         """Name every row by its joint, with a number where that has several."""

@@ -13,6 +13,7 @@ column that vanishes where the joint holds. With the multipliers lam of these ro
 | `on_line` | 2 | a point slides along an axis, free to turn |
 | `on_plane` | 1 | a point slides across an axis, free to turn |
 | `distance` | 1 | all but the distance: a rigid link, or a rope if the length is a coordinate |
+| `rope` | 1 | all but the distance; it cannot push |
 | `angle`, `displacement` | 1 | define an augmented coordinate |
 
 Closed loops of parallel hinges: a planar four-bar linkage of three moving bodies and four revolutes has 20
@@ -68,12 +69,51 @@ def on_plane(a: Place, b: Place) -> ca.SX:
     return ca.dot(spherical(a, b), a.axis)
 
 
-def distance(a: Place, b: Place, length: Scalar) -> ca.SX:
+class Distance(ca.SX):  # type: ignore[misc]  # CasADi has no types
+    """The row of a distance, which knows its length and whether it can push.
+
+    Attributes
+    ----------
+    length : casadi.SX
+        In m.
+    pushes : bool or None
+        Whether it can push; None: unless its length is a coordinate.
+    """
+
+    def __init__(self, row: ca.SX, length: Scalar, pushes: bool | None) -> None:
+        super().__init__(row)
+        self.length, self.pushes = ca.SX(length), pushes
+
+    def is_rope(self, q: ca.SX) -> bool:
+        """Whether it can only pull, in a mechanism with the coordinates `q`."""
+        return ca.depends_on(self.length, q) if self.pushes is None else not self.pushes
+
+    def tension(self, multiplier: ca.SX) -> ca.SX:
+        """Return the force with which it pulls, N."""
+        return 2 * self.length * multiplier
+
+
+def distance(a: Place, b: Place, length: Scalar, *, pushes: bool | None = None) -> Distance:
     """Return |b - a|^2 - length^2, shape (1,), m^2: a rigid link, or a rope if `length` is a coordinate.
 
-    With its multiplier lam the tension (positive when it pulls) is 2 length lam.
+    With its multiplier lam the tension (positive when it pulls) is 2 length lam. A rope cannot push: an assembly
+    observes its tension, and a motion in which it is not positive is refused.
+
+    Parameters
+    ----------
+    a, b : Place
+        Its ends.
+    length : number or casadi.SX
+        In m.
+    pushes : bool, optional
+        True for a link whose length is a coordinate, such as a cylinder; False for a rope of constant length.
     """
-    return ca.sumsqr(spherical(a, b)) - length**2
+    return Distance(ca.sumsqr(spherical(a, b)) - length**2, length, pushes)
+
+
+def rope(a: Place, b: Place, length: Scalar) -> Distance:
+    """Return the row of a `distance` that cannot push, whether its length is a coordinate or constant."""
+    return distance(a, b, length, pushes=False)
 
 
 def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
