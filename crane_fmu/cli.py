@@ -95,6 +95,12 @@ OutputStep = Annotated[
     _crane("--output-step", metavar="H",
            help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
 ]  # fmt: skip
+Limits = Annotated[
+    list[str] | None,
+    _crane("--limit", metavar="NAME=VALUE",
+           help="A limit that the motion must keep, any number of times:"
+           " F=60, M_w=-104:-92, 'swing=5 deg', s.rate=1.2."),
+]  # fmt: skip
 OutputFile = Annotated[
     Path | None,
     _results("--output", "-o", metavar="FILE.csv",
@@ -135,6 +141,7 @@ def feedforward(
     rtol: RelativeTolerance = None,
     atol: AbsoluteTolerance = None,
     output_step: OutputStep = None,
+    limit: Limits = None,
     output: OutputFile = None,
     plot: PlotFile = None,
 ) -> None:
@@ -154,7 +161,7 @@ def feedforward(
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, route, progress)
+        solution = ff.feedforward(path, changed, route, progress, ff.limits_from(limit or ()))
         table, far_off = ff.table(solution), ff.far_off(solution, path, changed, route)
         if far_off:
             notes.clear()  # one sentence says it all

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -98,6 +99,7 @@ def feedforward(
     parameters: Mapping[str, float],
     route: Route,
     progress: Callable[[int, int], None] | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> sc.Solution:
     """Compute the inputs that move the load of the rotary crane along a path.
 
@@ -111,6 +113,8 @@ def feedforward(
         Model, formulation, method and step.
     progress : callable, optional
         Called with (steps done, steps in all).
+    limits : mapping, optional
+        By name of an input, an observable or a rate, as `servocore.Scene.with_limits` takes them.
 
     Returns
     -------
@@ -120,9 +124,10 @@ def feedforward(
     Raises
     ------
     ServocoreError
-        If a name, the path, a parameter or the step cannot be used, or a step is not solved.
+        If a name, the path, a parameter, a limit or the step cannot be used, the motion breaks a limit, or a step is
+        not solved.
     """
-    scene = sc.scenes.rotary_crane().with_parameters(**parameters)
+    scene = sc.scenes.rotary_crane().with_parameters(**parameters).with_limits(**(limits or {}))
     chosen(scene.models, route.model, "model")
     formulation = chosen(FORMULATIONS, route.formulation, "formulation")
     method = chosen(METHODS, route.method, "method")
@@ -182,6 +187,21 @@ def far_off(
         f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} and should be {exact[worst][k]:.4g} {unit};"
         f" with --formulation {default} they are exact"
     )
+
+
+def limits_from(texts: Sequence[str]) -> dict[str, Any]:
+    """Return limits from texts such as ``F=60``, ``M_w=-104:-92`` or ``swing=5 deg``; raises `InvalidSetting`."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, equals, bounds = (each.strip() for each in text.partition("="))
+        lower, pair, upper = (each.strip() for each in bounds.partition(":"))
+        if not (name and equals and bounds) or name in found:
+            raise sc.InvalidSetting(
+                f"--limit {text!r} is not NAME=NUMBER or NAME=LOWER:UPPER, each name once, such as F=60, M_w=-104:-92,"
+                f" swing=5 deg or s.rate=1.2"
+            )
+        found[name] = (lower or None, upper or None) if pair else lower
+    return found
 
 
 def table(solution: sc.Solution) -> str:

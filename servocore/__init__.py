@@ -31,9 +31,10 @@ from servocore.methods import (
     Trapezoidal,
 )
 from servocore.model.generalise import generalise
+from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters
 from servocore.model.quantity import Quantity
-from servocore.model.scene import Limit, Scene
+from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler

@@ -17,8 +17,9 @@ import numpy as np
 from servocore.dae import Dae
 from servocore.errors import InvalidModel
 from servocore.formulations.base import Formulation
+from servocore.model.limits import Limit
 from servocore.model.magnitudes import decades_of, scaled_to
-from servocore.model.scene import Limit, Scene
+from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import FloatArray, Reference

@@ -6,15 +6,13 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.model.scene import Limit
+from servocore.checks.instants import survey
+from servocore.model.limits import Limit
 from servocore.numerics.calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
-from servocore.references.base import Reference
 from servocore.stepping.margins import compile_margins, limit_texts, limits_order
 from servocore.stepping.program import LimitText, require_margins
 
-_FEWEST_SURVEYED, _MOST_SURVEYED = 400, 20_000
-_SURVEYED_EACH = 16  # instants on a stretch of the path
 _VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
 _REFINED_POINTS = 21
@@ -27,18 +25,19 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
     the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
     """
-    _require_at(problem, tuple(each for each in problem.limits if each.at_instants_only), t)
-    limits = tuple(each for each in problem.limits if not each.at_instants_only)
+    of_path = tuple(each for each in problem.limits if each.of_path)
+    _require_at(problem, tuple(each for each in of_path if each.at_instants_only), t)
+    limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
     texts = limit_texts(limits)
-    survey = _survey(problem.reference)
-    margins = _margins(problem, limits, survey)
-    _require_kept(texts, margins, survey)
+    t = survey(problem.reference)
+    margins = _margins(problem, limits, t)
+    _require_kept(texts, margins, t)
     if not _may_fall_to_zero(margins):
         return
     rows, places = _valleys(margins)
-    below, above = survey[np.maximum(places - 1, 0)], survey[np.minimum(places + 1, len(survey) - 1)]
+    below, above = t[np.maximum(places - 1, 0)], t[np.minimum(places + 1, len(t) - 1)]
     lanes = np.arange(len(rows))
     for _ in range(_REFINEMENTS):  # all valleys of all limits at once
         grid = np.linspace(below, above, _REFINED_POINTS)
@@ -49,16 +48,6 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
             require_margins((texts[rows[lane]],), lows[lane, deepest[[lane]]], float(grid[deepest[lane], lane]))
         below = grid[np.maximum(deepest - 1, 0), lanes]
         above = grid[np.minimum(deepest + 1, _REFINED_POINTS - 1), lanes]
-
-
-def _survey(reference: Reference) -> Array:
-    """Instants evenly on every stretch of the path, in all not too few and not too many."""
-    ends = reference.stretches
-    pieces = len(ends) - 1
-    each = max(_SURVEYED_EACH, -(-_FEWEST_SURVEYED // pieces))
-    each = max(1, min(each, _MOST_SURVEYED // pieces))
-    fractions = np.arange(each) / each
-    return np.append((ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel(), ends[-1])
 
 
 def _require_kept(texts: tuple[LimitText, ...], margins: Array, t: Array) -> None:

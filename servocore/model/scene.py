@@ -6,10 +6,8 @@ from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-import casadi as ca
-
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.model.symbols import Parameters
+from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
@@ -22,32 +20,6 @@ ClosedForm = Callable[[Array, Mapping[str, float]], dict[str, Array]]
 
 IndependentSolution = Callable[[Array, Reference, Mapping[str, float]], dict[str, Array]]
 """(times (N,), reference, parameter values) -> arrays (N,) by name, computed without this library's solvers."""
-
-
-@dataclass(frozen=True)
-class Limit:
-    """Where a scene ends: a quantity of the reference that must stay above a bound.
-
-    Parameters
-    ----------
-    quantity, unit : str
-        What is compared, such as ``distance of the trolley from the slewing axis`` in ``m``.
-    bound : float
-        The quantity must be larger than this.
-    reason : str
-        What happens at the bound, as part of a sentence: ``the rope goes slack``.
-    expression : callable
-        (gamma (m, orders), parameters) -> the quantity as a CasADi expression.
-    at_instants_only : bool
-        Whether the path may break the limit between the instants of a grid.
-    """
-
-    quantity: str
-    unit: str
-    bound: float
-    reason: str
-    expression: Callable[[ca.SX, Parameters], ca.SX]
-    at_instants_only: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +94,35 @@ class Scene:
         merged = {**self.parameters, **values}
         self.model().parameters.values(merged)
         return replace(self, parameters=merged)
+
+    def with_limits(self, **bounds: Bounds | None) -> Scene:
+        """Return the scene with limits on what its solutions report, by name, in the place of those of the same name.
+
+        `solve` and `ExactInversion` refuse a path that breaks one, with the time.
+
+        Parameters
+        ----------
+        **bounds : float, str or pair
+            By the name of an input, an observable, an output or a coordinate, or that name and ``.rate``. One number is
+            the largest magnitude, an upper bound for what is never negative; a pair is a lower and an upper one, either
+            of them None for none. A text has its unit, ``5 deg``. None removes the limit.
+
+        Raises
+        ------
+        InvalidSetting
+            If there is nothing of a name, or its bounds are none.
+
+        Examples
+        --------
+        >>> crane.with_limits(F=60, M_w=(-104, -92), swing="5 deg", **{"s.rate": 1.2, "F.rate": 200})
+        """
+        model = self.model()
+        given = tuple(limit_named(model, name, each) for name, each in bounds.items() if each is not None)
+        own = {
+            each.expression.name + RATE * each.rate: each for each in self.limits if isinstance(each.expression, Named)
+        }
+        replaced = [limit for name, limit in own.items() if name in bounds]
+        return replace(self, limits=(*(each for each in self.limits if each not in replaced), *given))
 
     def parameter_values(self) -> dict[str, float]:
         """All parameters by name."""

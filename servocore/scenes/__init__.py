@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 
-from servocore.model.scene import Limit, Scene
+from servocore.model.limits import Limit
+from servocore.model.scene import Scene
 from servocore.scenes.cars import cars
 from servocore.scenes.elastic_bar import elastic_bar
 from servocore.scenes.gantry_crane import gantry_crane

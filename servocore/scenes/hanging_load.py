@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.generalise import generalise
+from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
-from servocore.model.scene import Limit
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array
@@ -31,8 +31,8 @@ PARAMETERS = (
 )
 WINCH = Quantity("M_w", "N.m", "winch torque, positive where it pays out rope")
 ROPE = Quantity("l", "m", "rope length", positive=True)
-TENSION = Quantity("tension", "N", "rope tension")
-SWING = Quantity("swing", "rad", "angle of the rope from the vertical")
+TENSION = Quantity("tension", "N", "rope tension", nonnegative=True)
+SWING = Quantity("swing", "rad", "angle of the rope from the vertical", nonnegative=True)
 
 
 def swing_angle(rope: ca.SX) -> ca.SX:

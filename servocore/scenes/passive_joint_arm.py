@@ -38,8 +38,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.generalise import generalise
+from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
-from servocore.model.scene import Limit, Scene
+from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
 from servocore.numerics.calls import Array

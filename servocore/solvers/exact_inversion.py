@@ -21,6 +21,7 @@ from servocore.solution import Solution
 from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
 from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import program_of
 from servocore.stepping.observation import compile_observation
 from servocore.stepping.program import Program
@@ -113,7 +114,7 @@ class ExactInversion:
     InvalidModel
         If the model has internal dynamics, or the scene follows a branch from instant to instant.
     InvalidReference
-        If the path breaks a limit of the scene or lacks derivatives.
+        If the path or the motion breaks a limit of the scene, or the path lacks derivatives.
     InvalidSetting
         If there is no C compiler for `native`.
 
@@ -141,6 +142,7 @@ class ExactInversion:
         self._table: BranchTable | IntegrationFailed | None
         try:
             self._table = prepared_table(problem)
+            require_exact_within_limits(problem, self._table)
         except IntegrationFailed as error:  # told by the call, which may know a better reason
             self._table = error
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
@@ -205,8 +207,8 @@ class ExactInversion:
             at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
             raise IntegrationFailed(
-                f"{name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g} {quantity.unit}, on another"
-                f" branch of the equations than the one wanted"
+                f"{name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g} {quantity.unit},"
+                f" {quantity.wrong_sign}"
             )
 
 

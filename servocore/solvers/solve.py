@@ -29,6 +29,7 @@ from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.loop import Progress
 from servocore.solvers.route import Route
 from servocore.solvers.state_selection import StateSelection
+from servocore.solvers.within_limits import run_within_limits
 
 _DEFAULT_STEPS = 200
 
@@ -71,8 +72,9 @@ def solve(
     Raises
     ------
     ServocoreError
-        If the path breaks a limit or lacks derivatives, the step does not fit, there is no compiler for `native`, no
-        initial values are found, a step is not solved, or the motion changes branch where two meet.
+        If the path or the motion breaks a limit, the path lacks derivatives, the step does not fit, no compiler is
+        there for `native`, no initial values are found, a step is not solved, or the motion changes branch where two
+        meet.
 
     Warns
     -----
@@ -89,9 +91,10 @@ def solve(
     own = route is method  # such a route brings no checks of its own, and chooses its instants
     if checks or own:
         require_feasible(problem, None if own else times)
-    solution = route.run(problem, times, progress)
-    if checks or own:
-        require_one_branch(problem, solution)
+    if not (checks or own):
+        return replace(route.run(problem, times, progress), advice=advice)
+    solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
+    require_one_branch(problem, solution)
     return replace(solution, advice=advice)
 
 

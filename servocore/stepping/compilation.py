@@ -11,7 +11,7 @@ from servocore.dae import Dae
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretisation, Method, instantaneous
-from servocore.model.scene import Limit
+from servocore.model.limits import Limit
 from servocore.numerics.calls import Call
 from servocore.numerics.machine_code import compiled
 from servocore.numerics.square_systems import compile_solver
@@ -39,7 +39,8 @@ def program_of(problem: Problem, formulation: Formulation, method: Method, nativ
         Whether a C compiler shall turn it into machine code.
     """
     make = _in_machine_code if native else compile_program
-    return problem.resolved.once(make, formulation, method, problem.limits, problem.follow_branch)
+    of_path = tuple(each for each in problem.limits if each.of_path)
+    return problem.resolved.once(make, formulation, method, of_path, problem.follow_branch)
 
 
 def _in_machine_code(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from servocore.model.scene import Limit
+from servocore.model.limits import Limit
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.expressions import highest_derivative
 from servocore.stepping.program import LimitText
@@ -17,12 +17,12 @@ def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
 
 def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
     """Highest derivative of the reference that the limits use."""
-    margins = [each.expression(system.gamma, system.parameters) for each in limits]
+    margins = [each.on(system) for each in limits]
     return highest_derivative(ca.vertcat(ca.SX(0, 1), *margins), system.gamma)
 
 
 def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
     """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
     gamma = system.gamma[:, : order + 1]
-    margins = [each.expression(gamma, system.parameters) - each.bound for each in limits]
+    margins = [each.on(system) - each.bound for each in limits]
     return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])

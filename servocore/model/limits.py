@@ -1,0 +1,160 @@
+"""`Limit`: where a scene ends, and limits by the name of what a solution reports."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Parameters
+from servocore.model.system import MechanicalSystem
+from servocore.model.units import in_unit
+
+RATE = ".rate"
+"""How the name of a rate of change ends."""
+
+Expression: TypeAlias = Callable[[ca.SX, Parameters], ca.SX] | Callable[[MechanicalSystem], ca.SX]
+"""(gamma (m, orders), parameters) -> an expression of the path, or (system) -> any of q, v, lam, u, p and gamma."""
+
+Bound: TypeAlias = float | str
+"""In SI units, or a text with its unit."""
+
+Bounds: TypeAlias = Bound | tuple[Bound | None, Bound | None]
+"""The largest magnitude, or the smallest and the largest value; None where there is no bound."""
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Where a scene ends: a quantity that must stay above a bound, below another, or between two.
+
+    Parameters
+    ----------
+    quantity, unit : str
+        What is compared, such as ``distance of the trolley from the slewing axis`` in ``m``.
+    bound : float
+        The quantity must be larger than this; -inf if it may be as low as it likes.
+    reason : str
+        What happens at the bound, as part of a sentence: ``the rope goes slack``. May be empty.
+    expression : callable
+        (gamma (m, orders), parameters) -> the quantity as a CasADi expression, or (system) -> the same of the system's
+        q, v, lam, u, gamma and parameters.
+    at_instants_only : bool
+        Whether the path may break the limit between the instants of a grid. For limits of the path.
+    upper : float
+        The quantity must not be larger than this.
+    rate : bool
+        Whether the limit is one of the expression's rate of change; `unit` is then that of the rate.
+    """
+
+    quantity: str
+    unit: str
+    bound: float
+    reason: str
+    expression: Expression
+    at_instants_only: bool = False
+    upper: float = math.inf
+    rate: bool = False
+
+    def __post_init__(self) -> None:
+        if not self.bound < self.upper:
+            raise InvalidSetting(
+                f"the limit of {self.quantity} must run from a lower to an upper bound, not from {self.bound:g} to"
+                f" {self.upper:g} {self.unit}"
+            )
+
+    @property
+    def of_path(self) -> bool:
+        """Whether it is a lower bound of an expression of the path alone: such limits are checked before anything."""
+        return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
+
+    def on(self, system: MechanicalSystem) -> ca.SX:
+        """Return the expression for a system."""
+        evaluate: Callable[..., ca.SX] = self.expression
+        given = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
+        return ca.SX(evaluate(*given))
+
+
+def _arguments(function: Callable[..., Any]) -> int:
+    """Return how many arguments a function must be given."""
+    return sum(each.default is each.empty for each in inspect.signature(function).parameters.values())
+
+
+@dataclass(frozen=True)
+class Named:
+    """The expression of what a solution reports under a name."""
+
+    name: str
+
+    def __call__(self, system: MechanicalSystem) -> ca.SX:
+        """Return it for a system; raises `InvalidModel` if that reports nothing of the name."""
+        known = reported(system)
+        if self.name not in known:
+            raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
+        return known[self.name][1]
+
+
+def reported(system: MechanicalSystem) -> Mapping[str, tuple[Quantity, ca.SX]]:
+    """Return what a solution reports, by name: inputs, observables, servo outputs, coordinates."""
+    listed = [
+        *((each, system.q[k]) for k, each in enumerate(system.coordinates.quantities)),
+        *((each, system.output[k]) for k, each in enumerate(system.outputs)),
+        *system.observables.items(),
+        *((each, system.u[k]) for k, each in enumerate(system.inputs)),
+    ]
+    return {quantity.name: (quantity, expression) for quantity, expression in listed}
+
+
+def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
+    """Return the limit of what a solution reports under a name, or of its rate.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is nothing of that name, or the bounds are none.
+    """
+    known = reported(system)
+    of = name if name in known else name.removesuffix(RATE)
+    if of not in known:
+        raise InvalidSetting(
+            f"{system.name} reports nothing called {name} that could have a limit; there are {', '.join(known)}, and"
+            f" the rate of each with {RATE} behind its name"
+        )
+    quantity, rate = known[of][0], of != name
+    unit = quantity.unit if not rate else f"{quantity.unit}/s"
+    what = f"the limit of {name}"
+    if isinstance(bounds, tuple | list):
+        if len(bounds) != 2:
+            raise InvalidSetting(f"{what} must be one number or a lower and an upper one, not {bounds!r}")
+        lower, upper = (_value(each, unit, what) for each in bounds)
+        lower, upper = (-math.inf if lower is None else lower, math.inf if upper is None else upper)
+        if not lower < upper or (lower, upper) == (-math.inf, math.inf):
+            raise InvalidSetting(f"{what} must run from a lower to an upper number, not {bounds!r}")
+    else:
+        largest = _value(bounds, unit, what)
+        if largest is None or largest <= 0.0:
+            raise InvalidSetting(
+                f"{what} is {bounds!r}: one number is the largest magnitude and must be positive; for other bounds give"
+                f" a lower and an upper one"
+            )
+        lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
+    return Limit(name, unit, lower, "", Named(of), upper=upper, rate=rate)
+
+
+def _value(bound: object, unit: str, what: str) -> float | None:
+    if bound is None:
+        return None
+    if isinstance(bound, str):
+        return in_unit(bound, unit, what)
+    try:
+        number = math.nan if isinstance(bound, bool) else float(bound)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        number = math.nan
+    if math.isnan(number):
+        raise InvalidSetting(f"{what} must be a number or a text with its unit, such as '2 {unit}', not {bound!r}")
+    return number

@@ -1,0 +1,87 @@
+"""Units as texts: how many of one are another, ``deg`` in ``rad``, ``km/h`` in ``m/s``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+
+from servocore.errors import InvalidSetting
+
+_NEWTON, _METRE = {"kg": 1, "m": 1, "s": -2}, {"m": 1}
+_UNITS: dict[str, tuple[float, dict[str, int]]] = {
+    "1": (1.0, {}),
+    "%": (0.01, {}),
+    "m": (1.0, _METRE),
+    "cm": (1e-2, _METRE),
+    "mm": (1e-3, _METRE),
+    "km": (1e3, _METRE),
+    "s": (1.0, {"s": 1}),
+    "ms": (1e-3, {"s": 1}),
+    "min": (60.0, {"s": 1}),
+    "h": (3600.0, {"s": 1}),
+    "kg": (1.0, {"kg": 1}),
+    "g": (1e-3, {"kg": 1}),
+    "t": (1e3, {"kg": 1}),
+    "N": (1.0, _NEWTON),
+    "kN": (1e3, _NEWTON),
+    "MN": (1e6, _NEWTON),
+    "Nm": (1.0, {**_NEWTON, "m": 2}),
+    "kNm": (1e3, {**_NEWTON, "m": 2}),
+    "J": (1.0, {**_NEWTON, "m": 2}),
+    "kJ": (1e3, {**_NEWTON, "m": 2}),
+    "W": (1.0, {**_NEWTON, "m": 2, "s": -3}),
+    "kW": (1e3, {**_NEWTON, "m": 2, "s": -3}),
+    "rad": (1.0, {"rad": 1}),
+    "mrad": (1e-3, {"rad": 1}),
+    "deg": (math.pi / 180.0, {"rad": 1}),
+    "°": (math.pi / 180.0, {"rad": 1}),
+    "rev": (2.0 * math.pi, {"rad": 1}),
+    "rpm": (2.0 * math.pi / 60.0, {"rad": 1, "s": -1}),
+}
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.*)?")
+_FACTOR = re.compile(r"(1|[^\d^]+)\^?(-?\d+)?")
+
+
+def in_unit(text: str, unit: str, what: str) -> float:
+    """Return a text such as ``5 deg`` as a number in a unit.
+
+    Parameters
+    ----------
+    text : str
+        A number, and its unit unless that is `unit`.
+    unit : str
+        As FMI spells it: ``N.m``, ``rad``, ``m/s``.
+    what : str
+        What it is of, for messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is no number with a unit, or its unit is that of another kind of quantity.
+    """
+    found = _QUANTITY.fullmatch(text)
+    if found is None:
+        raise InvalidSetting(f"{what} is given as {text!r}, which is no number with a unit, such as '2 {unit}'")
+    number, given = float(found[1]), (found[2] or unit).strip()
+    (factor, kind), (own_factor, own_kind) = _dimension(given, what), _dimension(unit, what)
+    if kind != own_kind:
+        raise InvalidSetting(f"{what} is given in {given}, but its unit is {unit}")
+    return number * factor / own_factor
+
+
+def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
+    """Return how many SI units it is, and of which."""
+    factor, powers = 1.0, Counter[str]()
+    numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")
+    for text, sign in ((numerators, 1), *((each, -1) for each in denominators)):
+        for each in re.split(r"[.·*\s]+", text.strip().strip("()")):
+            found = _FACTOR.fullmatch(each)
+            if found is None or found[1] not in _UNITS:
+                raise InvalidSetting(f"{what} is given in {unit}, which is no unit known here: {', '.join(_UNITS)}")
+            size, of = _UNITS[found[1]]
+            power = sign * int(found[2] or 1)
+            factor *= size**power
+            for name, exponent in of.items():
+                powers[name] += power * exponent
+    return factor, {name: power for name, power in powers.items() if power}
