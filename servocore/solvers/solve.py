@@ -29,7 +29,7 @@ from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.loop import Progress
 from servocore.solvers.route import Route
 from servocore.solvers.state_selection import StateSelection
-from servocore.solvers.within_limits import run_within_limits
+from servocore.solvers.within_limits import run_within_limits, survey_between
 
 _DEFAULT_STEPS = 200
 
@@ -74,7 +74,7 @@ def solve(
     ServocoreError
         If the path or the motion breaks a limit, the path lacks derivatives, the step does not fit, no compiler is
         there for `native`, no initial values are found, a step is not solved, or the motion changes branch where two
-        meet.
+        meet, or an input has a pole.
 
     Warns
     -----
@@ -95,6 +95,7 @@ def solve(
         return replace(route.run(problem, times, progress), advice=advice)
     solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
     require_one_branch(problem, solution)
+    survey_between(problem, solution)
     return replace(solution, advice=advice)
 
 

@@ -1,0 +1,128 @@
+"""What a run hides between its instants: poles of inputs and tensions, peaks, and values of a sign that is wrong.
+
+An input that grows towards a pole and comes back from it is small again at the next instant. Its second differences
+stand out from those around: there, and only there, exact inversions look in between.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import numpy as np
+
+from servocore.errors import IntegrationFailed, ServocoreWarning
+from servocore.model.quantity import Quantity
+from servocore.numerics.calls import Array
+from servocore.problem import Problem, ResolvedSystem
+from servocore.solution import Solution
+
+_STANDS_OUT = 4.0  # of the second differences beside it
+_BESIDE = (-5, -4, -3, 3, 4, 5)  # instants
+_MARGIN = 5
+_ROUND_OFF = 1e-7  # of the peak: a second difference that says nothing
+_TIMES = 10.0  # the largest value at the instants: a peak that a run hides
+_HUGE = 1e9  # times its typical magnitude: a peak that needs a word though an instant shows it
+_POLE = 1e6  # times the largest value at the instants: it grows without bound
+_SECTIONS, _ROUNDS = 17, 11
+
+
+def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
+    """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports."""
+    t = solution.t
+    if len(t) < 4 * _MARGIN or len(solution.channels) < len(problem.system.inputs):
+        return []
+    columns, positive = problem.resolved.once(_watched, solution.channels)
+    values = solution.values.T[columns]
+    bend = np.abs(values[:, :-2] - 2.0 * values[:, 1:-1] + values[:, 2:])
+    peaks = np.maximum(values.max(axis=1), -values.min(axis=1))
+    # Seldom does one stand out of its own row: most runs are done with here.
+    standing_out = bend > np.maximum(_STANDS_OUT * _beside(bend), _ROUND_OFF * peaks[:, None])
+    standing_out[positive] |= values[positive, 1:-1] <= bend[positive]
+    return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out)]
+
+
+def _beside(bend: Array) -> Array:
+    """Return the largest second differences some instants beside each."""
+    padded = np.zeros((len(bend), bend.shape[1] + 2 * _MARGIN))
+    padded[:, _MARGIN:-_MARGIN] = bend
+    found = np.zeros_like(bend)
+    for k in _BESIDE:
+        np.maximum(found, padded[:, _MARGIN + k : _MARGIN + k + bend.shape[1]], out=found)
+    return found
+
+
+def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int]]:
+    """Return which channels are inputs or observables, angles apart, and which of these must be positive."""
+    system = resolved.system
+    known = {*system.inputs, *system.observables}
+    columns = [k for k, each in enumerate(channels) if each in known and each.unit != "rad"]
+    return columns, [row for row, k in enumerate(columns) if channels[k].positive]
+
+
+def look_between(solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]) -> None:
+    """Refuse or warn of what exact inversions find beside some instants of a solution.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a problem without internal dynamics.
+    suspected : list of (int, int)
+        Channels and instants.
+    values : callable
+        (channel, times (N,)) -> its exact values, shape (N,).
+
+    Raises
+    ------
+    IntegrationFailed
+        If something has a pole, or a sign that it must not have.
+
+    Warns
+    -----
+    ServocoreWarning
+        If something is much larger between two instants than at all of them, or than its typical magnitude.
+    """
+    hidden: dict[str, tuple[float, str]] = {}
+    for channel, k in suspected:
+        quantity, t = solution.channels[channel], solution.t
+        sizes = np.abs(solution.values[:, channel])
+        peak = float(sizes.max())
+        begin, end = float(t[max(k - 1, 0)]), float(t[min(k + 1, len(t) - 1)])
+        for time, value in _extremes(partial(values, channel), begin, end, quantity.positive):
+            at = f"at t = {time:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
+            if quantity.positive and not value > 0.0:
+                raise IntegrationFailed(f"{solution.route}: between two instants, {at}, {quantity.wrong_sign}")
+            if not abs(value) < _POLE * peak:
+                raise IntegrationFailed(
+                    f"{solution.route}: {quantity.name} has a pole between two instants: {at}, and no more than"
+                    f" {peak:.4g} {quantity.unit} at all instants"
+                )
+            if abs(value) > min(_TIMES * peak, _HUGE * quantity.magnitude):
+                usual = float(np.median(sizes))
+                said = f"{at}, at the instants at most {peak:.4g} and mostly {usual:.4g} {quantity.unit}"
+                hidden[quantity.name] = max(hidden.get(quantity.name, (0.0, "")), (abs(value) / peak, said))
+    if hidden:
+        worst = max(hidden, key=lambda name: hidden[name][0])
+        others = ", ".join(name for name in hidden if name != worst)
+        warnings.warn(
+            f"{solution.route}: the path passes close to a pole: {hidden[worst][1]}"
+            f"{f'; so do {others} grow' if others else ''}; limits by name refuse such a path",
+            ServocoreWarning,
+            stacklevel=4,
+        )
+
+
+def _extremes(
+    evaluate: Callable[[Array], Array], begin: float, end: float, downwards: bool
+) -> Iterator[tuple[float, float]]:
+    """Yield where a function is largest in magnitude between two times, and where it is smallest if that is asked."""
+    for measure in (np.abs, np.negative) if downwards else (np.abs,):
+        first, last = begin, end
+        for _ in range(_ROUNDS):
+            t = np.linspace(first, last, _SECTIONS)
+            values = evaluate(t)
+            known = np.nan_to_num(measure(values), nan=np.inf, posinf=np.inf)
+            k = int(known.argmax())
+            first, last = t[max(k - 1, 0)], t[min(k + 1, _SECTIONS - 1)]
+        yield float(t[k]), float(values[k])
