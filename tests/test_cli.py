@@ -164,6 +164,31 @@ class TestFeedforward:
         assert share == pytest.approx(100.0 * np.abs(values[name] - exact).max() / np.abs(exact).max(), rel=0.01)
         assert share >= 50.0
 
+    def test_limits_that_the_motion_keeps_change_nothing(self):
+        limits = ["--limit", "F=60", "--limit", "M_w=-104:-92", "--limit", "swing=5 deg", "--limit", "s.rate=1.2"]
+        limited = run("feedforward", *LINE, *limits)
+        assert limited.exit_code == 0
+        assert limited.stdout == run("feedforward", *LINE).stdout
+
+    @pytest.mark.parametrize(
+        ("limit", "sentence"),
+        [
+            ("F=17", "rotary_crane: at t = 5.51236 s F goes beyond its lower limit of -17 N; it reaches -17.5746 N"),
+            ("M_w=:-98", "at t = 10.309 s M_w goes beyond its upper limit of -98 N.m; it reaches -97.3419 N.m"),
+            (
+                "swing = 1 deg",
+                "at t = 13.5794 s swing goes beyond its upper limit of 0.0174533 rad; it reaches 0.0175113",
+            ),
+            ("F", "--limit 'F' is not NAME=NUMBER or NAME=LOWER:UPPER"),
+            ("F=1:2:3", "the limit of F is given in :3, which is no unit known here"),
+            ("torque=3", "reports nothing called torque that could have a limit"),
+            ("F=3 m", "the limit of F is given in m, but its unit is N"),
+        ],
+    )
+    def test_a_limit_that_is_broken_or_none_is_refused(self, limit, sentence):
+        assert_refused(run("feedforward", *LINE, "--limit", limit, "--output", "inputs.csv"), sentence)
+        assert os.listdir() == []
+
     def test_what_code_1_advises_helps(self):
         advised = run("feedforward", *LINE, "--formulation", "reduced", "--method", "gauss1", "--step", 0.1)
         assert advised.exit_code == 0
