@@ -137,13 +137,19 @@ def test_symbols_of_another_model_are_refused(attribute):
         changed(system, **{attribute: foreign})
 
 
-@pytest.mark.parametrize("attribute", ["mass", "output", "input_matrix", "potential"])
+@pytest.mark.parametrize("attribute", ["mass", "input_matrix", "potential"])
 def test_velocities_are_refused_where_only_positions_belong(attribute):
     system = actuated_chain()
     wrong = getattr(system, attribute) + 0
     wrong[0, 0] += system.v[0]
     with pytest.raises(sc.InvalidModel, match=f"{attribute} holds symbols"):
         changed(system, **{attribute: wrong})
+
+
+def test_velocities_in_an_output_are_refused_by_its_name():
+    system = actuated_chain()
+    with pytest.raises(sc.InvalidModel, match=r"the output y1 depends on velocities \(v_x1\)"):
+        changed(system, output=system.output + ca.vertcat(system.v[0], 0))
 
 
 def test_an_observable_with_a_stranger_is_refused_by_name():

@@ -21,6 +21,7 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters, symbols
+from servocore.model.velocities import require_positions
 from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
 from servocore.numerics.pivoting import last_good_columns
@@ -179,6 +180,8 @@ class MechanicalSystem:
             found = ca.SX(getattr(self, attribute)).shape
             if found != shape:
                 raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+        rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))
+        require_positions(self.name, v, ([each.name for each in self.outputs], self.output), (rows, self.constraints))
         for attribute, (_, groups) in fields.items():
             if groups:
                 self._require_symbols(attribute, getattr(self, attribute), groups)
