@@ -24,8 +24,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import FloatArray, Reference
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
-from servocore.structure.signature import Signature
-from servocore.structure.structural_analysis import is_regular
+from servocore.structure.signature import Signature, is_regular
 
 _MOST_MADE = 128  # compiled functions that are kept with a system
 
@@ -90,7 +89,7 @@ class ResolvedSystem:
         if isinstance(self.outcome, InvalidModel):
             return False
         signature = self.outcome.signature
-        return not signature.equations.special and is_regular(self.system, signature, p)
+        return not signature.equations.special and is_regular(signature, p)
 
 
 def _dae(resolved: ResolvedSystem, formulation: Formulation) -> Dae:

@@ -17,3 +17,17 @@ def highest_derivative(expression: ca.SX, gamma: ca.SX) -> int:
     """Return the last column of `gamma`, the reference and its derivatives, that an expression depends on."""
     columns = ca.jacobian_sparsity(expression, ca.vec(gamma)).get_col()
     return max((column // gamma.size1() for column in columns), default=0)
+
+
+def time_derivative(expression: ca.SX, *jets: ca.SX) -> ca.SX:
+    """Differentiate by time an expression of quantities and their derivatives.
+
+    Parameters
+    ----------
+    expression : casadi.SX
+        Of all columns of the jets but the last.
+    *jets : casadi.SX
+        Symbols, each column the derivative of the one before.
+    """
+    terms = (ca.jtimes(expression, ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])) for jet in jets)
+    return sum(terms, ca.SX.zeros(expression.shape))

@@ -16,10 +16,10 @@ import numpy as np
 
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
-from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.pivoting import pivot_columns
-from servocore.structure.signature import Signature
-from servocore.structure.structural_analysis import analyse_structure, jacobian_at_probes
+from servocore.structure.signature import Signature, jacobian_at_probes
+from servocore.structure.structural_analysis import analyse_structure
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +89,12 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     found = analyse_structure(system)
     equations = found.equations
     c, d = found.equation_offsets, found.variable_offsets
-    orders = max(2, *d) + 1
+    orders = max(equations.y.size2(), max(d) + 1)
     y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
         for order in range(orders):
             y[j, order] = ca.SX.sym(name + "'" * order)
-    current = ca.substitute(equations.residual, equations.y, y[:, :3])
+    current = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
     rows: list[tuple[int, int]] = []
     residual: list[ca.SX] = []
     gamma = system.gamma
@@ -104,9 +104,7 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         active, current = [active[k] for k in keep], current[keep]
         rows += [(i, order) for i in active]
         residual.append(current)
-        current = ca.jtimes(current, ca.vec(y[:, :-1]), ca.vec(y[:, 1:])) + ca.jtimes(
-            current, ca.vec(gamma[:, :-1]), ca.vec(gamma[:, 1:])
-        )
+        current = time_derivative(current, y, gamma)
     equations_of_all_orders = ca.vertcat(*residual)
     return DerivativeArray(
         system=system,
@@ -116,7 +114,7 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         rows=tuple(rows),
         residual=equations_of_all_orders,
         reference_order=highest_derivative(equations_of_all_orders, gamma),
-        states=choose_states(found, jacobian_at_probes(system, found)[0]) if found.degrees_of_freedom else (),
+        states=choose_states(found, jacobian_at_probes(found)[0]) if found.degrees_of_freedom else (),
     )
 
 

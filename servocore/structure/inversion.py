@@ -60,7 +60,8 @@ def system_jacobian(resolved: Analysed) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> system Jacobian; meant for `ResolvedSystem.once`."""
     array = resolved.array
     reference = array.system.gamma[:, : array.reference_order + 1]
-    J = ca.substitute(array.signature.jacobian, array.signature.equations.y, array.y[:, :3])
+    equations = array.signature.equations
+    J = ca.substitute(array.signature.jacobian, equations.y, array.y[:, : equations.y.size2()])
     return ca.Function("sc_J", [array.column(array.unknowns), reference, array.system.p], [ca.densify(J)])
 
 

@@ -7,19 +7,52 @@ determine (d), if the system Jacobian J_ij = df_i / dy_j^(d_j - c_i) is nonsingu
 
 from __future__ import annotations
 
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.calls import Array
+from servocore.numerics.rounding import UNIT, Array, evaluate
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
 
 _SWEEPS = 6  # of equilibration
+_DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may not reach far
+_PROBES = 3  # points at which a coefficient must vanish to count as absent
+_SUSPICIOUS = (
+    1e-9  # of the largest entry: perhaps the round-off of terms that cancel, which scaling of rows would blow up
+)
+
+Point = tuple[Array, Array, Array]
+"""y, gamma and p."""
+
+
+@dataclass(frozen=True, eq=False)
+class Home:
+    """Where equations are looked at, and their symbols besides the variables.
+
+    Attributes
+    ----------
+    gamma, p : casadi.SX
+        Symbols of the reference and its derivatives, and of the parameters.
+    q, parameters : ndarray
+        Configuration and parameter values of the system's home.
+    output, nominal : tuple of float
+        Servo output there; typical magnitudes of the coordinates.
+    """
+
+    gamma: ca.SX
+    p: ca.SX
+    q: Array
+    parameters: Array
+    output: tuple[float, ...]
+    nominal: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,15 +66,19 @@ class SecondOrderEquations:
     residual : casadi.SX
         Momentum balance (n), servo constraints (m), holonomic constraints (m_h); shape (N,).
     y : casadi.SX
-        Symbols of the variables and their first two derivatives, shape (N, 3).
+        Symbols of the variables and their derivatives, shape (N, 3); more columns where equations were combined.
     names, equations : tuple of str
         What the variables and the rows are called.
     embedded : tuple of int
-        How often the servo constraint was differentiated to make each row: 2 for combined rows, else 0.
+        How often some equation of (1) was differentiated to make each row: 2 for most combined rows, else 0.
+    home : Home
+        Where they are looked at.
     remedy : str
         What was done to the equations first; empty if nothing.
     special : bool
         Whether that holds for the home parameters only.
+    combined : bool
+        Whether equations were replaced by combinations of any (`servocore.structure.conversion`).
     """
 
     name: str
@@ -50,8 +87,15 @@ class SecondOrderEquations:
     names: tuple[str, ...]
     equations: tuple[str, ...]
     embedded: tuple[int, ...]
+    home: Home
     remedy: str = ""
     special: bool = False
+    combined: bool = False
+
+    @property
+    def arguments(self) -> list[ca.SX]:
+        """What the residual is a function of."""
+        return [self.y, self.home.gamma, self.home.p]
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,15 +152,21 @@ def signature(equations: SecondOrderEquations) -> Signature:
     import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
 
     sigma = np.full((len(equations.names),) * 2, ABSENT)
-    for order in range(3):
+    for order in range(equations.y.size2()):
         rows, columns = ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()
         sigma[rows, columns] = order
     size = len(sigma)
     weights = np.where(sigma == ABSENT, -4 * (size + 1), sigma)
     rows, columns = scipy.optimize.linear_sum_assignment(weights, maximize=True)
-    missing = [equations.equations[i] for i, j in zip(rows, columns, strict=True) if sigma[i, j] == ABSENT]
+    missing = [(equations.equations[i], equations.names[j]) for i, j in zip(rows, columns, strict=True)
+               if sigma[i, j] == ABSENT]  # fmt: skip
     if missing:
-        raise InvalidModel(f"{equations.name}: structurally singular, nothing is left for {missing[0]}")
+        equation, variable = missing[0]
+        raise InvalidModel(
+            f"{equations.name}: structurally singular: nothing determines {variable}, and nothing is left that"
+            f" {equation} could determine; look for inputs that move nothing, and for outputs that no input"
+            " moves or that follow from others"
+        )
     # Velocities are wanted too, also of a coordinate that no equation differentiates.
     floor = np.array([int(name.startswith("q.")) for name in equations.names])
     c, d = _smallest_offsets(sigma, columns, floor)
@@ -140,7 +190,7 @@ def _smallest_offsets(
 def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tuple[int, ...]) -> ca.SX:
     leading = np.array(d)[None, :] - np.array(c)[:, None]
     J = ca.SX(len(c), len(d))
-    for order in range(3):
+    for order in range(equations.y.size2()):
         part = ca.jacobian(equations.residual, equations.y[:, order])
         J += part * ca.DM(leading == order)
     return ca.sparsify(J)
@@ -163,3 +213,154 @@ def condition_number(matrix: Array) -> float:
         return float("inf")
     values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
+
+
+def lost_rank(found: Signature, J: Array) -> str:
+    """Name the equations and variables between which a singular system Jacobian has lost rank."""
+    left, _, right = np.linalg.svd(equilibrated(np.nan_to_num(J)))
+    names = found.equations.equations, found.equations.names
+    worst = [
+        ", ".join(labels[k] for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())[:4])
+        for labels, vector in zip(names, (left[:, -1], right[-1]), strict=True)
+    ]
+    return f"it loses rank in the equations {worst[0]} and the variables {worst[1]}"
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Where the entries of a matrix are numbers of their own, and not the round-off of terms that cancel.
+
+    Attributes
+    ----------
+    structural : ndarray of bool
+        Entries that are not empty as expressions.
+    here : ndarray of bool
+        Those that do not vanish at the system's parameter values.
+    special : bool
+        Whether some vanish at these values only.
+    """
+
+    structural: npt.NDArray[np.bool_]
+    here: npt.NDArray[np.bool_]
+    special: bool
+
+
+def probe_points(
+    equations: SecondOrderEquations,
+    evaluate: ca.Function,
+    p: Array | None = None,
+    *,
+    disturbed: bool = False,
+) -> list[Point]:
+    """Return points (y, gamma, p) near the system's home at which `evaluate` is finite: numbers without symmetry."""
+    for distance in _DISTANCES:
+        points = _points(equations, distance, p, disturbed)
+        finite = [point for point in points if np.isfinite(np.asarray(evaluate(*point))).all()]
+        if finite:
+            return finite
+    return points
+
+
+def _points(equations: SecondOrderEquations, distance: float, p: Array | None, disturbed: bool) -> list[Point]:
+    """Return fixed points (y, gamma, p), with coordinates and their derivatives near those of the system's home.
+
+    They are up to `distance` of their nominal values away, or of one unit if that is less. With `disturbed` the
+    parameters leave their home as well, by a few per cent of themselves and of one.
+    """
+    home, q = equations.home, equations.home.q
+    generator = np.random.default_rng(20090601)
+    points = []
+    for _ in range(_PROBES):
+        y = distance * generator.uniform(0.5, 1.0, equations.y.shape) * generator.choice([-1.0, 1.0], equations.y.shape)
+        y[: len(q)] *= np.minimum(1.0, home.nominal)[:, None]
+        y[: len(q), 0] += q
+        gamma = generator.uniform(-0.3, 0.3, home.gamma.shape)
+        gamma[:, 0] = home.output
+        values = home.parameters if p is None else p
+        if disturbed:
+            values = values * generator.uniform(1.01, 1.05, len(values)) + generator.uniform(0.01, 0.05, len(values))
+        points.append((y, gamma, values))
+    return points
+
+
+def jacobian_at_probes(found: Signature, p: Array | None = None) -> list[Array]:
+    """Return the system Jacobian as numbers at points without symmetry near the system's home, without round-off."""
+    function = jacobian_function(found)
+    return jacobian_at(function, probe_points(found.equations, function, p))
+
+
+def jacobian_function(found: Signature) -> ca.Function:
+    """Compile (y, gamma, p) -> system Jacobian."""
+    return ca.Function("sc_system_jacobian", found.equations.arguments, [found.jacobian])
+
+
+def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
+    """Return the system Jacobian as numbers at points, zero where nothing but round-off is left of an entry."""
+    matrices = [np.asarray(function(*point)) for point in points]
+    if not any(_has_suspicious(each) for each in matrices):
+        return matrices
+    values, errors = evaluate(function, points)
+    return list(np.where(np.abs(values) <= errors, 0.0, values))
+
+
+def _has_suspicious(matrix: Array) -> bool:
+    """Whether an entry is so small beside others that it may be round-off."""
+    size = np.abs(matrix)
+    return bool(((size > 0.0) & (size < _SUSPICIOUS * size.max())).any())
+
+
+def is_regular(found: Signature, p: Array | None = None) -> bool:
+    """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
+    finite = (J for J in jacobian_at_probes(found, p) if np.isfinite(J).all())
+    return any(np.linalg.matrix_rank(equilibrated(J)) == len(J) for J in finite)
+
+
+def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presence:
+    """Tell which entries of a sum of matrices, expressions of y, gamma and p, vanish at all probes.
+
+    The parts are looked at by themselves: where constants cancel, nothing in the sum remembers what they were.
+    """
+    arguments = equations.arguments
+    pattern = reduce(operator.add, (part.sparsity() for part in parts))
+    parts = [ca.project(part, pattern) for part in parts]
+
+    def compiled(asked: list[int]) -> ca.Function:
+        entries = ca.densify(ca.horzcat(*[ca.vec(part.nz[asked]) for part in parts]))
+        return ca.Function("sc_entries", arguments, [entries])
+
+    def present(function: ca.Function, points: list[Point]) -> npt.NDArray[np.bool_]:
+        values, errors = evaluate(function, points)
+        bound = errors.sum(axis=2) + (UNIT * np.abs(values).sum(axis=2) if len(parts) > 1 else 0.0)
+        found: npt.NDArray[np.bool_] = np.abs(values.sum(axis=2)) > bound
+        return found
+
+    everything = compiled(list(range(pattern.nnz())))
+    first, *others = probe_points(equations, everything)
+    disturbed = probe_points(equations, everything, disturbed=True)
+    here, special = present(everything, [first])[0], False
+    asked = [int(k) for k in np.flatnonzero(~here)]
+    if asked:  # what was seen once need not be looked at again
+        seen = present(compiled(asked), [*others, *disturbed])
+        here[asked] = seen[: len(others)].any(axis=0)
+        special = bool((seen[len(others) :].any(axis=0) & ~here[asked]).any())
+    places = tuple(np.array(pattern.get_triplet()))
+    structural, found = np.zeros(pattern.shape, dtype=bool), np.zeros(pattern.shape, dtype=bool)
+    structural[places], found[places] = True, here
+    return Presence(structural, found, special)
+
+
+def without_vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[ca.SX, bool, bool]:
+    """Set variables and their derivatives to constants in the rows whose derivatives by them vanish at all probes.
+
+    The rows are the sum of the parts. Returns the rows, whether something vanishes for the home parameters only, and
+    whether anything changed.
+    """
+    derivatives, rows = ca.vec(equations.y), reduce(operator.add, parts)
+    rest = np.zeros(derivatives.numel())
+    rest[: len(equations.home.q)] = equations.home.q
+    found = presence(equations, [ca.jacobian(part, derivatives) for part in parts])
+    cleaned = []
+    for k in range(rows.numel()):
+        absent = [int(j) for j in np.flatnonzero(found.structural[k] & ~found.here[k])]
+        cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX(rest[absent])) if absent else rows[k])
+    return ca.vertcat(*cleaned), found.special, bool((found.structural & ~found.here).any())

@@ -1,0 +1,313 @@
+"""The linear combination method (Tan, Nedialkov and Pryce, BIT 57 (2017) 845), for what the signature method misses.
+
+Where the system Jacobian J is singular as an expression, some u(y) != 0 has u^T J = 0. With c the smallest offset of
+the equations that take part,
+
+    f = sum_i u_i f_i^(c_i - c)
+
+holds none of the derivatives y_j^(d_j - c), provided that u does not either. In the place of an equation of offset c
+it makes the offsets tell less than before, so that after some such steps the Jacobian is regular or nothing is left.
+
+u is found by elimination. Expressions are accompanied by their numbers at some points, so that what cancels is known to
+cancel. Rows of equal offset are turned against each other, for a sine and a cosine never vanish together: then no
+configuration is lost that was regular.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.numerics.expressions import time_derivative
+from servocore.numerics.rounding import UNIT, Array, evaluate
+from servocore.structure.signature import (
+    Point,
+    SecondOrderEquations,
+    Signature,
+    equilibrated,
+    is_regular,
+    jacobian_at,
+    jacobian_at_probes,
+    jacobian_function,
+    lost_rank,
+    probe_points,
+    signature,
+    without_vanishing,
+)
+
+_DEPENDENT = 1e-9  # of an equilibrated Jacobian: singular values and factors below count as zero
+_CONSTANT = 1e-12  # relative spread over the points
+_WEAK = 0.1  # of the largest entry of its column at home: a pivot that may vanish near by
+_MOST_OPERATIONS = 20_000  # of combined equations, which are differentiated further
+_COMBINED = ", combined"
+
+
+@dataclass(frozen=True, eq=False)
+class _Traced:
+    """An expression with its values at the points, and bounds of their errors."""
+
+    expression: ca.SX
+    values: Array
+    errors: Array
+
+    def __mul__(self, other: _Traced) -> _Traced:
+        values = self.values * other.values
+        errors = np.abs(self.values) * other.errors + np.abs(other.values) * self.errors
+        return _Traced(self.expression * other.expression, values, errors + UNIT * np.abs(values))
+
+    def __add__(self, other: _Traced) -> _Traced:
+        values = self.values + other.values
+        errors = self.errors + other.errors + UNIT * np.abs(values)
+        return _Traced(self.expression + other.expression, values, errors)
+
+    def __neg__(self) -> _Traced:
+        return _Traced(-self.expression, -self.values, self.errors)
+
+    def inverse(self) -> _Traced:
+        values = 1.0 / self.values
+        return _Traced(1 / self.expression, values, self.errors * values**2 + UNIT * np.abs(values))
+
+    def times(self, number: float) -> _Traced:
+        return _Traced(self.expression * number, self.values * number, self.errors * number)
+
+    @property
+    def vanishes(self) -> bool:
+        return bool((np.abs(self.values) <= self.errors)[:-1].all())  # the last one is home, with its symmetries
+
+    @property
+    def constant(self) -> bool:
+        return bool(np.ptp(self.values[:-1]) <= _CONSTANT * np.abs(self.values[:-1]).max())
+
+    @property
+    def at_home(self) -> float:
+        return float(np.nan_to_num(np.abs(self.values[-1])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """A sum of equations: what each is multiplied with, and what the system Jacobian has in that row, by column."""
+
+    factors: dict[int, _Traced]
+    entries: dict[int, _Traced]
+
+
+@dataclass(frozen=True, eq=False)
+class _Combination:
+    """Sums that take the place of equations of the least offset; `null` is the one free of highest derivatives."""
+
+    null: int
+    rows: dict[int, _Row]
+
+
+def convert(equations: SecondOrderEquations) -> Signature:
+    """Combine equations until their system Jacobian is regular, and return their signature.
+
+    Raises
+    ------
+    InvalidModel
+        If it stays singular, with what stands in the way.
+    """
+    found = signature(equations)
+    names: list[str] = []
+    while not is_regular(found):
+        combination = _combination(found)
+        names += [equations.equations[i] for i in combination.rows]
+        found = signature(_replaced(found, combination))
+    listed = ", ".join(dict.fromkeys(names))
+    remedy = f"combined with others so that highest derivatives cancel: {listed}"
+    return replace(found, equations=replace(found.equations, remedy=remedy)) if names else found
+
+
+def _combination(found: Signature) -> _Combination:
+    """Find a combination of equations that is free of the highest derivatives."""
+    refusal = "round-off hides how these depend on one another"
+    home = _at_home(found)
+    for taking_part in _dependent_rows(found, home):
+        combination = _eliminate(found, _traced_jacobian(found, taking_part, home))
+        if combination is not None:
+            obstacle = _obstacle(found, combination)
+            if not obstacle:
+                return combination
+            refusal = obstacle
+    lost = lost_rank(found, jacobian_at_probes(found)[0])
+    raise InvalidModel(f"{found.equations.name}: the system Jacobian is singular everywhere: {lost}; {refusal}")
+
+
+def _at_home(found: Signature) -> Point:
+    """Return the system's home configuration with velocities and forces without symmetry."""
+    y, gamma, p = probe_points(found.equations, jacobian_function(found))[0]
+    y[: len(found.equations.home.q), 0] = found.equations.home.q
+    return y, gamma, p
+
+
+def _dependent_rows(found: Signature, home: Point) -> Iterator[list[int]]:
+    """Yield equations between whose rows of the system Jacobian there is one dependence, of least offset the last.
+
+    Rows that are independent at home already are preferred as those that others depend on.
+    """
+    c = found.equation_offsets
+    matrices = [equilibrated(J) for J in jacobian_at_probes(found) if np.isfinite(J).all()]
+    if not matrices:
+        raise InvalidModel(f"{found.equations.name}: the equations have no finite values near home")
+    (at_home,) = jacobian_at(jacobian_function(found), [home])
+    rows: list[int] = []
+    for offset in sorted(set(c), reverse=True):
+        own = [i for i in range(len(c)) if c[i] == offset]
+        first: list[int] = []
+        for i in own:
+            first += (
+                [i] if _rank([equilibrated(np.nan_to_num(at_home))], [*rows, *first, i]) > len(rows + first) else []
+            )
+        for row in (*first, *(i for i in own if i not in first)):
+            if _rank(matrices, [*rows, row]) > len(rows):
+                rows.append(row)
+                continue
+            factors = [np.linalg.lstsq(J[rows].T, J[row], rcond=None)[0] for J in matrices]
+            needed = np.flatnonzero(np.abs(factors).max(axis=0, initial=0.0) > _DEPENDENT)
+            yield [*(rows[k] for k in needed), row]
+
+
+def _rank(matrices: list[Array], rows: list[int]) -> int:
+    return max((int(np.linalg.matrix_rank(J[rows], tol=_DEPENDENT)) for J in matrices), default=0)
+
+
+def _traced_jacobian(found: Signature, rows: list[int], home: Point) -> dict[int, _Row]:
+    """Return rows of the system Jacobian, with their numbers at the probes and at home."""
+    J, function = found.jacobian[rows, :], jacobian_function(found)
+    points = [*probe_points(found.equations, function), home]
+    values, errors = (each[:, rows] for each in evaluate(function, points))
+    one = _Traced(ca.SX(1), np.ones(len(points)), np.zeros(len(points)))
+    entries: list[dict[int, _Traced]] = [{} for _ in rows]
+    for k, j in zip(*J.sparsity().get_triplet(), strict=True):
+        entries[k][j] = _Traced(J[k, j], values[:, k, j], errors[:, k, j])
+    return {row: _Row({row: one}, _present(own)) for row, own in zip(rows, entries, strict=True)}
+
+
+def _present(entries: dict[int, _Traced]) -> dict[int, _Traced]:
+    return {j: entry for j, entry in entries.items() if not entry.vanishes}
+
+
+def _eliminate(found: Signature, rows: dict[int, _Row]) -> _Combination | None:
+    """Eliminate until a row of the system Jacobian vanishes; None if round-off hides which.
+
+    Equations of higher offset are used up first: the one that is replaced has the least.
+    """
+    c = found.equation_offsets
+    least = min(c[i] for i in rows)
+    turned: dict[int, _Row] = {}
+    left = dict(rows)
+    while all(row.entries for row in left.values()):
+        chosen = _pivot(c, least, left)
+        if chosen is None:
+            return None
+        pivot, column = chosen
+        for other in [i for i in left if i != pivot and column in left[i].entries]:
+            a, b = left[pivot].entries[column], left[other].entries[column]
+            if a.constant:
+                left[other] = _sum((None, left[other]), (-b * a.inverse(), left[pivot]))
+            elif c[other] == c[pivot]:
+                both = left[pivot], left[other]
+                left[pivot], left[other] = (_scaled(_sum((f, both[0]), (g, both[1]))) for f, g in ((a, b), (b, -a)))
+                turned |= {pivot: left[pivot], other: left[other]} if c[pivot] == least else {}
+            else:
+                left[other] = _scaled(_sum((a, left[other]), (-b, left[pivot])))
+        turned |= {i: left[i] for i in turned if i in left}
+        del left[pivot]
+    null = next(i for i, row in left.items() if not row.entries)
+    return _Combination(null, {null: left[null], **turned}) if c[null] == least else None
+
+
+def _pivot(c: tuple[int, ...], least: int, left: dict[int, _Row]) -> tuple[int, int] | None:
+    """Choose the row and column of the next pivot: constant if possible, not weak at home, and of few neighbours."""
+    last = sum(c[i] == least for i in left) == 1
+    best: tuple[tuple[bool, bool, int, float], tuple[int, int]] | None = None
+    for column in sorted({j for row in left.values() for j in row.entries}):
+        involved = {i: row.entries[column] for i, row in left.items() if column in row.entries}
+        highest, largest = max(c[i] for i in involved), max(entry.at_home for entry in involved.values())
+        for i, entry in involved.items():
+            if c[i] < highest or (last and c[i] == least):
+                continue
+            sure = entry.constant or len(involved) == 1
+            weak = not sure and not entry.at_home > _WEAK * largest
+            neighbours = (len(involved) - 1) * (len(left[i].entries) - 1)
+            cost = (not sure, weak, neighbours, -abs(float(entry.values[0])))
+            if best is None or cost < best[0]:
+                best = cost, (i, column)
+    return None if best is None else best[1]
+
+
+def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
+    """Return the sum of rows, each multiplied with something, None for one."""
+    factors: dict[int, _Traced] = {}
+    entries: dict[int, _Traced] = {}
+    for factor, row in parts:
+        for total, own in ((factors, row.factors), (entries, row.entries)):
+            for k, each in own.items():
+                product = each if factor is None else factor * each
+                total[k] = total[k] + product if k in total else product
+    return _Row(factors, _present(entries))
+
+
+def _scaled(row: _Row) -> _Row:
+    """Divide by a power of two, so that products of products do not grow."""
+    size = max((float(np.abs(each.values[0])) for each in row.factors.values()), default=1.0)
+    power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
+    factors, entries = ({k: each.times(power) for k, each in own.items()} for own in (row.factors, row.entries))
+    return _Row(factors, entries)
+
+
+def _obstacle(found: Signature, combination: _Combination) -> str:
+    """Say which of the derivatives that should cancel the factors themselves depend on; empty if on none."""
+    y, names = found.equations.y, found.equations.names
+    least = found.equation_offsets[combination.null]
+    factors = ca.vertcat(*[each.expression for row in combination.rows.values() for each in row.factors.values()])
+    for order in range(y.size2()):
+        for j in ca.jacobian_sparsity(factors, y[:, order]).get_col():
+            if order >= found.variable_offsets[j] - least:
+                where = ", ".join(found.equations.equations[i] for i in combination.rows[combination.null].factors)
+                return (
+                    f"combining {where} would need factors that depend on what should cancel,"
+                    f" {names[j]}{chr(39) * order}, which is out of reach of structural analysis"
+                )
+    return ""
+
+
+def _replaced(found: Signature, combination: _Combination) -> SecondOrderEquations:
+    """Return the equations with the combination in their place."""
+    equations, c, d = found.equations, found.equation_offsets, found.variable_offsets
+    least = c[combination.null]
+    most = max(c[i] - least for row in combination.rows.values() for i in row.factors)
+    size, orders = equations.y.shape
+    y = ca.horzcat(equations.y, ca.SX.sym("y", size, most))
+    residual, embedded, names = ca.SX(equations.residual), list(equations.embedded), list(equations.equations)
+    special = equations.special
+    for row, combined in combination.rows.items():
+        terms = []
+        for i, factor in combined.factors.items():
+            term = equations.residual[i]
+            for _ in range(c[i] - least):
+                term = time_derivative(term, y, equations.home.gamma)
+            terms.append(factor.expression * term)
+        residual[row], only_here, _ = without_vanishing(replace(equations, y=y), terms)
+        special = special or only_here
+        embedded[row] = max(c[i] - least + equations.embedded[i] for i in combined.factors)
+        names[row] = names[row].removesuffix(_COMBINED) + _COMBINED
+    length = ca.Function("sc_size", [y, *equations.arguments[1:]], [residual]).n_instructions()
+    if length > _MOST_OPERATIONS:
+        raise InvalidModel(
+            f"{equations.name}: the system Jacobian is singular everywhere, and combinations of equations that could"
+            f" help become too long ({length} operations)"
+        )
+    null = residual[combination.null]
+    if any(ca.jacobian_sparsity(null, y[j, d[j] - least :]).nnz() for j in range(size) if d[j] >= least):
+        raise InvalidModel(f"{equations.name}: round-off hides whether the highest derivatives of its equations cancel")
+    used = max(order for order in range(orders + most) if ca.jacobian_sparsity(residual, y[:, order]).nnz())
+    return replace(
+        equations, y=y[:, : max(3, used + 1)], residual=residual, embedded=tuple(embedded),
+        equations=tuple(names), special=special, combined=True,
+    )  # fmt: skip
