@@ -84,10 +84,10 @@ def internal_equilibrium(linear: Linearisation, p: Array, output: Array) -> Equi
     gamma = np.zeros((len(array.system.outputs), array.reference_order + 1))
     gamma[:, 0] = output
     rates, own = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
-    guess = np.asarray(inversion.guess(gamma, p)).ravel()
+    guess, search = np.asarray(inversion.guess(gamma, p)).ravel(), Call(inversion.search)
     A = np.zeros((len(own), len(own)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
-        values = np.asarray(inversion.search(gamma, p, guess)[0]).ravel()
+        values = search(gamma, p, guess)[0]
         A, rate = linear.at(values, gamma, p)[rates], values[rates]
         if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
