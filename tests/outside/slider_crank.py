@@ -12,11 +12,10 @@ from functools import cache, partial
 
 import casadi as ca
 import numpy as np
+from outside.paths import Steady
 from scipy.integrate import solve_ivp
 
 import servocore as sc
-
-from outside.paths import Steady
 
 OMEGA, END = 150.0, 0.1
 m_2, m_3, l_1, l_2, J_1, J_2 = 0.151104, 0.075552, 0.15, 0.30, 0.002727, 0.0045339259
