@@ -13,6 +13,7 @@ from functools import cache, partial
 import casadi as ca
 import numpy as np
 from outside.paths import Steady
+from outside.writing import Case
 from scipy.integrate import solve_ivp
 
 import servocore as sc
@@ -104,11 +105,22 @@ def slider_crank(length: float = l_2, nominal: float = 1.0, duration: float = EN
     return sc.Scene("slider_crank", {"modes": partial(crank, length, nominal)}, Steady.of((0.0,), (OMEGA,), duration))
 
 
+def slider_crank_from_rest(nominal: float = 1.0) -> Case:
+    """A few hundredths of a turn; the deflections begin at zero, without rate, and oscillate."""
+
+    def exact(t, _):
+        found = integrated(t, np.zeros(8))
+        return {name: found[name] for name in ("phi_2", "x_3", "q_1", "q_2", "q_3", "q_4", "lam_1", "lam_2", "T")}
+
+    scene = slider_crank(nominal=nominal, duration=0.002)
+    return Case(scene, exact, index=3, internal=8, steps=500, tolerance=1e-6)
+
+
 def integrated(t: np.ndarray, start: np.ndarray, length: float = l_2) -> dict[str, np.ndarray]:
     """The published equations in the deflections and their rates (8,), by SciPy at 1e-12; values at the times `t`."""
     found = solve_ivp(
         lambda time, state: np.append(state[4:], accelerations(time, state, length)[3:7]),
-        (t[0], t[-1]), start, "DOP853", t, rtol=1e-12, atol=1e-16, max_step=5e-5,
+        (t[0], t[-1]), start, "DOP853", t, rtol=1e-12, atol=1e-16,
     )  # fmt: skip
     rows = []
     for time, state in zip(t, found.y.T, strict=True):

@@ -1,0 +1,155 @@
+"""Right or refused, on systems that are no scenes of ours: compared with answers by other means."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+from outside import hanging, linkages, moving, refused
+from outside.refused import REFUSED
+from outside.slider_crank import slider_crank_from_rest
+from outside.writing import Case
+
+import servocore as sc
+
+CASES = {
+    make.__name__: make
+    for make in (
+        hanging.quadrotor_with_a_load,
+        hanging.double_pendulum_crane,
+        hanging.boom_crane,
+        hanging.tower_crane,
+        hanging.rope_robot,
+        linkages.arm_with_flexible_joints,
+        linkages.four_bars_driven_at_the_rocker,
+        linkages.five_bars_pinned_twice,
+        linkages.platform_on_three_legs,
+        linkages.elastic_slider_crank,
+        moving.two_cars_with_a_cubic_spring,
+        moving.three_cars_with_cubic_springs,
+        moving.two_cars_with_a_damper,
+        moving.spring_and_damper_in_series,
+        moving.cart_with_a_pendulum,
+        moving.cart_pole,
+        moving.container_crane,
+        moving.block_on_a_wedge,
+        moving.satellite,
+        slider_crank_from_rest,
+    )
+} | {
+    "quadrotor_in_generalised_coordinates": partial(hanging.quadrotor_with_a_load, generalised=True),
+    "elastic_slider_crank_in_two_coordinates": partial(linkages.elastic_slider_crank, generalised=True),
+    **{
+        f"{name}_of_{size}": partial(make, unit=unit, nominal=unit)
+        for name, make, sizes in (
+            ("quadrotor", hanging.quadrotor_with_a_load, {"a_millimetre": 1e-3, "a_kilometre": 1e3}),
+            (
+                "cars",
+                partial(moving.chain_of_cars, (1.0, 1.0)),
+                {"a_nanometre": 1e-9, "a_micrometre": 1e-6, "a_kilometre": 1e3},
+            ),
+        )
+        for size, unit in sizes.items()
+    },
+}
+FAILING = {
+    "aircraft_at_its_centre_of_oscillation": (
+        refused.aircraft_at_its_centre_of_oscillation,
+        "two momentum equations with inputs would have to be combined",
+    ),
+    "quadrotor_with_zeros_in_its_input_matrix": (
+        partial(hanging.quadrotor_with_a_load, generalised=True, zeros=True),
+        "a zero that is written into the input matrix counts as an input",
+    ),
+    "slider_crank_with_small_deflections": (
+        partial(slider_crank_from_rest, nominal=1e-5),
+        "a stopping test below the round-off of accelerations",
+    ),
+    "rotary_pendulum": (moving.rotary_pendulum, "no bounded inversion of periodic paths"),
+    "quadrotor_of_a_micrometre": (
+        partial(hanging.quadrotor_with_a_load, unit=1e-6, nominal=1e-6),
+        "a constraint whose gradient is small in nominal values counts as redundant",
+    ),
+    "quadrotor_of_a_thousand_kilometres": (
+        partial(hanging.quadrotor_with_a_load, unit=1e6, nominal=1e6),
+        "a stopping test below the round-off of large numbers",
+    ),
+    "cars_of_a_micrometre_said_to_be_a_metre": (
+        partial(moving.chain_of_cars, (1.0, 1.0), unit=1e-6),
+        "a stopping test that knows the nominal value only",
+    ),
+}
+
+
+@cache
+def case(name: str) -> Case:
+    return CASES[name]()
+
+
+def every_case() -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("name", CASES)
+
+
+def error(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.abs(found - exact).max() / np.abs(exact).max())
+
+
+def errors(of: Case) -> dict[str, float]:
+    solution = of.solution()
+    return {name: error(solution[name], each) for name, each in of.exact(solution.t, of.scene.reference).items()}
+
+
+@every_case()
+def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name):
+    report = sc.analyse(case(name).scene)
+    assert (report.index, report.internal_degrees_of_freedom) == (case(name).index, case(name).internal)
+    assert (report.classification == "flat") == (case(name).internal == 0)
+
+
+@every_case()
+def test_its_solution_is_the_answer_by_other_means(name):
+    found = errors(case(name))
+    assert max(found.values()) <= case(name).tolerance, found
+
+
+@pytest.mark.parametrize("name", [each for each in CASES if "cart_pole" not in each])
+def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name):
+    if case(name).internal:
+        with pytest.raises(sc.InvalidModel, match="internal dynamics"):
+            sc.ExactInversion(case(name).scene)
+        return
+    reference = case(name).scene.reference
+    times = np.random.default_rng(11).uniform(reference.start_time, reference.end_time, 40)
+    exact, inputs = case(name).exact(times, reference), sc.ExactInversion(case(name).scene)(times)
+    for k, each in enumerate(case(name).scene.model().inputs):
+        assert error(inputs[:, k], exact[each.name]) <= case(name).tolerance
+
+
+@pytest.mark.parametrize("name", FAILING)
+def test_what_fails_today_is_noticed_when_it_is_mended(name, request):
+    make, reason = FAILING[name]
+    request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
+    of = make()
+    found = errors(of)
+    assert max(found.values()) <= of.tolerance, found
+
+
+@pytest.mark.parametrize("name", [each for each in REFUSED if each != "ball_on_a_beam"])
+def test_what_cannot_be_done_is_refused_with_the_reason(name):
+    with pytest.raises(sc.ServocoreError, match=REFUSED[name].words):
+        sc.solve(REFUSED[name].make())
+
+
+@pytest.mark.xfail(reason="solve does not give the reason that analyse knows", strict=True)
+def test_a_beam_at_rest_has_no_relative_degree_for_its_ball():
+    with pytest.raises(sc.ServocoreError, match=REFUSED["ball_on_a_beam"].words):
+        sc.solve(REFUSED["ball_on_a_beam"].make())
+
+
+@pytest.mark.xfail(reason="nothing looks for poles of the inputs between instants", strict=True)
+@pytest.mark.parametrize("steps", [50, 200])
+def test_a_pole_of_an_input_is_not_stepped_over(steps):
+    """The force is -m x''/sin(roll), and the roll passes zero on the way."""
+    with pytest.raises(sc.ServocoreError, match=r"singular|no relative degree"):
+        sc.solve(refused.through_a_pole(), step=2.0 / steps)
