@@ -6,7 +6,7 @@ and is shared by all problems of that system; what belongs to one path and one s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Concatenate, ParamSpec, TypeVar
@@ -23,6 +23,7 @@ from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import FloatArray, Reference
+from servocore.references.clocked import Clocked
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
 
@@ -152,6 +153,8 @@ class Problem:
         Whether every instant starts from the one before, see `Scene`.
     left_out : str
         What messages call the redundant constraints that were left out; empty if there were none.
+    start : mapping of str to float
+        Initial values of the states of the internal dynamics by name; those of the guess, at rest, when empty.
 
     Examples
     --------
@@ -167,9 +170,12 @@ class Problem:
     limits: tuple[Limit, ...] = ()
     follow_branch: bool = False
     left_out: str = ""
+    start: Mapping[str, float] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, subject: Scene | MechanicalSystem, model: str | None = None) -> Problem:
+    def of(
+        cls, subject: Scene | MechanicalSystem, model: str | None = None, start: Mapping[str, float] | None = None
+    ) -> Problem:
         """Resolve a scene, or a system at its home.
 
         Parameters
@@ -178,6 +184,8 @@ class Problem:
             A scene with its own parameters and reference; a system rests at its home.
         model : str, optional
             Model of the scene; its smallest when not given.
+        start : mapping of str to float, optional
+            Initial values of the states of the internal dynamics.
 
         Raises
         ------
@@ -193,7 +201,10 @@ class Problem:
             system = scaled_to(system, decades_of(scene.reference))
         resolved = resolve(system, tuple(p.tolist()))
         left_out = system.listed_constraints(resolved.redundant)
-        return cls(scene.name, resolved, p, scene.reference, scene.limits, scene.follow_branch, left_out)
+        reference = scene.reference
+        if system.time.numel() and reference.dimension == len(system.outputs):
+            reference = Clocked.of(reference)
+        return cls(scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {})
 
     @property
     def system(self) -> MechanicalSystem:

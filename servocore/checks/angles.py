@@ -37,17 +37,17 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
     """
     system = resolved.system
     terms = (system.constraints, system.output, system.potential, system.mass, system.input_matrix, system.force)
-    evaluate = Call(
-        ca.Function("sc_terms", [system.q, system.v, system.p], [ca.densify(ca.vertcat(*map(ca.vec, terms)))])
-    )
+    arguments = [system.q, system.v, system.p, system.time]
+    evaluate = Call(ca.Function("sc_terms", arguments, [ca.densify(ca.vertcat(*map(ca.vec, terms)))]))
     point, p = np.sin(1.0 + np.arange(len(system.coordinates))), system.parameters.values()
+    time = np.full(system.time.numel(), 0.7)
     observed = {each.name: expression for each, expression in system.observables.items()}
     found = []
     for k, each in enumerate(system.coordinates.quantities):
         if each.unit != "rad" or not ca.is_equal(observed.get(each.name, system.q[k]), system.q[k]):
             continue
         aside = np.arange(len(point)) == k
-        here, there, round_again = (evaluate(point + turn * aside, point, p)[0] for turn in (0.0, 1.0, 2 * np.pi))
+        here, there, round_again = (evaluate(point + turn * aside, point, p, time)[0] for turn in (0.0, 1.0, 2 * np.pi))
         scale = 1e-9 * np.maximum(np.abs(here), np.abs(there))
         if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > 1e3 * scale)).any():
             found.append(each.name)

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
-from servocore.numerics.calls import Array, Call, mapped
+from servocore.numerics.calls import Array, Call, at_instants
 from servocore.numerics.constraint_ranks import Rows, assembled
 from servocore.numerics.interpolation import lagrange
 from servocore.problem import Problem, ResolvedSystem
@@ -74,7 +74,7 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     """
     if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
         return []
-    jacobians = _jacobians(problem, q)
+    jacobians = _jacobians(problem, t, q)
     scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
     jacobians = jacobians / scale
     signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
@@ -166,21 +166,22 @@ def _condition(jacobian: Array) -> float:
     return float(values[0] / max(values[-1], 1e-300))
 
 
-def _jacobians(problem: Problem, q: Array) -> Array:
+def _jacobians(problem: Problem, t: Array, q: Array) -> Array:
     """Return S at every configuration, its columns scaled by the nominal magnitudes, shape (N, m_h + m, n)."""
     count, n = q.shape
-    (flat,) = mapped(problem.resolved.once(_compiled_rows)[0], count)(q.T, np.tile(problem.p[:, None], count))
+    function, jets = problem.resolved.once(_compiled_rows)[0], problem.reference.jet(t, 0)
+    (flat,) = at_instants(function, q.T, jets=jets, p=problem.p)
     found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(problem.system.coordinates.nominal)
     return found
 
 
 def _compiled_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
-    """Compile (q, p) -> S = [G; C], for many instants, and (q, gamma, p) -> residual of all constraints, S, for one."""
+    """Compile (q, gamma, p) -> S = [G; C], for many instants, and -> residual of all constraints, S, for one."""
     system, gamma = resolved.system, resolved.system.gamma[:, 0]
-    residual = ca.densify(ca.vertcat(system.constraints, system.output - gamma))
+    residual = ca.densify(ca.vertcat(system.constraints, system.output - system.path[:, 0]))
     S = ca.densify(ca.vertcat(system.G, system.C))
     rows = ca.Function("sc_S_rows", [system.q, gamma, system.p], [residual, S])
-    return ca.Function("sc_S", [system.q, system.p], [S]), Call(rows)
+    return ca.Function("sc_S", [system.q, gamma, system.p], [S]), Call(rows)
 
 
 def require_one_branch(problem: Problem, solution: Solution) -> None:

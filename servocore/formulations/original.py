@@ -34,7 +34,7 @@ class Original:
             z=z,
             H=ca.diagcat(ca.SX.eye(n), system.mass),
             f=ca.vertcat(system.v, momentum),
-            h=ca.vertcat(system.output - system.gamma[:, 0], system.constraints),
+            h=ca.vertcat(system.output - system.path[:, 0], system.constraints),
             gamma=system.gamma,
             p=system.p,
             unknowns=unknowns,

@@ -31,7 +31,7 @@ class Projected:
         projection = project(system)
         n, free = projection.D.shape
         forces = system.bias + system.constraint_forces
-        xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.gamma[:, 2]
+        xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.path[:, 2]
         return Dae(
             name=f"{system.name}, projected",
             x=x,
@@ -40,7 +40,7 @@ class Projected:
             f=ca.vertcat(system.v, -ca.mtimes(projection.D.T, forces)),
             h=ca.vertcat(
                 ca.mtimes(projection.W.T, forces) - xi,
-                system.output - system.gamma[:, 0],
+                system.output - system.path[:, 0],
                 system.constraints,
             ),
             gamma=system.gamma,

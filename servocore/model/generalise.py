@@ -93,9 +93,8 @@ def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping
         )
     if mapping.shape != (n, 1):
         raise InvalidModel(f"{system.name}: the mapping has shape {mapping.shape}, expected {(n, 1)}")
-    violation = ca.Function(
-        "violation", [coordinates.q, system.p], [ca.substitute(system.constraints, system.q, mapping)]
-    )
+    at_home = ca.substitute(system.constraints, system.time, ca.SX.zeros(system.time.shape))
+    violation = ca.Function("violation", [coordinates.q, system.p], [ca.substitute(at_home, system.q, mapping)])
     # A point without symmetry: what vanishes there vanishes everywhere.
     mu = 0.3 + 0.4 * np.sin(1.0 + np.arange(len(coordinates)))
     worst = np.abs(np.asarray(violation(mu, system.parameters.values()))).max(initial=0.0)

@@ -3,10 +3,11 @@
     q_dot = v
     M v_dot + (bias of a configuration-dependent M) + grad V + G^T lam + B^T u = force(q, v)
     c(q, t) = Phi(q) - gamma(t) = 0            servo constraints, C = D Phi
-    g(q) = 0                                   holonomic constraints, G = D g
+    g(q, t) = 0                                holonomic constraints, G = D g
 
 `-B^T u` is the generalised force that the inputs exert. M may be singular (massless coordinates), M and B may
-depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path.
+depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path. Where f, V or g
+hold the time, it is one more row of gamma, whose derivatives are 1, 0, 0, ...: whatever a path can do, it can.
 """
 
 from __future__ import annotations
@@ -92,9 +93,14 @@ class MechanicalSystem:
         Parameter values at which the structure is analysed; the defaults when not given.
     constraint_names : tuple of str, optional
         What messages call the rows of `constraints`; g_1, g_2, ... when not given.
+    time : casadi.SX, optional
+        Symbol of the time in s, if `potential`, `force`, `constraints`, `guess` or observables hold it. It becomes the
+        last row of `gamma`, and home is then the time zero.
 
     Attributes
     ----------
+    path : casadi.SX
+        The rows of gamma without the time, shape (m, `MAX_REFERENCE_ORDER` + 1).
     G : casadi.SX
         Constraint Jacobian D g(q), shape (m_h, n).
     C : casadi.SX
@@ -131,6 +137,7 @@ class MechanicalSystem:
     u: ca.SX = DERIVED
     home_parameters: tuple[float, ...] = ()
     constraint_names: tuple[str, ...] = ()
+    time: ca.SX = DERIVED
     G: ca.SX = field(init=False, repr=False)
     C: ca.SX = field(init=False, repr=False)
     bias: ca.SX = field(init=False, repr=False)
@@ -142,7 +149,9 @@ class MechanicalSystem:
         self._fill("multipliers", ca.SX.sym("lam", m_h))
         self._fill("gamma", reference_symbols(m))
         self._fill("guess", ca.SX.zeros(n))
+        self._fill("time", ca.SX(0, 1))
         object.__setattr__(self, "home", self.home or (1.0,) * m)
+        self._set_clock(m)
         self._fill("u", symbols(each.name for each in self.inputs))
         object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
         self._require_fields(n, m, m_h)
@@ -161,18 +170,30 @@ class MechanicalSystem:
         if getattr(self, attribute) is DERIVED:
             object.__setattr__(self, attribute, default)
 
+    def _set_clock(self, m: int) -> None:
+        """Make the time, if there is one, the last row of gamma and the last entry of home."""
+        if not self.time.numel():
+            return
+        if self.time.shape != (1, 1) or not self.time.is_symbolic():
+            raise InvalidModel(f"{self.name}: the time must be one symbol, not {self.time}")
+        if self.gamma.size1() == m:  # a system made from another has that row already
+            rates = ca.SX.sym("time", 1, MAX_REFERENCE_ORDER)
+            object.__setattr__(self, "gamma", ca.vertcat(self.gamma, ca.horzcat(self.time, rates)))
+        if len(self.home) == m:
+            object.__setattr__(self, "home", (*self.home, 0.0))
+
     def _require_fields(self, n: int, m: int, m_h: int) -> None:
         """Check sizes, and that no expression holds a foreign symbol; derive the gyroscopic forces in between."""
         if len(self.outputs) != m:
             raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
         if len(self.constraint_names) not in (0, m_h):
             raise InvalidModel(f"{self.name}: {len(self.constraint_names)} names for {m_h} holonomic constraints")
-        q, v, p = self.q, self.v, self.p
+        q, v, p, t = self.q, self.v, self.p, self.time
         fields = {
             "mass": ((n, n), (q, p)), "output": ((m, 1), (q, p)), "input_matrix": ((m, n), (q, p)),
-            "potential": ((1, 1), (q, p)), "force": ((n, 1), (q, v, p)), "constraints": ((m_h, 1), (q, p)),
+            "potential": ((1, 1), (q, p, t)), "force": ((n, 1), (q, v, p, t)), "constraints": ((m_h, 1), (q, p, t)),
             "multipliers": ((m_h, 1), ()), "guess": ((n, 1), (self.gamma, p)), "u": ((m, 1), ()),
-            "gamma": ((m, MAX_REFERENCE_ORDER + 1), ()), "gyroscopic": ((n, 1), (q, v, p)),
+            "gamma": ((m + t.numel(), MAX_REFERENCE_ORDER + 1), ()), "gyroscopic": ((n, 1), (q, v, p)),
         }  # fmt: skip
         for attribute, (shape, _) in fields.items():
             if attribute == "gyroscopic":
@@ -256,7 +277,8 @@ class MechanicalSystem:
         starts = [home]
         if p is not None:
             starts, values = [self.home_configuration(p)[0], home], p
-        return constraint_rank(self.constraints, self.q, self.p, starts, values, self.coordinates.nominal)
+        constraints = ca.substitute(self.constraints, self.time, ca.SX.zeros(self.time.shape))
+        return constraint_rank(constraints, self.q, self.p, starts, values, self.coordinates.nominal)
 
     def listed_constraints(self, rows: Sequence[int]) -> str:
         """Return what messages call some rows of the holonomic constraints."""
@@ -270,6 +292,24 @@ class MechanicalSystem:
                 f"{self.name}: {len(found.redundant)} of the {found.rows} holonomic constraints are redundant (rank"
                 f" {found.rank}): {self.listed_constraints(found.redundant)}; solve and analyse leave them out"
             )
+
+    @property
+    def path(self) -> ca.SX:
+        """Symbols of the path of the servo output and its derivatives, shape (m, `MAX_REFERENCE_ORDER` + 1)."""
+        return self.gamma[: len(self.outputs), :]
+
+    @property
+    def gamma_dot(self) -> ca.SX:
+        """Rate of gamma[:, :-1]; that of the time is constant."""
+        rate = self.gamma[:, 1:]
+        if self.time.numel():
+            rate[-1, 1:] = 0
+        return rate
+
+    @property
+    def constraint_rate(self) -> ca.SX:
+        """Rate of the holonomic constraints, shape (m_h,)."""
+        return ca.mtimes(self.G, self.v) + ca.jtimes(self.constraints, self.gamma[:, 0], self.gamma_dot[:, 0])
 
     def momentum_balance(self, acceleration: ca.SX) -> ca.SX:
         """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
@@ -299,7 +339,8 @@ class MechanicalSystem:
 
     def require_full_rank(self, q: Array, p: Array) -> None:
         """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""
-        jacobians = ca.Function("jacobians", [self.q, self.p], [self.G, self.C])
+        at_home = ca.substitute(self.G, self.time, ca.SX.zeros(self.time.shape))
+        jacobians = ca.Function("jacobians", [self.q, self.p], [at_home, self.C])
         G, C = (np.asarray(matrix) for matrix in jacobians(q, p))
         m_h, m = len(G), len(C)
         for matrix, rows, what in (

@@ -21,6 +21,7 @@ from servocore.solution import Solution
 from servocore.solvers.loop import Progress, Run, begin, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
+from servocore.stepping.given_starts import How
 from servocore.stepping.program import Program
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -88,15 +89,16 @@ class ToTolerance:
         IntegrationFailed
             If the tolerance cannot be met, with what was reached and why.
         """
-        program = program_of(problem, self.formulation, self.method, self.native)
+        how = (self.formulation, self.method)
+        program = program_of(problem, *how, self.native)
         order = self.method.orders(program.index).forces
         if program.index <= 1:
-            return _by_steps(problem, StepControl(self.control, program, problem, order), times, progress)
-        return _by_runs(problem, program, self.control, order, times, progress)
+            return _by_steps(problem, StepControl(self.control, program, problem, order), times, how, progress)
+        return _by_runs(problem, program, self.control, order, times, how, progress)
 
 
 def _by_runs(
-    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, progress: Progress | None
+    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, how: How, progress: Progress | None
 ) -> Solution:
     """Halve the step of whole runs until the inputs at the instants `t` agree to the tolerance."""
     inputs = len(problem.system.inputs)
@@ -107,7 +109,7 @@ def _by_runs(
         if total + count > control.most_steps:
             raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), progress)
+        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), how, progress)
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
         fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
@@ -222,10 +224,10 @@ class StepControl:
             )
 
 
-def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progress | None) -> Solution:
+def _by_steps(problem: Problem, control: StepControl, t: Array, how: How, progress: Progress | None) -> Solution:
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
     program, step = control.program, step_of(t)
-    state, residual = begin(problem, program, step)
+    state, residual = begin(problem, program, step, how)
     peaks = np.abs(program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p))
     now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)
     columns = [state]

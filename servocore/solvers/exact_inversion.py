@@ -52,7 +52,7 @@ class Pointwise:
         """
         program = program_of(problem, self.formulation, self.method, self.native)
         if problem.follow_branch:
-            done = run(problem, program, times, progress)
+            done = run(problem, program, times, (self.formulation, self.method), progress)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
         done = _at_every_instant(problem, program, times, progress)
         try:

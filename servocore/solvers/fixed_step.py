@@ -36,8 +36,9 @@ class FixedStep:
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
-        program = program_of(problem, self.formulation, self.method, self.native)
-        solution = solution_of(problem, [Segment(program, times, run(problem, program, times, progress))])
+        how = (self.formulation, self.method)
+        program = program_of(problem, *how, self.native)
+        solution = solution_of(problem, [Segment(program, times, run(problem, program, times, how, progress))])
         if self.checks:
             warn_of_wrong_inputs(problem, program, times, solution.values)
         return solution

@@ -10,6 +10,7 @@ import numpy as np
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.numerics.calls import Array, chained, side_by_side
 from servocore.problem import Problem
+from servocore.stepping.given_starts import How, started
 from servocore.stepping.program import Program
 
 Progress = Callable[[int, int], None]
@@ -39,8 +40,8 @@ class Run:
     worst_residual: float
 
 
-def begin(problem: Problem, program: Program, step: float) -> tuple[Array, float]:
-    """Return the consistent first state and its residual.
+def begin(problem: Problem, program: Program, step: float, how: How) -> tuple[Array, float]:
+    """Return the consistent first state of a form and method, and its residual.
 
     Raises
     ------
@@ -48,6 +49,8 @@ def begin(problem: Problem, program: Program, step: float) -> tuple[Array, float
         If the reference lacks derivatives.
     InconsistentStart
         If no consistent initial values are found.
+    InvalidSetting
+        If the start of the problem does not name the states of its internal dynamics.
     """
     reference = problem.reference
     if reference.max_order < program.start_order:
@@ -57,14 +60,16 @@ def begin(problem: Problem, program: Program, step: float) -> tuple[Array, float
         )
     time = reference.start_time
     past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
+    if problem.start:
+        return started(problem, how, past, step, program.start_order)
     state, report = program.begin(past, problem.p, step)
     if not report.converged:
         raise InconsistentStart(f"{program.name}: no consistent initial values at t = {time:.6g} s")
     return state, report.residual
 
 
-def run(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
-    """Step from the start through the instants `t`, evenly apart.
+def run(problem: Problem, program: Program, t: Array, how: How, progress: Progress | None = None) -> Run:
+    """Step a form by a method from the start through the instants `t`, evenly apart.
 
     Raises
     ------
@@ -75,7 +80,7 @@ def run(problem: Problem, program: Program, t: Array, progress: Progress | None 
     """
     count = len(t) - 1
     step, length = step_of(t), chunk_length(count)
-    state, first_residual = begin(problem, program, step)
+    state, first_residual = begin(problem, program, step, how)
     parts = [Run(state[:, None], 0, 0, first_residual)]
     for done in range(0, count, length):
         part, complete = advance(problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,6 +16,7 @@ from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.stepping.forward_dynamics import forward_rate
+from servocore.stepping.given_starts import moved_to
 from servocore.stepping.observation import observed, violations_of
 from servocore.structure.inversion import inversion
 
@@ -29,6 +30,7 @@ def simulate(
     *,
     t: Array | None = None,
     model: str | None = None,
+    start: Mapping[str, float] | None = None,
     rtol: float = 1e-9,
     atol: float = 1e-9,
 ) -> Solution:
@@ -40,13 +42,16 @@ def simulate(
     Parameters
     ----------
     scene : Scene
-        Gives the model, its parameters, and by its reference the initial state.
+        Gives the model, its parameters, and by its reference the initial state that is not given by `start`.
     inputs : Solution or callable
         A solution with the scene's inputs, interpolated by a cubic spline; or a function of time.
     t : ndarray, optional
         Where to report; the times of the solution when not given.
     model : str, optional
         Model to integrate; the scene's smallest when not given.
+    start : mapping of str to float, optional
+        Initial values of coordinates and rates by name, ``theta`` and ``theta_dot``. Where the holonomic constraints
+        ask for it the others are moved, as little as possible.
     rtol, atol : float
         Tolerances of the integrator on positions and velocities.
 
@@ -59,13 +64,13 @@ def simulate(
     Raises
     ------
     InconsistentStart
-        If the reference gives no initial state.
+        If the reference gives no initial state, or the constraints cannot hold with the values of `start`.
     IntegrationFailed
         If the integrator gives up.
     InvalidSetting
-        If neither times nor a solution are given.
+        If neither times nor a solution are given, or `start` names no coordinate.
     """
-    problem = Problem.of(scene, model)
+    problem = Problem.of(scene, model, start)
     if isinstance(inputs, Solution):
         t = inputs.t if t is None else t
         evaluate = interpolated(inputs, problem.system)
@@ -82,17 +87,21 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, rtol: float, atol: f
 
     move, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
 
-    def rate(time: float, state: Array) -> Array:
-        return move(state, inputs(time), undisturbed, problem.p)[0]
+    def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
+        clock = (np.array([time]),) if problem.system.time.numel() else ()
+        return move(state, u, undisturbed, problem.p, *clock)
 
-    start, span = _initial_state(problem, float(t[0])), (float(t[0]), float(t[-1]))
-    found = scipy.integrate.solve_ivp(rate, span, start, method="DOP853", rtol=rtol, atol=atol, dense_output=True)
+    def rate(time: float, state: Array) -> Array:
+        return moved(time, state, inputs(time))[0]
+
+    first, span = _initial_state(problem, float(t[0])), (float(t[0]), float(t[-1]))
+    found = scipy.integrate.solve_ivp(rate, span, first, method="DOP853", rtol=rtol, atol=atol, dense_output=True)
     if found.status != 0 or found.sol is None or not np.isfinite(found.y).all():
         raise IntegrationFailed(
             f"{problem.system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
         )
     states, u = found.sol(t), np.array([inputs(time) for time in t])
-    forces = [move(state, now, undisturbed, problem.p)[1] for state, now in zip(states.T, u, strict=True)]
+    forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
     motion = _Motion(t, states, np.array(forces).reshape(len(t), -1), u)
     return motion, len(found.t) - 1, int(found.nfev)
 
@@ -117,6 +126,15 @@ def _free_motion(resolved: ResolvedSystem) -> Call:
 
 
 def _initial_state(problem: Problem, time: float) -> Array:
+    """Return (q, v) at a time: that of the exact inversion, with the values of the problem's start in their places."""
+    system = problem.system
+    if len(problem.start) == 2 * len(system.coordinates):
+        return moved_to(problem, time, np.zeros(len(problem.start)), problem.start)
+    state = _inverted(problem, time)
+    return moved_to(problem, time, state, problem.start) if problem.start else state
+
+
+def _inverted(problem: Problem, time: float) -> Array:
     """Return (q, v) of the exact inversion at a time."""
     array, system = problem.array, problem.system
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
@@ -171,12 +189,12 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
 
     What needs higher derivatives of the path is not observed: the motion need not follow it.
     """
-    system, gamma = resolved.system, resolved.system.gamma[:, :2]
-    known = [(quantity, each) for quantity, each in observed(system) if not ca.depends_on(each, ca.vec(system.gamma))]
+    system, gamma, path = resolved.system, resolved.system.gamma[:, :2], resolved.system.path
+    known = [(quantity, each) for quantity, each in observed(system) if not ca.depends_on(each, ca.vec(system.path))]
     known.sort(
         key=lambda each: each[0] not in system.observables
     )  # observables first, then inputs, outputs, coordinates
-    distances = ca.norm_2(system.output - gamma[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - gamma[:, 1])
+    distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
     results = ca.vertcat(*(each for _, each in known)), violations_of(system), ca.vertcat(*distances)
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
     function = ca.Function("sc_report", arguments, [ca.densify(each) for each in results])

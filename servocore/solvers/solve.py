@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -30,6 +31,7 @@ from servocore.solvers.loop import Progress
 from servocore.solvers.route import Route
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.within_limits import run_within_limits, survey_between
+from servocore.stepping.given_starts import require_start
 
 _DEFAULT_STEPS = 200
 
@@ -42,6 +44,7 @@ def solve(
     step: float | Adaptive | None = None,
     output_step: float | None = None,
     model: str | None = None,
+    start: Mapping[str, float] | None = None,
     progress: Progress | None = None,
     native: bool = False,
     checks: bool = True,
@@ -60,6 +63,8 @@ def solve(
         With `Adaptive`: time between reported instants, a 200th of the duration when not given.
     model : str, optional
         Model of the scene; its smallest when not given.
+    start : mapping of str to float, optional
+        Initial values of the internal dynamics by name, ``theta`` and ``theta_dot``; at rest when not given.
     progress : callable, optional
         Called with (steps done, steps in all) from time to time.
     native, checks : bool
@@ -81,12 +86,14 @@ def solve(
     ServocoreWarning
         If the run cannot succeed as it is set up, or an input turns out to be off by more than half of its peak.
     """
-    problem, advice, form = Problem.of(scene, model), "", formulation or Reduced()
+    problem, advice, form = Problem.of(scene, model, start), "", formulation or Reduced()
     if formulation is None and method is None:
         method, advice = recommended(problem)
     if output_step is not None and not isinstance(step, Adaptive):
         raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
+    if problem.start:
+        require_start(problem)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
     own = route is method  # such a route brings no checks of its own, and chooses its instants
     if checks or own:
@@ -112,11 +119,14 @@ def chosen_route(
     Raises
     ------
     InvalidSetting
-        If a bounded inversion is asked for with another form than `Reduced`, or with a tolerance for its steps.
+        If a bounded inversion is asked for with another form than `Reduced`, with a tolerance for its steps, or with
+        a start.
     """
     if isinstance(method, BoundaryValue):
         if formulation != Reduced():
             raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+        if problem.start:
+            raise InvalidSetting("a bounded inversion finds its own initial values; the start is given in vain")
         if isinstance(step, Adaptive):
             raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
     if isinstance(method, Route):

@@ -56,7 +56,7 @@ class StateSelection:
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native)
-        state, _ = begin(problem, program, step)
+        state, _ = begin(problem, program, step, (formulation, self.method))
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
         while at < count:

@@ -116,11 +116,11 @@ def discretised(dae: Dae, method: Method) -> Discretisation:
     return method.discretise(dae) if dae.x.numel() else instantaneous(dae)
 
 
-def compile_restart_of(resolved: ResolvedSystem, formulation: Reduced, method: Method, order: int) -> Call:
-    """Compile (unknowns of the array, gamma, h, p) -> the first state of a run with these states."""
+def compile_restart_of(resolved: ResolvedSystem, formulation: Formulation, method: Method, order: int) -> Call:
+    """Compile (unknowns of the array, gamma, h, p) -> the first state of a run of a form."""
     array, inverse, reduced = _inverse(resolved, formulation)
-    step = discretised(reduced, method)
-    return Call(compile_restart(array, inverse, reduced, reduced, step, order))
+    dae = resolved.dae(formulation)
+    return Call(compile_restart(array, inverse, dae, reduced, discretised(dae, method), order))
 
 
 def _compile_step(step: Discretisation) -> ca.Function:

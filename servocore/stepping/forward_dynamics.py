@@ -1,7 +1,7 @@
 """Forward dynamics of a system, compiled: what moves when inputs push.
 
     M v_dot + bias + G^T lam + B^T u = C^T d        d: a disturbing force on the servo output
-    g'' + 2 a g' + a^2 g = 0                        a = `STABILISATION_RATE`
+    g'' + 2 a g' + a^2 g = 0                        a = `STABILISATION_RATE`, the time included
 
 The holonomic constraints are differentiated twice and stabilised. *Held*, the inputs are not given but are what keeps
 B v as it is: brakes. One step of a `Plant` is the classical Runge-Kutta method of order four with inputs that change
@@ -15,6 +15,7 @@ from typing import Any
 
 import casadi as ca
 
+from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.stepping.plant import Plant
@@ -34,9 +35,12 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     Raises
     ------
     InvalidModel
-        If some holonomic constraints are redundant: nothing would determine their forces.
+        If some holonomic constraints are redundant: nothing would determine their forces. If the equations hold the
+        time: the state of a plant is (q, v) alone.
     """
     system.require_independent_constraints()
+    if system.time.numel():
+        raise InvalidModel(f"{system.name}: its equations hold the time, which a plant does not know; simulate does")
     rate, held_rate = forward_rate(system, held=False), forward_rate(system, held=True)
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
     state, u, slope, d, p = (ca.MX.sym(*each) for each in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
@@ -65,11 +69,15 @@ def compile_plant(system: MechanicalSystem) -> Plant:
 
 
 def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
-    """Compile (state, u, d, p) -> (state_dot, lam, u), or without u among the arguments where the inputs are held."""
+    """Compile (state, u, d, p) -> (state_dot, lam, u), or without u among the arguments where the inputs are held.
+
+    Where the equations hold the time, it is one more argument.
+    """
     q, v, G, B = system.q, system.v, system.G, system.input_matrix
     a = STABILISATION_RATE
-    g_dot = ca.mtimes(G, v)
-    stabilised = ca.jtimes(g_dot, q, v) + 2 * a * g_dot + a**2 * system.constraints
+    g_dot = ca.substitute(system.constraint_rate, system.gamma[:, 1], ca.SX.ones(system.gamma.size1()))
+    g_ddot = ca.jtimes(g_dot, q, v) + ca.jtimes(g_dot, system.time, ca.SX.ones(system.time.shape))
+    stabilised = g_ddot + 2 * a * g_dot + a**2 * system.constraints
     d = ca.SX.sym("d", len(system.outputs))
     momentum = system.bias - ca.mtimes(system.C.T, d)
     m_h, m = system.lam.numel(), len(system.inputs)
@@ -81,8 +89,8 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
         right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilised)
     corner = ca.SX(bordered.size1(), bordered.size1())
     matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])
-    state, given = ca.vertcat(q, v), [] if held else [system.u]
-    terms = ca.Function("sc_plant_terms", [state, *given, d, system.p], [matrix, -right], {"cse": True})
+    state, given, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
+    terms = ca.Function("sc_plant_terms", [state, *given, d, system.p, *clock], [matrix, -right], {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
     found = ca.solve(*terms(*arguments), "qr")
     n = len(system.coordinates)

@@ -50,9 +50,9 @@ def compile_observation(
 def violations_of(system: MechanicalSystem) -> ca.SX:
     """Return |c|, |dc/dt|, |g|, |dg/dt| in the maximum norm."""
     groups = (
-        system.output - system.gamma[:, 0],
-        ca.mtimes(system.C, system.v) - system.gamma[:, 1],
+        system.output - system.path[:, 0],
+        ca.mtimes(system.C, system.v) - system.path[:, 1],
         system.constraints,
-        ca.mtimes(system.G, system.v),
+        system.constraint_rate,
     )
     return ca.vertcat(*[largest(group) for group in groups])

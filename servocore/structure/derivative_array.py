@@ -105,6 +105,9 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
         rows += [(i, order) for i in active]
         residual.append(current)
         current = time_derivative(current, y, gamma)
+        if system.time.numel():  # it goes on evenly: a path needs no more derivatives because of it
+            later = gamma[-1, 2:]
+            current = ca.substitute(current, later, ca.SX.zeros(later.shape))
     equations_of_all_orders = ca.vertcat(*residual)
     return DerivativeArray(
         system=system,

@@ -142,7 +142,7 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
     matrix, load = ca.substitute(at_rest, [system.q], [configuration])
     normal = ca.mtimes(matrix.T, matrix) + _REGULARISATION * ca.SX.eye(matrix.size2())
     forces = ca.ldl_solve(ca.mtimes(matrix.T, load), *ca.ldl(normal))
-    held = ca.Function("sc_statics", [configuration, system.p], [forces], {"cse": True})
-    values = ca.vertcat(system.guess, held(system.guess, system.p))
+    held = ca.Function("sc_statics", [configuration, system.p, system.time], [forces], {"cse": True})
+    values = ca.vertcat(system.guess, held(system.guess, system.p, system.time))
     entries = [values[j] if order == 0 else ca.SX(0) for j, order in array.unknowns]
     return ca.Function("sc_first_guess", [gamma, system.p], [ca.densify(ca.vertcat(*entries))], {"cse": True})

@@ -55,7 +55,7 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
     """Write equation (1) in the variables y = (q, lam, u)."""
     n, size = len(system.coordinates), system.q.numel() + system.lam.numel() + system.u.numel()
     y = ca.SX.sym("y", size, 3)
-    residual = ca.vertcat(system.momentum_balance(y[:n, 2]), system.output - system.gamma[:, 0], system.constraints)
+    residual = ca.vertcat(system.momentum_balance(y[:n, 2]), system.output - system.path[:, 0], system.constraints)
     return SecondOrderEquations(
         name=system.name,
         residual=_in_variables(system, residual, y),
@@ -109,7 +109,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
     servo = (
         ca.mtimes(system.C, acceleration)
         + ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v)
-        - system.gamma[:, 2]
+        - system.path[:, 2]
     )
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     taken = ca.mtimes(system.mass[unactuated, dependent], factors)

@@ -81,7 +81,7 @@ def linearisation(resolved: Analysed, inverse: Inversion) -> Linearisation:
 def internal_equilibrium(linear: Linearisation, p: Array, output: Array) -> Equilibrium:
     """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
     array, inversion = linear.array, linear.inversion
-    gamma = np.zeros((len(array.system.outputs), array.reference_order + 1))
+    gamma = np.zeros((array.system.gamma.size1(), array.reference_order + 1))
     gamma[:, 0] = output
     rates, own = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
     guess, search = np.asarray(inversion.guess(gamma, p)).ravel(), Call(inversion.search)

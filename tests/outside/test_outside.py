@@ -6,7 +6,7 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from outside import hanging, linkages, moving, refused
+from outside import hanging, linkages, moving, refused, timed
 from outside.refused import REFUSED
 from outside.slider_crank import slider_crank_from_rest
 from outside.writing import Case
@@ -35,6 +35,8 @@ CASES = {
         moving.container_crane,
         moving.block_on_a_wedge,
         moving.satellite,
+        timed.load_below_a_ship,
+        timed.pendulum_in_the_wind,
         slider_crank_from_rest,
     )
 } | {

@@ -1,0 +1,46 @@
+"""A path with the time itself as last component: what a system needs whose equations hold the time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servocore.references.base import FloatArray, Reference
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Clocked(Reference):
+    """Another path, and beside it the time with its derivatives 1, 0, 0, ...
+
+    Attributes
+    ----------
+    path : Reference
+        The path without the time.
+    """
+
+    path: Reference
+
+    @classmethod
+    def of(cls, path: Reference) -> Clocked:
+        """Put the time beside a path."""
+        return cls(
+            start_time=path.start_time,
+            end_time=path.end_time,
+            dimension=path.dimension + 1,
+            max_order=path.max_order,
+            smoothness=path.smoothness,
+            fit_error=path.fit_error,
+            path=path,
+        )
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the path."""
+        return self.path.stretches
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        clock = np.zeros((len(t), order + 1, 1))
+        clock[:, 0, 0] = t
+        clock[:, 1:2] = 1.0
+        return np.concatenate([self.path.jet(t, order), clock], axis=2)

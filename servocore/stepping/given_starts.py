@@ -1,0 +1,171 @@
+"""Initial values that a user gives: of the states of internal dynamics, or of the whole motion for `simulate`.
+
+A start is a mapping from names to numbers: ``theta`` a coordinate in its unit, ``theta_dot`` its rate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting
+from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Method
+from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.compilation import compile_restart_of
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import compile_inversion
+
+Start = Mapping[str, float]
+How = tuple[Formulation, Method]
+
+_RATE = "_dot"
+_CLOSED = 1e-9  # residual of constraints, of the size of the coordinates, with which a start is accepted
+_ITERATIONS = 50
+
+
+def started(problem: Problem, how: How, gamma: Array, step: float, order: int) -> tuple[Array, float]:
+    """Return the first state of a run with the problem's start, and the residual of its equations.
+
+    Parameters
+    ----------
+    problem : Problem
+        With a start of its internal states.
+    how : (Formulation, Method)
+        What is stepped.
+    gamma : ndarray, shape (instants, order + 1, m)
+        Reference jets at the instants that the method needs.
+    step : float
+        In s.
+    order : int
+        Of the jets.
+
+    Raises
+    ------
+    InvalidSetting
+        If the start does not name the states of the internal dynamics.
+    InconsistentStart
+        If the equations have no solution with these values.
+    """
+    states = _states(problem.array, problem.start, problem.system.name)
+    named = tuple((problem.array.names[j], degree) for j, degree in states)
+    search, guess = problem.resolved.once(_search, named)
+    now = gamma[0, : problem.array.reference_order + 1].T
+    values = guess(now, problem.p)[0]
+    values[problem.array.places(states)] = list(problem.start.values())
+    found, _, residual = search(now, problem.p, values)
+    if not np.isfinite(found).all():
+        time = problem.reference.start_time
+        raise InconsistentStart(
+            f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
+        )
+    restart = problem.resolved.once(compile_restart_of, *how, order)
+    return restart(found, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
+
+
+def require_start(problem: Problem) -> None:
+    """Raise `InvalidSetting` unless the start of a problem names states of its internal dynamics."""
+    array, name = problem.array, problem.system.name
+    states = _states(array, problem.start, name)
+    try:
+        problem.resolved.once(_search, tuple((array.names[j], order) for j, order in states))
+    except InvalidModel as error:
+        own = ", ".join(_plain(*each) for each in array.named_states)
+        raise InvalidSetting(
+            f"{name}: {', '.join(problem.start)} cannot all be chosen, the path determines one of them; {own} can"
+        ) from error
+
+
+def _search(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tuple[Call, Call]:
+    """Compile Newton's method with these unknowns pinned, and the guess."""
+    inverse = compile_inversion(Reduced(states=states).array(resolved.system))
+    return Call(inverse.search), Call(inverse.guess)
+
+
+def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, int]]:
+    """Return variable and order of every state that a start names."""
+    _require_numbers(start, name)
+    known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
+    wrong = [each for each in start if each not in known]
+    if wrong or len(start) != len(array.states):
+        own = ", ".join(_plain(*each) for each in array.named_states)
+        raise InvalidSetting(
+            f"{name}: a start gives the {len(array.states)} states of the internal dynamics, such as {own},"
+            f" not {', '.join(wrong or start)}"
+            if array.states
+            else f"{name} has no internal dynamics: its motion follows from the path, and takes no start"
+        )
+    return [known[each] for each in start]
+
+
+def _require_numbers(start: Start, name: str) -> None:
+    for each, value in start.items():
+        if not isinstance(value, (int, float)) or not np.isfinite(value):
+            raise InvalidSetting(f"{name}: the start of {each} must be a finite number, not {value!r}")
+
+
+def _plain(variable: str, order: int) -> str:
+    """Return what a user calls a derivative of a variable: theta, theta_dot."""
+    return variable.split(".", 1)[1] + ("", "_dot", "_ddot")[order] if order < 3 else f"{variable} {order}"
+
+
+def _listed(start: Start) -> str:
+    return ", ".join(f"{name} = {value:g}" for name, value in start.items())
+
+
+def moved_to(problem: Problem, time: float, state: Array, start: Start) -> Array:
+    """Return the state (q, v) with the values that a start gives, the others moved so that the constraints hold.
+
+    They are moved as little as possible, measured by the nominal magnitudes.
+
+    Raises
+    ------
+    InvalidSetting
+        If the start names no coordinate.
+    InconsistentStart
+        If the holonomic constraints cannot hold with these values.
+    """
+    system = problem.system
+    _require_numbers(start, system.name)
+    names = (*system.coordinates.names, *(each + _RATE for each in system.coordinates.names))
+    wrong = [each for each in start if each not in names]
+    if wrong:
+        raise InvalidSetting(f"{system.name}: a start gives coordinates and their rates, not {', '.join(wrong)}")
+    free, moved = np.array([each not in start for each in names]), state.copy()
+    moved[~free] = [start[each] for each in names if each in start]
+    if not system.lam.numel():
+        return moved
+    n, nominal = len(system.coordinates), np.array(system.coordinates.nominal)
+    rows, rates = problem.resolved.once(_constraint_rows)
+    clock = problem.reference.jet(time, 1).T
+    for function, own in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
+        moves = free[own] * nominal
+        for _ in range(_ITERATIONS):
+            residual, jacobian = function(moved, clock, problem.p)
+            scale = np.maximum(np.abs(jacobian * nominal).max(axis=1, initial=0.0), 1e-300)[:, None]
+            residual, jacobian = residual / scale, jacobian * moves / scale
+            change = moves * np.linalg.lstsq(jacobian, -residual, rcond=1e-12)[0].ravel()
+            moved[own] += change
+            if not np.abs(change).max(initial=0.0) > 1e-15 * np.abs(moved[own]).max(initial=0.0):
+                break
+        residual = function(moved, clock, problem.p)[0] / scale
+        if not np.abs(residual).max(initial=0.0) <= _CLOSED * max(1.0, np.abs(moved[own] / nominal).max()):
+            worst = system.listed_constraints([int(np.abs(residual).argmax())])
+            raise InconsistentStart(
+                f"{system.name}: with {_listed(start)} at t = {time:.6g} s the holonomic constraint {worst} cannot hold"
+            )
+    return moved
+
+
+def _constraint_rows(resolved: ResolvedSystem) -> tuple[Call, Call]:
+    """Compile (state, gamma, p) -> constraints and their Jacobian by q, and -> their rates and Jacobian by v."""
+    system = resolved.system
+    arguments = [ca.vertcat(system.q, system.v), system.gamma[:, :2], system.p]
+    G = ca.densify(system.G)
+    pairs = ([ca.densify(system.constraints), G], [ca.densify(system.constraint_rate), G])
+    rows, rates = (Call(ca.Function("sc_constraints", arguments, each)) for each in pairs)
+    return rows, rates

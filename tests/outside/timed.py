@@ -1,0 +1,90 @@
+"""Systems whose equations hold the time: a ship that heaves, a pivot that shakes, a wind that blows."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from outside.writing import Case, coordinates, g, lagrange, square
+from scipy.integrate import solve_ivp
+
+import servocore as sc
+from servocore.scenes import jets
+from servocore.scenes.jets import Jet
+
+HEAVE, WAVES = 0.4, 1.3
+"""Of the ship, in m and rad/s."""
+
+
+@cache
+def crane_on_a_ship() -> sc.MechanicalSystem:
+    """Trolley, winch and load, whose girder goes up and down with the ship."""
+    q, t = coordinates("s l x z"), ca.SX.sym("t")
+    s, paid, x, z = ca.vertsplit(q.q)
+    girder = HEAVE * ca.sin(WAVES * t)
+    return lagrange(
+        "crane on a ship", q, (30 * q.v[0] ** 2 + 8 * q.v[1] ** 2 + 25 * square(q.v[2:])) / 2,
+        {"X": x, "Z": z}, {"F": s, "W": -paid}, potential=25 * g * z, time=t,
+        constraints=((x - s) ** 2 + (z - girder) ** 2 - paid**2) / 2,
+        guess=lambda at: (at[0], -at[1], at[0], at[1]), home=(0.5, -3.0),
+    )  # fmt: skip
+
+
+def load_below_a_ship() -> Case:
+    def exact(t, reference):
+        x, z = jets.components(reference.jet(t, 4))
+        shape = [HEAVE * WAVES**k * np.sin(WAVES * t + k * np.pi / 2) for k in range(5)]
+        depth = Jet.from_derivatives(shape) - z
+        fx, fz = 25.0 * x.d().d(), 25.0 * (z.d().d() + g)
+        s = x + depth * fx / fz
+        paid = jets.sqrt((s - x) * (s - x) + depth * depth)
+        tension = jets.sqrt(fx * fx + fz * fz)
+        force, winch = 30.0 * s.d().d() + fx, tension - 8.0 * paid.d().d()
+        return {"s": s.value, "l": paid.value, "F": force.value, "W": winch.value}
+
+    path = sc.rest_to_rest((0.0, -4.0), (3.0, -2.5), 4.0)
+    return Case(sc.Scene("ship", {"rope": crane_on_a_ship}, path), exact, index=5)
+
+
+@cache
+def cart_in_the_wind() -> sc.MechanicalSystem:
+    """A cart of 2 kg with a pendulum of 0.5 kg and 0.7 m, on whose bob a gusty wind pushes."""
+    q, t = coordinates("x", "theta"), ca.SX.sym("t")
+    x, theta = ca.vertsplit(q.q)
+    bob = ca.vertcat(x + 0.7 * ca.sin(theta), -0.7 * ca.cos(theta))
+    wind = 1.5 * ca.sin(3.0 * t) ** 2
+    bob_rate = ca.jtimes(bob, q.q, q.v)
+    return lagrange(
+        "cart in the wind", q, (2 * q.v[0] ** 2 + 0.5 * square(bob_rate)) / 2, {"X": x}, {"F": x},
+        potential=0.5 * g * bob[1] - wind * bob[0], time=t, guess=lambda at: (at[0], 0.0), home=(0.2,),
+    )  # fmt: skip
+
+
+def pendulum_in_the_wind() -> Case:
+    def exact(t, reference):
+        def slope(time, s):
+            x_2 = reference.jet(min(max(time, 0.0), 2.0 - 1e-15), 2)[2, 0]
+            return s[1], (1.5 * np.sin(3 * time) ** 2 / 0.5 - x_2) * np.cos(s[0]) / 0.7 - g * np.sin(s[0]) / 0.7
+
+        found = solve_ivp(slope, (0.0, 2.0), [0.0, 0.0], "DOP853", t, rtol=1e-13, atol=1e-14)
+        (theta, omega), x = found.y, reference.jet(t, 2)[:, :, 0].T
+        wind = 1.5 * np.sin(3 * t) ** 2
+        alpha = ((wind / 0.5 - x[2]) * np.cos(theta) - g * np.sin(theta)) / 0.7
+        return {"theta": theta, "F": 2.5 * x[2] + 0.35 * (alpha * np.cos(theta) - omega**2 * np.sin(theta)) - wind}
+
+    scene = sc.Scene("wind", {"cart": cart_in_the_wind}, sc.rest_to_rest((0.0,), (1.5,), 2.0))
+    return Case(scene, exact, index=3, internal=2, steps=400, tolerance=1e-9)
+
+
+@cache
+def shaken() -> sc.MechanicalSystem:
+    """A pendulum in Cartesian coordinates, its pivot shaken up and down; a torque in the plane as input."""
+    q, t = coordinates("x z"), ca.SX.sym("t")
+    x, z = ca.vertsplit(q.q)
+    pivot = 0.05 * ca.cos(60.0 * t)
+    return lagrange(
+        "shaken pendulum", q, square(q.v) / 2, {"A": ca.atan2(x, z)}, {"F": x}, potential=g * z, time=t,
+        constraints=(x**2 + (z - pivot) ** 2 - 0.25) / 2,
+        guess=lambda at: (0.5 * ca.sin(at[0]), 0.05 + 0.5 * ca.cos(at[0])), home=(0.2,),
+    )  # fmt: skip
