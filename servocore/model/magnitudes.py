@@ -66,7 +66,8 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     """Return how far each coordinate goes when the outputs leave home by `extent`."""
     home, p = system.home_configuration()
     gamma = np.zeros((2, *system.gamma.shape))
-    gamma[:, :, 0] = np.array(system.home) + np.outer((1.0, -1.0), extent)
+    gamma[:, :, 0] = system.home
+    gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, stands still
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
         system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
     found = [np.abs(np.asarray(evaluate(each, home, p)[0]).ravel() - home) for each in gamma]
