@@ -146,13 +146,13 @@ def moved_to(problem: Problem, time: float, state: Array, start: Start) -> Array
         moves = free[own] * nominal
         for _ in range(_ITERATIONS):
             residual, jacobian = function(moved, clock, problem.p)
-            scale = np.maximum(np.abs(jacobian * nominal).max(axis=1, initial=0.0), 1e-300)[:, None]
-            residual, jacobian = residual / scale, jacobian * moves / scale
-            change = moves * np.linalg.lstsq(jacobian, -residual, rcond=1e-12)[0].ravel()
+            scale = np.maximum(np.abs(jacobian * nominal).max(axis=1, initial=0.0), 1e-300)
+            jacobian = jacobian * moves / scale[:, None]
+            change = moves * np.linalg.lstsq(jacobian, -residual.ravel() / scale, rcond=1e-12)[0]
             moved[own] += change
             if not np.abs(change).max(initial=0.0) > 1e-15 * np.abs(moved[own]).max(initial=0.0):
                 break
-        residual = function(moved, clock, problem.p)[0] / scale
+        residual = function(moved, clock, problem.p)[0].ravel() / scale
         if not np.abs(residual).max(initial=0.0) <= _CLOSED * max(1.0, np.abs(moved[own] / nominal).max()):
             worst = system.listed_constraints([int(np.abs(residual).argmax())])
             raise InconsistentStart(
