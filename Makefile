@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile load check format fmu bench chart atlas pictures clean
+.PHONY: help demo test versions hostile nightly ivp load check format fmu bench chart atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -32,6 +32,12 @@ versions: $(NEWEST)/.installed $(LOWEST)/.installed  ## run the tests on Python 
 
 hostile: $(INSTALLED)  ## ask each FMU ten thousand random sequences of calls (some 15 minutes)
 	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest -s --durations=0 tests/test_hostile.py
+
+nightly: $(INSTALLED)  ## solve five hundred mechanisms by chance: never silent and wrong (some ten minutes)
+	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py
+
+ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bari beside scipy_dae, into docs/ivp-test-set.md
+	$(PEERS)/bin/python -m benchmarks.ivp
 
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 	SERVOCORE_LOAD=full $(RUN) pytest -s --durations=0 tests/test_load.py

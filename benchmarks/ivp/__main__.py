@@ -1,0 +1,143 @@
+"""Measure work and precision on the test set's index-3 problems, and write docs/ivp-test-set.md.
+
+.venv/peers/bin/python -m benchmarks.ivp        (some five minutes)
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import platform
+import signal
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import astuple, dataclass
+from functools import partial
+from pathlib import Path
+
+import servocore as sc
+from benchmarks.ivp import peer
+from benchmarks.ivp.problems import IvpProblem, at_the_end, digits, problems
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "ivp-test-set.md"
+TEMPLATE, ROWS = (Path(__file__).parent / name for name in ("page.md", "rows.json"))
+LONGEST, LONG = 20, 4  # s of CPU time that a run may take, and that it may take to be run twice
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run: what it found at the end, empty if it failed, and CPU time in s."""
+
+    route: str
+    setting: str
+    found: dict[str, float]
+    seconds: float
+    remark: str = ""
+
+
+def measured(route: str, setting: str, solve: Callable[[], dict[str, float]]) -> Row:
+    """Run once to compile, and once more unless that took long."""
+    seconds, found = 0.0, dict[str, float]()
+    try:
+        for _ in range(2):
+            signal.setitimer(signal.ITIMER_PROF, LONGEST)
+            begun = time.process_time()
+            found = solve()
+            seconds = time.process_time() - begun
+            if seconds > LONG:
+                break
+    except (RuntimeError, ValueError, TimeoutError) as error:
+        return Row(route, setting, {}, 0.0, str(error) or type(error).__name__)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    return Row(route, setting, found, seconds)
+
+
+def own_rows(problem: IvpProblem) -> Iterator[Row]:
+    """Run the routes of servocore."""
+    for route, solve in problem.own.items():
+        name, what = route.rsplit(", ", 1)
+        for setting in problem.settings[route]:
+            run = partial(_last, solve, setting)
+            yield measured(name, f"{what} = {setting:g}", run)
+
+
+def _last(solve: Callable[[float], sc.Solution], setting: float) -> dict[str, float]:
+    return at_the_end(solve(setting))
+
+
+def peer_rows(problem: IvpProblem) -> Iterator[Row]:
+    """Run scipy_dae, where it is installed."""
+    if importlib.util.find_spec("scipy_dae") is None:
+        return
+    for name, method in peer.METHODS.items():
+        for tolerance in peer.TOLERANCES:
+            solve = partial(peer.run, problem, method, tolerance)
+            yield measured(f"scipy_dae, {name}", f"rtol = {tolerance:g}", solve)
+
+
+def table(problem: IvpProblem, rows: list[Row]) -> str:
+    """Return the rows as a table of Markdown."""
+    exact, lines = (
+        problem.reference(),
+        ["| route | setting | coordinates | all | CPU time, s |", "|---|---|---|---|---|"],
+    )
+    for row in rows:
+        correct = digits(row.found, exact)
+        worst = min((v for k, v in correct.items() if k in problem.system.coordinates.names), default=None)
+        if worst is None:
+            lines.append(f"| {row.route} | {row.setting} | - | - | fails: {row.remark.rstrip('.')} |")
+        else:
+            least = min(correct.values())
+            lines.append(f"| {row.route} | {row.setting} | {worst:.1f} | {least:.1f} | {row.seconds:.2f} |")
+    return "\n".join(lines)
+
+
+def published_digits(problem: IvpProblem) -> str:
+    """Say how many digits the published values have, by kind."""
+    correct = digits(problem.published, problem.reference())
+    kinds = {"coordinates": lambda name: name in problem.system.coordinates.names,
+             "rates": lambda name: name.endswith("_dot"),
+             "multipliers": lambda name: name.startswith("lam") or name == "T"}  # fmt: skip
+    parts = [f"{kind} {min(v for k, v in correct.items() if chosen(k)):.1f}" for kind, chosen in kinds.items()]
+    return "Digits that the published values have, at least: " + ", ".join(parts) + "."
+
+
+def render(rows: dict[str, list[Row]], machine: str) -> str:
+    """Put the tables into the page."""
+    text = TEMPLATE.read_text().replace("{machine}", machine)
+    for problem in problems():
+        text = text.replace(
+            f"{{{problem.name}}}", f"{published_digits(problem)}\n\n{table(problem, rows[problem.name])}"
+        )
+    return text
+
+
+def record() -> dict[str, list[Row]]:
+    """Return what was measured last."""
+    found = json.loads(ROWS.read_text()) if ROWS.exists() else {}
+    return {name: [Row(*each) for each in rows] for name, rows in found.items()}
+
+
+def main(names: Sequence[str]) -> None:
+    """Measure the problems called `names`, or all, keep the rows, and write the page."""
+    for problem in problems():
+        if names and problem.name not in names:
+            continue
+        measured_now = [*own_rows(problem), *peer_rows(problem)]
+        rows = record() | {problem.name: measured_now}
+        print(problem.title, *measured_now, sep="\n", flush=True)
+        ROWS.write_text(json.dumps({name: [astuple(row) for row in kept] for name, kept in rows.items()}, indent=0))
+    PAGE.write_text(render(record(), f"{platform.machine()}, Python {platform.python_version()}"))
+
+
+def _too_long(*_: object) -> None:
+    raise TimeoutError(f"more than {LONGEST} s")
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGPROF, _too_long)
+    warnings.simplefilter("ignore")
+    main(sys.argv[1:])
