@@ -9,6 +9,7 @@ not fall with the step. There whole runs at constant step are repeated with half
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,10 +19,10 @@ from servocore.methods.base import Method
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, Run, begin, joined, run, step_of
+from servocore.solvers.loop import First, Progress, Run, begin, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import program_of
-from servocore.stepping.given_starts import How
+from servocore.stepping.compilation import compile_restart_of, program_of
+from servocore.stepping.given_starts import started
 from servocore.stepping.program import Program
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -89,16 +90,16 @@ class ToTolerance:
         IntegrationFailed
             If the tolerance cannot be met, with what was reached and why.
         """
-        how = (self.formulation, self.method)
-        program = program_of(problem, *how, self.native)
+        first = partial(started, (compile_restart_of, self.formulation, self.method))
+        program = program_of(problem, self.formulation, self.method, self.native)
         order = self.method.orders(program.index).forces
         if program.index <= 1:
-            return _by_steps(problem, StepControl(self.control, program, problem, order), times, how, progress)
-        return _by_runs(problem, program, self.control, order, times, how, progress)
+            return _by_steps(problem, StepControl(self.control, program, problem, order), times, first, progress)
+        return _by_runs(problem, program, self.control, order, times, first, progress)
 
 
 def _by_runs(
-    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, how: How, progress: Progress | None
+    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, first: First, progress: Progress | None
 ) -> Solution:
     """Halve the step of whole runs until the inputs at the instants `t` agree to the tolerance."""
     inputs = len(problem.system.inputs)
@@ -109,7 +110,7 @@ def _by_runs(
         if total + count > control.most_steps:
             raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), how, progress)
+        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), first, progress)
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
         fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
@@ -224,10 +225,10 @@ class StepControl:
             )
 
 
-def _by_steps(problem: Problem, control: StepControl, t: Array, how: How, progress: Progress | None) -> Solution:
+def _by_steps(problem: Problem, control: StepControl, t: Array, first: First, progress: Progress | None) -> Solution:
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
     program, step = control.program, step_of(t)
-    state, residual = begin(problem, program, step, how)
+    state, residual = begin(problem, program, step, first)
     peaks = np.abs(program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p))
     now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)
     columns = [state]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 from servocore.checks.wrong_inputs import warn_of_wrong_inputs
 from servocore.formulations.base import Formulation
@@ -12,7 +13,8 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.loop import Progress, run
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import program_of
+from servocore.stepping.compilation import compile_restart_of, program_of
+from servocore.stepping.given_starts import started
 
 
 @dataclass(frozen=True)
@@ -36,9 +38,9 @@ class FixedStep:
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
-        how = (self.formulation, self.method)
-        program = program_of(problem, *how, self.native)
-        solution = solution_of(problem, [Segment(program, times, run(problem, program, times, how, progress))])
+        first = partial(started, (compile_restart_of, self.formulation, self.method))
+        program = program_of(problem, self.formulation, self.method, self.native)
+        solution = solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])
         if self.checks:
             warn_of_wrong_inputs(problem, program, times, solution.values)
         return solution

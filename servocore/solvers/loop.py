@@ -10,11 +10,13 @@ import numpy as np
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.numerics.calls import Array, chained, side_by_side
 from servocore.problem import Problem
-from servocore.stepping.given_starts import How, started
 from servocore.stepping.program import Program
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
+
+First = Callable[[Problem, Array, float, int], tuple[Array, float]]
+"""(problem, reference jets, step, order) -> first state with the start of the problem, and its residual."""
 
 CHUNK = 512
 """Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
@@ -40,7 +42,7 @@ class Run:
     worst_residual: float
 
 
-def begin(problem: Problem, program: Program, step: float, how: How) -> tuple[Array, float]:
+def begin(problem: Problem, program: Program, step: float, first: First) -> tuple[Array, float]:
     """Return the consistent first state of a form and method, and its residual.
 
     Raises
@@ -61,14 +63,14 @@ def begin(problem: Problem, program: Program, step: float, how: How) -> tuple[Ar
     time = reference.start_time
     past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
     if problem.start:
-        return started(problem, how, past, step, program.start_order)
+        return first(problem, past, step, program.start_order)
     state, report = program.begin(past, problem.p, step)
     if not report.converged:
         raise InconsistentStart(f"{program.name}: no consistent initial values at t = {time:.6g} s")
     return state, report.residual
 
 
-def run(problem: Problem, program: Program, t: Array, how: How, progress: Progress | None = None) -> Run:
+def run(problem: Problem, program: Program, t: Array, first: First, progress: Progress | None = None) -> Run:
     """Step a form by a method from the start through the instants `t`, evenly apart.
 
     Raises
@@ -80,7 +82,7 @@ def run(problem: Problem, program: Program, t: Array, how: How, progress: Progre
     """
     count = len(t) - 1
     step, length = step_of(t), chunk_length(count)
-    state, first_residual = begin(problem, program, step, how)
+    state, first_residual = begin(problem, program, step, first)
     parts = [Run(state[:, None], 0, 0, first_residual)]
     for done in range(0, count, length):
         part, complete = advance(problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length)

@@ -5,7 +5,7 @@ A start is a mapping from names to numbers: ``theta`` a coordinate in its unit, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import casadi as ca
 import numpy as np
@@ -16,27 +16,26 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.numerics.calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.compilation import compile_restart_of
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_inversion
 
 Start = Mapping[str, float]
-How = tuple[Formulation, Method]
+How = tuple[Callable[..., Call], Formulation, Method]
 
 _RATE = "_dot"
 _CLOSED = 1e-9  # residual of constraints, of the size of the coordinates, with which a start is accepted
 _ITERATIONS = 50
 
 
-def started(problem: Problem, how: How, gamma: Array, step: float, order: int) -> tuple[Array, float]:
+def started(how: How, problem: Problem, gamma: Array, step: float, order: int) -> tuple[Array, float]:
     """Return the first state of a run with the problem's start, and the residual of its equations.
 
     Parameters
     ----------
     problem : Problem
         With a start of its internal states.
-    how : (Formulation, Method)
-        What is stepped.
+    how : (callable, Formulation, Method)
+        What is stepped, and `compile_restart_of`.
     gamma : ndarray, shape (instants, order + 1, m)
         Reference jets at the instants that the method needs.
     step : float
@@ -63,7 +62,7 @@ def started(problem: Problem, how: How, gamma: Array, step: float, order: int) -
         raise InconsistentStart(
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
-    restart = problem.resolved.once(compile_restart_of, *how, order)
+    restart = problem.resolved.once(*how, order)
     return restart(found, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
 
 

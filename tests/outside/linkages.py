@@ -99,7 +99,7 @@ def four_bars_driven_at_the_rocker() -> Case:
             work = work + inertia * first * (first * path[:, 2] + second * path[:, 1] ** 2)
         return {"T": work / c.derivatives()[1], "b": b.value, "x": x.value, "y": y.value}
 
-    path = sc.rest_to_rest((0.6,), (2.4,), 2.0)
+    path = sc.rest_to_rest((0.9,), (2.4,), 2.0)
     return Case(sc.Scene("four_bars", {"absolute": four_bars}, path), exact, index=3)
 
 

@@ -101,11 +101,11 @@ REFUSED = {
     each.__name__: Refusal(lambda each=each: scene(each), words)
     for each, words in {
         ball_on_a_beam: "no relative degree|singular",
-        car_that_nothing_drives: "structurally singular, nothing is left for",
-        two_motors_on_one_joint: "structurally singular, nothing is left for servo constraint on B",
-        one_output_twice: "structurally singular, nothing is left for servo constraint on 2X",
-        knife_edge: "constraints holds symbols that it must not use",
-        speed_as_output: "output holds symbols that it must not use",
+        car_that_nothing_drives: "structurally singular: nothing determines u.F",
+        two_motors_on_one_joint: "structurally singular: nothing determines u.T_2",
+        one_output_twice: "nothing is left that servo constraint on 2X could determine",
+        knife_edge: "nonholonomic constraints are not solved",
+        speed_as_output: "the output V depends on velocities",
     }.items()
 }
 

@@ -41,6 +41,8 @@ CASES = {
         slider_crank_from_rest,
     )
 } | {
+    "quadrotor_with_zeros_in_its_input_matrix": partial(hanging.quadrotor_with_a_load, generalised=True, zeros=True),
+    "aircraft_at_its_centre_of_oscillation": refused.aircraft_at_its_centre_of_oscillation,
     "quadrotor_in_generalised_coordinates": partial(hanging.quadrotor_with_a_load, generalised=True),
     "elastic_slider_crank_in_two_coordinates": partial(linkages.elastic_slider_crank, generalised=True),
     "slider_crank_with_small_deflections": partial(slider_crank_from_rest, nominal=1e-5),
@@ -57,16 +59,6 @@ CASES = {
         )
         for size, unit in sizes.items()
     },
-}
-FAILING = {
-    "aircraft_at_its_centre_of_oscillation": (
-        refused.aircraft_at_its_centre_of_oscillation,
-        "two momentum equations with inputs would have to be combined",
-    ),
-    "quadrotor_with_zeros_in_its_input_matrix": (
-        partial(hanging.quadrotor_with_a_load, generalised=True, zeros=True),
-        "a zero that is written into the input matrix counts as an input",
-    ),
 }
 
 
@@ -112,15 +104,6 @@ def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name):
     exact, inputs = case(name).exact(times, reference), sc.ExactInversion(case(name).scene)(times)
     for k, each in enumerate(case(name).scene.model().inputs):
         assert error(inputs[:, k], exact[each.name]) <= case(name).tolerance
-
-
-@pytest.mark.parametrize("name", FAILING)
-def test_what_fails_today_is_noticed_when_it_is_mended(name, request):
-    make, reason = FAILING[name]
-    request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
-    of = make()
-    found = errors(of)
-    assert max(found.values()) <= of.tolerance, found
 
 
 @pytest.mark.parametrize("name", [each for each in REFUSED if each != "ball_on_a_beam"])
