@@ -62,7 +62,8 @@ def started(how: How, problem: Problem, gamma: Array, step: float, order: int) -
         raise InconsistentStart(
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
-    restart = problem.resolved.once(*how, order)
+    make, formulation, method = how
+    restart = problem.resolved.once(make, formulation, method, order)
     return restart(found, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
 
 
