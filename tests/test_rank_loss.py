@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -111,6 +112,7 @@ def test_forms_that_step_are_looked_at_as_well(form):
     subject = replace(scene(), models={"points": lambda: massive})
     with pytest.warns(sc.ServocoreWarning, match="lose rank"):
         solution = sc.solve(subject, form, sc.BackwardEuler(), step=0.016)
+    assert re.search(r"^one: .*; at t = .* lose rank .*; this one goes on smoothly$", solution.statistics.branch)
     assert error(subject, solution) < 0.05
 
 
