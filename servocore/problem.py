@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
 from servocore.formulations.base import Formulation
 from servocore.model.limits import Limit
 from servocore.model.magnitudes import decades_of, scaled_to
@@ -103,6 +103,8 @@ def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     A parameter can decide about the index: an inclination of zero, a damper of zero. Where the structure is that of the
     system's home, the same object is returned as there.
     """
+    if p != system.home_parameters:
+        system.require_mass(np.array(p))
     redundant = system.constraint_rank(np.array(p)).redundant
     if p != system.home_parameters:
         at_home = resolve(system, system.home_parameters)
@@ -112,6 +114,7 @@ def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     kept = without_constraints(system, redundant) if redundant else system
     outcome: DerivativeArray | InvalidModel
     try:
+        kept.require_driving()
         outcome = derivative_array(kept)
     except InvalidModel as error:
         outcome = error
@@ -188,7 +191,9 @@ class Problem:
             system, p = subject, np.array(subject.home_parameters)
             scene = Scene(system.name, {}, _AtRest.at(system.home))
         else:
+            require_kind(subject, Scene, "what is to be solved", "a Scene", InvalidModel)
             scene, system = subject, subject.model(model)
+            scene.require_path(system)
             p = system.parameters.values(scene.parameters)
             system = scaled_to(system, decades_of(scene.reference))
         resolved = resolve(system, tuple(p.tolist()))

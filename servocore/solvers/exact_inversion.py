@@ -13,7 +13,7 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
@@ -126,6 +126,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool = False) -> None:
+        require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
         array = problem.array
         if not problem.flat or scene.follow_branch:

@@ -19,12 +19,13 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
+from servocore.solvers.arguments import require_callable, require_formulation, require_method, require_number
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise, compile_inputs
 from servocore.solvers.fixed_step import FixedStep
@@ -88,11 +89,10 @@ def solve(
     ServocoreWarning
         If the run cannot succeed as it is set up, or an input turns out to be off by more than 5 % of its peak.
     """
+    _require_arguments(scene, formulation, method, step, output_step, progress)
     problem, advice, form = Problem.of(scene, model), "", formulation or Reduced()
     if formulation is None and method is None:
         method, advice = recommended(problem)
-    if output_step is not None and not isinstance(step, Adaptive):
-        raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
     own = route is method  # such a route brings no checks of its own, and chooses its instants
@@ -108,6 +108,30 @@ def solve(
         solution = route.run(problem, times, progress)
     estimator = solution.estimator or partial(_estimated, problem, route)
     return replace(solution, advice=advice, estimator=estimator)
+
+
+def _require_arguments(
+    scene: Scene,
+    formulation: Formulation | None,
+    method: Method | Route | None,
+    step: float | Adaptive | None,
+    output_step: float | None,
+    progress: Progress | None,
+) -> None:
+    """Raise `InvalidModel` or `InvalidSetting` if an argument is of the wrong kind."""
+    require_scene(scene, "solve")
+    if formulation is not None:
+        require_formulation(formulation)
+    if method is not None:
+        require_method(method)
+    if step is not None and not isinstance(step, Adaptive):
+        require_number(step, "the step", "a time in s or Adaptive(...)")
+    if output_step is not None:
+        require_number(output_step, "the output step", "a time in s")
+        if not isinstance(step, Adaptive):
+            raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
+    if progress is not None:
+        require_callable(progress, "progress", "a function of (steps done, steps in all)")
 
 
 def chosen_route(

@@ -109,7 +109,10 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
 
     def add(quantities: Sequence[Any], values: ca.SX, suffix: str = "", unit: str = "") -> None:
         rows.extend(
-            (Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, not suffix and each.wraps), values[k])
+            (
+                Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, wraps=not suffix and each.wraps),
+                values[k],
+            )
             for k, each in enumerate(quantities)
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
@@ -52,6 +52,7 @@ class Stepper:
     program: Program = field(init=False)
 
     def __post_init__(self) -> None:
+        require_scene(self.scene, "Stepper")
         if not 0.0 < self.step < float("inf"):
             raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
         problem = Problem.of(self.scene, self.model)
