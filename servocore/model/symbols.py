@@ -90,8 +90,8 @@ def quantities_of(values: Any, what: str) -> tuple[Quantity, ...]:
         number = each.nominal is None or isinstance(each.nominal, int | float | np.number)
         if not each.name or not number or not 0.0 < each.magnitude < math.inf:
             raise InvalidModel(
-                f"{what}: a quantity needs a name and a nominal magnitude that is positive and finite, not {each.name!r}"
-                f" and {each.nominal!r}"
+                f"{what}: a quantity needs a name and a nominal magnitude that is positive and finite, not"
+                f" {each.name!r} and {each.nominal!r}"
             )
     return tuple(values)
 

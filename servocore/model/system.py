@@ -353,7 +353,10 @@ class MechanicalSystem:
         C = np.asarray(ca.Function("C", [self.q, self.p], [self.C])(*self.home_configuration()))
         found = last_good_columns(C * self.coordinates.nominal)
         if found is None:
-            raise InvalidModel(f"{self.name}: the servo outputs are dependent at the home configuration")
+            raise InvalidModel(
+                f"{self.name}: the servo outputs are dependent at the home configuration, that of the guess at"
+                f" {self.home}; give a home where they are not"
+            )
         return found
 
     def require_full_rank(self, q: Array, p: Array) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.limits import require_feasible
+from servocore.checks.refusals import explained
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -114,7 +115,9 @@ class ExactInversion:
     InvalidModel
         If the model has internal dynamics, or the scene follows a branch from instant to instant.
     InvalidReference
-        If the path or the motion breaks a limit of the scene, or the path lacks derivatives.
+        If the path or the motion breaks a limit of the scene, or the path is out of reach or lacks derivatives.
+    IntegrationFailed
+        If the equations are singular on the path.
     InvalidSetting
         If there is no C compiler for `native`.
 
@@ -144,8 +147,11 @@ class ExactInversion:
         try:
             self._table = prepared_table(problem)
             require_exact_within_limits(problem, self._table)
-        except IntegrationFailed as error:  # told by the call, which may know a better reason
-            self._table = error
+        except IntegrationFailed as error:
+            cause = explained(problem, error)
+            if cause is not error:
+                raise cause from None
+            self._table = error  # told by the call, which may know a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(each.name for each in problem.system.inputs)
 

@@ -13,7 +13,8 @@ from servocore.checks.branches import require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidSetting
+from servocore.checks.refusals import explained
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -98,14 +99,18 @@ def solve(
     own = route is method  # such a route brings no checks of its own, and chooses its instants
     if checks or own:
         require_feasible(problem, None if own else times)
+    try:
+        if checks or own:
+            solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
+        else:
+            solution = route.run(problem, times, progress)
+    except (InconsistentStart, IntegrationFailed) as error:
+        raise explained(problem, error) from None
     if checks or own:
-        solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
         passed = require_one_branch(problem, solution)
         survey_between(problem, solution)
         branch = _branch(problem, route, solution) + passed
         solution = replace(solution, statistics=replace(solution.statistics, branch=branch))
-    else:
-        solution = route.run(problem, times, progress)
     estimator = solution.estimator or partial(_estimated, problem, route)
     return replace(solution, advice=advice, estimator=estimator)
 
