@@ -57,3 +57,10 @@ def require_kind(
     """Raise `error`, saying what was wanted and what was found, unless `value` is of one of some kinds."""
     if not isinstance(value, kinds):
         raise error(f"{what} must be {wanted}, not {described(value)}")
+
+
+def require_real(value: object, what: str, wanted: str, error: type[ServocoreError]) -> None:
+    """Raise `error`, saying what was wanted and what was found, unless `value` is a real number."""
+    sized = getattr(value, "size", 1) == 1
+    if isinstance(value, bool | str | type) or not hasattr(value, "__float__") or not sized:
+        raise error(f"{what} must be {wanted}, not {described(value)}")

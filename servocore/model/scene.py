@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -76,8 +76,13 @@ class Scene:
                 )
         require_kind(self.reference, Reference, f"{self.name}: the reference", "a Reference", InvalidReference)
         require_kind(self.parameters, Mapping, f"{self.name}: parameters", "values by name", InvalidModel)
-        if isinstance(self.limits, Limit) or not all(isinstance(each, Limit) for each in self.limits):
+        listed = isinstance(self.limits, Sequence) and all(isinstance(each, Limit) for each in self.limits)
+        if not listed:
             raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
+
+        for each in ("closed_form", "independent_solution"):
+            if not (getattr(self, each) is None or callable(getattr(self, each))):
+                raise InvalidModel(f"{self.name}: {each} must be a function, not {described(getattr(self, each))}")
 
     @property
     def default_model(self) -> str:
@@ -96,7 +101,12 @@ class Scene:
         if not isinstance(name, Hashable) or name not in self.models:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
         factory = self.models[name]
-        found: object = _made(factory) if isinstance(factory, Hashable) else factory()
+        try:
+            found: object = _made(factory) if isinstance(factory, Hashable) else factory()
+        except TypeError as error:
+            if "required positional argument" not in str(error):
+                raise
+            raise InvalidModel(f"{self.name}: the factory of {name} is called without arguments: {error}") from None
         if not isinstance(found, MechanicalSystem):
             raise InvalidModel(
                 f"{self.name}: the factory of {name} returned {described(found)}, not a MechanicalSystem"

@@ -84,6 +84,11 @@ def require_sound(system: Written) -> None:
     _require_names(system)
     q, v, p = system.symbols("coordinates"), system.v, system.symbols("parameters")
     lam, u, gamma = (system.fields[each] for each in ("multipliers", "u", "gamma"))
+    groups = ca.vertcat(*(ca.vec(each) for each in (q, v, p, lam, u, gamma)))
+    if len(ca.symvar(groups)) < groups.numel():
+        raise InvalidModel(
+            f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
+        )
     at_rest, moving = ({each: system.fields[each] for each in listed} for listed in (_AT_REST, _MOVING))
     seen = {f"observable {name}": expression for name, expression in system.observables}
     guess = {"guess": system.fields["guess"]}
@@ -137,14 +142,9 @@ def _compiled(system: Written, fields: Mapping[str, ca.SX], groups: Sequence[ca.
     Raises
     ------
     InvalidModel
-        If an expression holds another symbol, or a symbol belongs to two groups.
+        If an expression holds another symbol.
     """
-    try:
-        function = ca.Function("sc_fields", list(groups), list(fields.values()), {"allow_free": True})
-    except RuntimeError:
-        raise InvalidModel(
-            f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
-        ) from None
+    function = ca.Function("sc_fields", list(groups), list(fields.values()), {"allow_free": True})
     for what, expression in fields.items() if function.get_free() else ():
         leftover = ca.Function("sc_field", list(groups), [expression], {"allow_free": True}).get_free()
         if leftover:

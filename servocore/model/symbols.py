@@ -62,6 +62,8 @@ class Parameter:
             raise InvalidModel(f"parameter {self.name} must be a number, not {value!r}") from None
         except OverflowError:
             raise InvalidModel(f"parameter {self.name} is too large for a number in double precision") from None
+        if not math.isfinite(number) and math.isinf(self.upper) and math.isinf(self.lower):
+            raise InvalidModel(f"parameter {self.name} must be a finite number, not {number:g} {self.unit}")
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
             raise InvalidModel(
                 f"parameter {self.name} = {number:g} {self.unit} is outside its range"
@@ -110,7 +112,7 @@ def numbers(values: Any, names: Sequence[str], what: str) -> tuple[float, ...]:
     if not isinstance(listed, list | tuple):
         raise InvalidModel(f"{what} must be a tuple of numbers, not {described(values)}")
     if len(listed) != len(names):
-        raise InvalidModel(f"{what} has {len(listed)} numbers, {len(names)} are needed: {', '.join(names)}")
+        raise InvalidModel(f"{what} has length {len(listed)}, one number is needed for each of {', '.join(names)}")
     for name, value in zip(names, listed, strict=True):
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
         if not (number and math.isfinite(value)):
@@ -217,7 +219,8 @@ class Parameters:
         InvalidModel
             If a name is unknown or a value leaves its bounds.
         """
-        changed = changed or {}
+        changed = {} if changed is None else changed
+        require_kind(changed, Mapping, "parameter values", "a mapping of names to numbers", InvalidModel)
         self._require_known(tuple(changed))
         return np.array([each.check(changed.get(each.name, each.default)) for each in self.declared])
 

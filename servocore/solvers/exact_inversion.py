@@ -18,6 +18,7 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import numbers_of
 from servocore.solution import Solution
 from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
 from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
@@ -173,7 +174,7 @@ class ExactInversion:
         IntegrationFailed
             If an instant is not solved, or on another branch of the equations than the one wanted.
         """
-        times = np.asarray(t, dtype=np.float64)
+        times = numbers_of(t, "the times of inputs")
         flat = times.reshape(-1)
         jets = side_by_side(self._problem.reference.jet(flat, self._order))
         if isinstance(self._table, BranchTable):

@@ -13,12 +13,14 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
-from servocore.solvers.arguments import require_callable, require_number
 from servocore.solvers.forward import Tolerance, integrated
 from servocore.solvers.given_inputs import Inputs, counted, interpolated, rising_times
+from servocore.stepping.arguments import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
 from servocore.structure.inversion import inversion
+
+_SMALLEST_RTOL = 1e-13
 
 
 def simulate(
@@ -75,6 +77,8 @@ def simulate(
         require_number(value, what, "a positive number")
         if not 0.0 < value < float("inf"):
             raise InvalidSetting(f"{what} must be positive and finite, not {value}")
+    if rtol < _SMALLEST_RTOL:
+        raise InvalidSetting(f"rtol must be {_SMALLEST_RTOL:g} or more, not {rtol:g}: numbers are no more accurate")
     if isinstance(inputs, Solution):
         instants = rising_times(inputs.t if t is None else t)
         evaluate = interpolated(inputs, problem.system, instants)

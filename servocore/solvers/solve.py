@@ -26,7 +26,6 @@ from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
-from servocore.solvers.arguments import require_callable, require_formulation, require_method, require_number
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise, compile_inputs
 from servocore.solvers.fixed_step import FixedStep
@@ -35,9 +34,11 @@ from servocore.solvers.route import Route
 from servocore.solvers.solved_again import solved_again, solved_beside
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.within_limits import run_within_limits, survey_between
+from servocore.stepping.arguments import require_callable, require_formulation, require_method, require_number
 from servocore.structure.inversion import inversion
 
 _DEFAULT_STEPS = 200
+_MOST_STEPS = 10**8
 _BETTER = RadauIIA(5)
 _ROUGH = 0.01  # a tolerance that does not say by itself that inputs are good
 Stepped = FixedStep | StateSelection | ToTolerance
@@ -245,6 +246,11 @@ def time_grid(reference: Reference, step: float | None) -> Array:
     if step > duration * (1 + 1e-9):
         raise InvalidSetting(f"the step of {step:g} s is larger than the duration of {duration:g} s")
     count = round(duration / step)
+    if count > _MOST_STEPS:
+        raise InvalidSetting(
+            f"the step of {step:g} s divides the duration of {duration:g} s into {count:.2g} steps, more than"
+            f" {_MOST_STEPS:.0e}"
+        )
     if abs(count * step - duration) > 1e-6 * step:
         below, above = duration / np.ceil(duration / step), duration / max(1, np.floor(duration / step))
         raise InvalidSetting(

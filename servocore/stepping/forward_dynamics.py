@@ -15,6 +15,7 @@ from typing import Any
 
 import casadi as ca
 
+from servocore.errors import InvalidModel, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.stepping.plant import Plant
@@ -36,6 +37,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     InvalidModel
         If some holonomic constraints are redundant: nothing would determine their forces.
     """
+    require_kind(system, MechanicalSystem, "what is to be compiled", "a MechanicalSystem", InvalidModel)
     system.require_independent_constraints()
     rate, held_rate = forward_rate(system, held=False), forward_rate(system, held=True)
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()

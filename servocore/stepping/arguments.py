@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from servocore.errors import InvalidSetting, described
+from servocore.errors import InvalidSetting, described, require_real
 
 
 def require_formulation(value: object) -> None:
@@ -15,9 +15,9 @@ def require_formulation(value: object) -> None:
         )
 
 
-def require_method(value: object) -> None:
-    """Raise `InvalidSetting` unless this is a method or a route."""
-    if not _offers(value, "discretise") and not _offers(value, "run"):
+def require_method(value: object, *, routes: bool = True) -> None:
+    """Raise `InvalidSetting` unless this is a method or, where one may stand, a route."""
+    if not _offers(value, "discretise") and not (routes and _offers(value, "run")):
         hint = "; it is a formulation: write formulation=" if _offers(value, "dae") else ""
         raise InvalidSetting(
             f"the method must be one such as RadauIIA(3), not {described(value)}{_written(value, hint)}"
@@ -26,8 +26,7 @@ def require_method(value: object) -> None:
 
 def require_number(value: object, what: str, wanted: str) -> None:
     """Raise `InvalidSetting` unless this is a number."""
-    if isinstance(value, bool | str | type) or not hasattr(value, "__float__") or getattr(value, "size", 1) != 1:
-        raise InvalidSetting(f"{what} must be {wanted}, not {described(value)}{_written(value)}")
+    require_real(value, what, wanted, InvalidSetting)
 
 
 def require_callable(value: object, what: str, wanted: str) -> None:
