@@ -189,7 +189,7 @@ class Problem:
         """
         if isinstance(subject, MechanicalSystem):
             system, p = subject, np.array(subject.home_parameters)
-            scene = Scene(system.name, {}, _AtRest.at(system.home))
+            scene = Scene(system.name, {"only": lambda: subject}, _AtRest.at(system.home))
         else:
             require_kind(subject, Scene, "what is to be solved", "a Scene", InvalidModel)
             scene, system = subject, subject.model(model)

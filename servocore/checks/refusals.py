@@ -21,12 +21,12 @@ from servocore.structure.signature import condition_number, lost_rank
 SINGULAR_CONDITION = 1e12
 """Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
 
-_INSTANTS = 81  # of the path that are looked at
-_STARTS, _SPREAD = 12, 1.5  # of the search for the nearest configuration, in nominal magnitudes
+_INSTANTS = 41  # of the path that are looked at
+_STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
 _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 _SOLVED = 1e-8  # residual of the derivative array
-_HALVINGS = 30
+_HALVINGS = 16
 _RESTING = 1e-9  # of the largest entry: derivatives of a path below count as zero
 
 
@@ -98,7 +98,7 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
     def part(k: int) -> Callable[[Array], Array]:
         return lambda x: np.nan_to_num(evaluate(x)[k], nan=1e6, posinf=1e6, neginf=-1e6)
 
-    found = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-15, ftol=1e-15, gtol=1e-15, max_nfev=200)
+    found = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
     x: Array = found.x
     return x
 
