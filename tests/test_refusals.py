@@ -123,8 +123,8 @@ def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case
     system, start, end, variable = AT_REST[case]
     subject = as_scene(system, sc.rest_to_rest(start, end, 2.0))
     reason = sc.analyse(subject).reason
-    assert reason.startswith("points is singular at t = 0 s: the system Jacobian has condition ")
-    assert "at rest there it has no relative degree" in reason
+    assert reason.startswith("points has no relative degree at ")
+    assert "t = 0 s" in reason
     assert variable in reason.split("the variables ")[1]
     for form in (None, sc.Original()):
         with pytest.raises((sc.InconsistentStart, sc.IntegrationFailed)) as caught:

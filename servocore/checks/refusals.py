@@ -27,6 +27,7 @@ _HELD = 1e4  # weight of the holonomic constraints, which must hold
 _REACHED = 1e-6  # of the size of the path: a smaller miss is none
 _SOLVED = 1e-8  # residual of the derivative array
 _HALVINGS = 16
+_CONFIRMED = 3  # misses from all around; later ones are taken from those before
 _RESTING = 1e-9  # of the largest entry: derivatives of a path below count as zero
 
 
@@ -106,43 +107,61 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
 def out_of_reach(problem: Problem) -> str:
     """Say where the path of a problem is first out of reach, and by how much at most; empty if it never is.
 
-    Every configuration counts that the holonomic constraints allow, whatever moves it there.
+    Every configuration counts that the holonomic constraints allow, whatever moves it there. The nearest one to a point
+    may be a saddle, as the axis of a crane is on the way to the other side: a miss counts if starts from all around
+    lead to no better one.
     """
     reference, reach = problem.reference, _Reach.of(problem)
     times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-    x, first, farthest = _starts(problem)[0], -1, (0.0, 0.0, np.zeros(0))
+    x, missed = _guess(problem, float(times[0])), list[tuple[float, int, Array]]()
     for k, time in enumerate(times):
-        now, miss = reach.nearest(float(time), [x])
-        if reach.missed(miss) and first < 0:  # only now: other starts cost as much each
-            now, miss = reach.nearest(float(time), [x, now, *_starts(problem)])
-        x = now
+        x, miss = reach.nearest(float(time), [x, _guess(problem, float(time))])
+        if reach.missed(miss) and len(missed) < _CONFIRMED:  # others start from there
+            x, miss = reach.nearest(float(time), [x, *_around(problem, x)])
         if reach.missed(miss):
-            first = k if first < 0 else first
-            share = float(np.abs(miss / reach.size).max())
-            farthest = max(farthest, (share, float(time), miss), key=lambda each: each[0])
-    if first < 0:
-        return ""
-    begin = _first_missed(reach, times[max(0, first - 1)], times[first], x) if first else float(times[0])
-    return _miss_in_words(problem, begin, *farthest[1:])
+            missed.append((float(np.abs(miss / reach.size).max()), k, miss))
+    while missed:
+        _, k, miss = max(missed, key=lambda each: each[0])
+        _, again = reach.nearest(float(times[k]), _around(problem, x))
+        if reach.missed(again):
+            first = min(each[1] for each in missed)
+            begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
+            return _miss_in_words(problem, begin, float(times[k]), again)
+        missed = [each for each in missed if each[1] != k]
+    return ""
 
 
-def _starts(problem: Problem) -> list[Array]:
-    """Return configurations from which to look: the guess at the start of the path, home, and others around it."""
+def _guess(problem: Problem, time: float) -> Array:
+    """Return the guess of the model at an instant, in nominal magnitudes; home where that is not finite."""
     system, reference = problem.system, problem.reference
     gamma = np.zeros(system.gamma.shape)
     order = min(system.gamma.size2() - 1, reference.max_order)
-    gamma[:, : order + 1] = reference.jet(reference.start_time, order).T
-    guess = np.asarray(ca.Function("guess", [system.gamma, system.p], [system.guess])(gamma, problem.p)).ravel()
-    nominal, home = np.array(system.coordinates.nominal), system.home_configuration(problem.p)[0]
+    gamma[:, : order + 1] = reference.jet(time, order).T
+    evaluate = problem.resolved.once(_compiled_guess)
+    guess = np.asarray(evaluate(gamma, problem.p)).ravel()
+    found: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
+    nominal: Array = np.array(system.coordinates.nominal)
+    return found / nominal
+
+
+def _compiled_guess(resolved: ResolvedSystem) -> ca.Function:
+    system = resolved.system
+    return ca.Function("sc_guess", [system.gamma, system.p], [ca.densify(system.guess)])
+
+
+def _around(problem: Problem, x: Array) -> list[Array]:
+    """Return configurations from which to look again, in nominal magnitudes: home, and random ones about it and `x`."""
+    home = problem.system.home_configuration(problem.p)[0] / np.array(problem.system.coordinates.nominal)
     generator = np.random.default_rng(8)
-    around = [home / nominal + _SPREAD * generator.standard_normal(len(home)) for _ in range(_STARTS)]
-    return [each for each in (guess / nominal, home / nominal, *around) if np.isfinite(each).all()]
+    size = np.maximum(1.0, np.abs(x))
+    spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
+    return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
 
 
-def _first_missed(reach: _Reach, good: float, bad: float, x: Array) -> float:
+def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
     for _ in range(_HALVINGS):
         middle = (good + bad) / 2
-        x, miss = reach.nearest(middle, [x])
+        _, miss = reach.nearest(middle, [_guess(problem, good), *_around(problem, _guess(problem, good))])
         good, bad = (good, middle) if reach.missed(miss) else (middle, bad)
     return float(bad)
 
