@@ -16,18 +16,17 @@ from servocore.checks.internal_dynamics import (
     internal_dynamics,
 )
 from servocore.checks.limits import require_feasible
+from servocore.checks.refusals import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.calls import Call
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
-from servocore.structure.signature import condition_number, lost_rank
+from servocore.structure.signature import condition_number
 
-_SINGULAR_CONDITION = 1e12
 _SURVEY_POINTS = 201
-_RESTING = 1e-9  # of the largest entry: derivatives of a path below count as zero
 
 ADVICE = {
     FLAT: "Reduced: the inputs follow from the reference and its derivatives at every instant, to round-off",
@@ -191,48 +190,17 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     worst, found = 0.0, []
     for time, jet in zip(times, jets, strict=True):
         values, _, _ = invert(jet.T, problem.p)
-        here = condition_number(jacobian(values, jet.T, problem.p)[0])
-        if not here < _SINGULAR_CONDITION:
-            reason = f"{system.name} is singular at t = {time:.6g} s: the system Jacobian has condition {here:.2g}"
-            return here, _at_rest(problem, time, jet, values) or reason, ""
+        matrix = jacobian(values, jet.T, problem.p)[0]
+        here = condition_number(matrix)
+        if not here < SINGULAR_CONDITION:
+            told = "" if np.isfinite(matrix).all() else singular(problem)
+            return here, out_of_reach(problem) or told or singular_in_words(problem, float(time), values, matrix), ""
         worst = max(worst, here)
         found.append(values)
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion
     places = array.places((k, 0) for k in range(len(system.coordinates)))
     return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(found)[:, places])))
-
-
-def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
-    """Say what makes the system Jacobian singular where the path rests; empty where it moves, or if that is not it.
-
-    Velocities and higher derivatives that are numbers without symmetry tell whether the configuration is to blame.
-    """
-    array, p = problem.array, problem.p
-    if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):
-        return ""
-    found = (
-        values if np.isfinite(values).all() else np.asarray(problem.resolved.once(inversion).guess(jet.T, p)).ravel()
-    )
-    jacobian = problem.resolved.once(_survey_functions)[1]
-    J = jacobian(found, jet.T, p)[0]
-    if condition_number(J) < _SINGULAR_CONDITION:
-        return ""
-    places, n = array.places(each for each in array.unknowns if each[1]), len(problem.system.coordinates)
-    moving = np.array(found)
-    moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
-    where = ", ".join(f"{name} = {found[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
-    only = condition_number(jacobian(moving, jet.T, p)[0]) < _SINGULAR_CONDITION
-    if only:
-        what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"
-        what += ", and with velocities it is not"
-    elif array.signature.equations.combined:
-        what = f"is singular at t = {time:.6g} s ({where}): either there is no relative degree, or terms cancel where"
-        what += " its combined equations hold and nowhere else, which structural analysis does not see"
-    else:
-        what = f"has no relative degree at t = {time:.6g} s ({where}): the system Jacobian is singular there, whatever"
-        what += " the velocities"
-    return f"{problem.system.name} {what}; {lost_rank(array.signature, J)}"
 
 
 def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:

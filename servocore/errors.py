@@ -16,7 +16,7 @@ class ServocoreWarning(UserWarning):
 
 
 class InvalidModel(ServocoreError):
-    """A mechanical system contradicts itself: sizes, symmetry, rank, parameter bounds, unknown names."""
+    """A mechanical system contradicts itself: sizes, kinds, symmetry, rank, parameter bounds, names used twice."""
 
 
 class InvalidReference(ServocoreError):
@@ -33,3 +33,34 @@ class InconsistentStart(ServocoreError):
 
 class IntegrationFailed(ServocoreError):
     """A time step was not solved; the sentence names time, step, the worst equation and likely causes."""
+
+
+def described(value: object) -> str:
+    """Return what messages call an argument that is of the wrong kind: the text 'a', the class A, a casadi.MX."""
+    if value is None:
+        return "None"
+    if isinstance(value, str):
+        return f"the text {value!r}"
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if isinstance(value, bool | int | float | complex):
+        return f"{value!r}"
+    kind = type(value)
+    name = f"{kind.__module__.partition('.')[0]}.{kind.__name__}" if kind.__module__ != "builtins" else kind.__name__
+    name = name.removeprefix("servocore.")
+    return f"{'an' if name[0] in 'aeiouAEIO' else 'a'} {name}"
+
+
+def require_kind(
+    value: object, kinds: type | tuple[type, ...], what: str, wanted: str, error: type[ServocoreError]
+) -> None:
+    """Raise `error`, saying what was wanted and what was found, unless `value` is of one of some kinds."""
+    if not isinstance(value, kinds):
+        raise error(f"{what} must be {wanted}, not {described(value)}")
+
+
+def require_real(value: object, what: str, wanted: str, error: type[ServocoreError]) -> None:
+    """Raise `error`, saying what was wanted and what was found, unless `value` is a real number."""
+    sized = getattr(value, "size", 1) == 1
+    if isinstance(value, bool | str | type) or not hasattr(value, "__float__") or not sized:
+        raise error(f"{what} must be {wanted}, not {described(value)}")

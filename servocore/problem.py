@@ -15,11 +15,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.dae import Dae
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
 from servocore.formulations.base import Formulation
 from servocore.model.limits import Limit
 from servocore.model.magnitudes import decades_of, scaled_to
 from servocore.model.scene import Scene
+from servocore.model.soundness import probes, require_driving, require_mass
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import FloatArray, Reference
@@ -104,6 +105,8 @@ def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     A parameter can decide about the index: an inclination of zero, a damper of zero. Where the structure is that of the
     system's home, the same object is returned as there.
     """
+    if p != system.home_parameters:
+        _require_mass(system, np.array(p))
     redundant = system.constraint_rank(np.array(p)).redundant
     if p != system.home_parameters:
         at_home = resolve(system, system.home_parameters)
@@ -113,10 +116,28 @@ def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     kept = without_constraints(system, redundant) if redundant else system
     outcome: DerivativeArray | InvalidModel
     try:
+        _require_driving(kept)
         outcome = derivative_array(kept)
     except InvalidModel as error:
         outcome = error
     return ResolvedSystem(kept, redundant, outcome)
+
+
+def _require_driving(system: MechanicalSystem) -> None:
+    """Raise `InvalidModel`, naming them, if some inputs or outputs are dead or follow from others."""
+    home, p = system.home_configuration()
+    jacobians = ca.Function("jacobians", [system.q, system.p], [system.input_matrix, system.C])
+    found = [jacobians(*each) for each in probes(home, system.coordinates.nominal, p)]
+    for k, (kind, quantities) in enumerate((("input", system.inputs), ("output", system.outputs))):
+        rows, names = [np.asarray(each[k]) for each in found], [each.name for each in quantities]
+        require_driving(system.name, rows, names, kind)
+
+
+def _require_mass(system: MechanicalSystem, p: Array) -> None:
+    """Raise `InvalidModel` unless M is positive semidefinite at home with the parameter values `p`."""
+    mass = np.asarray(ca.Function("mass", [system.q, system.p], [system.mass])(system.home_configuration(p)[0], p))
+    where = f"with {', '.join(f'{name} = {value:g}' for name, value in zip(system.parameters.names, p, strict=True))}"
+    require_mass(system.name, [mass], system.coordinates.names, where)
 
 
 def without_constraints(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
@@ -194,9 +215,11 @@ class Problem:
         """
         if isinstance(subject, MechanicalSystem):
             system, p = subject, np.array(subject.home_parameters)
-            scene = Scene(system.name, {}, _AtRest.at(system.home))
+            scene = Scene(system.name, {"only": lambda: subject}, _AtRest.at(system.home))
         else:
+            require_kind(subject, Scene, "what is to be solved", "a Scene", InvalidModel)
             scene, system = subject, subject.model(model)
+            scene.require_path(system)
             p = system.parameters.values(scene.parameters)
             system = scaled_to(system, decades_of(scene.reference))
         resolved = resolve(system, tuple(p.tolist()))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +39,8 @@ class Statistics:
         Round-off floor of the inputs, relative to their peaks, as seen in the result: what in them alternates from
         instant to instant. An upper bound, close where the step is small; None for runs too short to tell.
     branch : str
-        Of exact inversions: that the answers belong to one branch of the equations, and how that is known.
+        That the motion is one of those that the equations allow, and how that is known; where it passes an instant at
+        which several meet. Empty where nobody looked: with ``checks=False``, and from routes of one's own.
     """
 
     steps: int
@@ -55,7 +58,53 @@ class Statistics:
     branch: str = ""
 
 
+_SMALLEST_PEAK = 1e-6  # of the largest input: what is smaller may be all round-off
+
 NO_STATISTICS = Statistics(0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorEstimate(Mapping[str, "float | None"]):
+    """How far the inputs of a run are from the exact ones: ``error["F"]`` is the largest error of F, in its unit.
+
+    None stands for an error that is not known.
+
+    Attributes
+    ----------
+    absolute : mapping of str to float or None
+        By name of the input.
+    peaks : mapping of str to float
+        Largest magnitude of every input.
+    basis : str
+        What the inputs were compared with, or why nothing is known.
+    """
+
+    absolute: Mapping[str, float | None]
+    peaks: Mapping[str, float]
+    basis: str
+
+    @property
+    def relative(self) -> Mapping[str, float | None]:
+        """Errors relative to the peaks; an input that is next to nothing counts as a millionth of the largest."""
+        least = max(_SMALLEST_PEAK * max(self.peaks.values(), default=0.0), 1e-300)
+        return {k: None if e is None else e / max(self.peaks[k], least) for k, e in self.absolute.items()}
+
+    @property
+    def largest(self) -> float | None:
+        """Largest of the relative errors that are known; None if none is."""
+        return max((each for each in self.relative.values() if each is not None), default=None)
+
+    def __getitem__(self, name: str) -> float | None:
+        return self.absolute[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.absolute)
+
+    def __len__(self) -> int:
+        return len(self.absolute)
+
+
+NOTHING_KNOWN = ErrorEstimate({}, {}, "nobody compared these values with better ones")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +129,8 @@ class Solution:
         The reference's own estimate of its distance from the sampled positions it was fitted to, in m.
     advice : str
         What the analysis said when it chose the formulation; empty when the caller chose.
+    estimator : callable or None
+        What computes `error`, given this solution; left out of copies in files.
     """
 
     t: Array
@@ -89,6 +140,16 @@ class Solution:
     statistics: Statistics = NO_STATISTICS
     fit_error: float | None = None
     advice: str = ""
+    estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
+
+    @cached_property  # it may take longer than the solution did, and is asked for again and again
+    def error(self) -> ErrorEstimate:
+        """How far the inputs are from the exact ones, computed when first asked for."""
+        return NOTHING_KNOWN if self.estimator is None else self.estimator(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        kept = {name: value for name, value in self.__dict__.items() if name != "estimator"}
+        return {**kept, "estimator": None}
 
     @property
     def names(self) -> tuple[str, ...]:

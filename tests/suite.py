@@ -249,7 +249,6 @@ class ProblemSuite:
             assert np.abs(orders - problem.order).max() < 0.3
             assert np.abs(orders[-1] - problem.order).max() < 0.2
 
-    @pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # inputs are not, at large steps
     def test_what_servo_constraints_fix_is_exact_at_every_step_size(self, problem):
         """Unless the form differentiates positions numerically: there it converges as the inputs do."""
         names = problem.case.algebraic
@@ -278,6 +277,18 @@ class ProblemSuite:
         for name in problem.inputs:
             assert solution[name][0] == pytest.approx(expected[name][0], abs=1e-9 * max(1.0, abs(expected[name][0])))
 
+    def test_its_error_is_known_within_a_factor_of_three_and_its_motion_is_one(self, problem):
+        """Where it exceeds a hundred times the floor; what may stay unknown is listed in docs/error-estimates.md."""
+        solution, expected = solved(problem, 200), exact(problem.scene_name, 200)
+        error = solution.error
+        assert tuple(error) == problem.inputs
+        assert solution.statistics.branch.startswith("one: ")
+        for name in problem.inputs:
+            true, peak = np.abs(solution[name] - expected[name]).max(), np.abs(expected[name]).max()
+            assert error[name] is not None
+            assert error[name] < 1e-9 * peak or error[name] < 3 * true
+            assert true < 1e-9 * peak or true < 3 * error[name]
+
     def test_every_step_takes_few_newton_iterations(self, problem):
         statistics = solved(problem, 200).statistics
         assert statistics.steps == 200
@@ -296,7 +307,6 @@ class ProblemSuite:
             assert solution.unit(each.name) == each.unit
         assert np.isfinite(solution.values).all()
 
-    @pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # the steps are large
     def test_stepping_by_hand_gives_the_same_as_solve(self, problem):
         solution, steps = solved(problem, 50), 50
         stepper = problem.stepper(problem.scene.reference.duration / steps)

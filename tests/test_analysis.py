@@ -223,8 +223,8 @@ def test_without_limits_the_system_jacobian_shows_the_singular_point(model):
     unlimited = replace(scene("rotary_crane").with_reference(THROUGH_AXIS), limits=())
     report = sc.analyse(unlimited, model=model)
     assert report.classification == "singular here"
-    assert report.reason == f"rotary crane, {model} is singular at t = 10 s: the system Jacobian has condition inf"
-    with pytest.raises(sc.IntegrationFailed, match=r"the step from t = 9\.9 s to 10 s was not solved"):
+    assert report.reason.startswith(f"rotary crane, {model} is singular at t = 10 s: the system Jacobian has condition")
+    with pytest.raises(sc.IntegrationFailed, match=r"is singular at t = 10 s"):
         sc.solve(unlimited, model=model)
 
 

@@ -14,7 +14,8 @@ from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
 from servocore.model.generalise import generalise
-from servocore.model.system import DERIVED, gyroscopic_forces
+from servocore.model.system import DERIVED
+from servocore.numerics.expressions import gyroscopic_forces
 
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 

@@ -15,7 +15,6 @@ from servocore.cli.levels import Cost, Level, Spread, compiled_run, measure_leve
 from servocore.cli.levels_text import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
 
 INSTANTS = 50
-pytestmark = pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # of M_b, wrong at so few steps
 
 
 @cache

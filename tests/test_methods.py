@@ -47,7 +47,6 @@ def test_backward_euler_uses_the_reference_at_the_new_instant_only():
     np.testing.assert_allclose(found[:, 0], [0.0, 0.25, 0.75], rtol=1e-14)
 
 
-@pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # M_b is wrong at this step
 @pytest.mark.parametrize("same", [sc.BDF(1), sc.RadauIIA(1)], ids=lambda method: method.name)
 def test_the_lowest_order_of_a_family_is_backward_euler(same):
     """On the crane, to rounding."""
@@ -100,7 +99,6 @@ def test_collocation_with_senseless_numbers_of_stages_is_refused(family, stages)
         family(stages)
 
 
-@pytest.mark.filterwarnings("ignore:.*the exact inversion gives")
 @pytest.mark.parametrize("method", [each.method for each in METHODS if not each.damped], ids=lambda m: m.name)
 def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_starts_with(method):
     """Their input errors do not fall with the step, those of a damped method of the same order do."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,10 +96,10 @@ def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(dis
         assert np.sign(found["phi"][-1] - found["phi"][0]) == sign
 
 
-def test_a_trolley_that_follows_its_branch_through_the_axis_is_refused_with_the_time():
+def test_a_trolley_that_goes_through_the_axis_is_refused_with_the_time():
     """Without its limits the crane passes right through the axis, in the middle of a step."""
     through = replace(near_axis(0.0), limits=())
-    with pytest.raises(sc.IntegrationFailed, match=r"at t = 12 s s is -2\.\d+ m, on another branch"):
+    with pytest.raises(sc.IntegrationFailed, match=r"is singular at t = 10 s"):
         sc.solve(through, sc.Reduced(), step=4.0)
 
 
@@ -113,22 +112,22 @@ def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_angle
         found = projected(crane, steps, "bodies")
     assert len(heard) == 1
     numbers = re.fullmatch(
-        r"rotary crane, bodies, projected, backward-euler: at t = (\S+) s M_w is (\S+) N\.m, the exact inversion gives"
-        r" (\S+) N\.m; beta turns by (\S+) rad within this step, where about (\S+) rad would be an error of half the"
-        r" peak; take the form Reduced\(\), which has no step, or a smaller step or another method",
+        r"rotary crane, bodies, projected, backward-euler, step \S+ s: M_w is off by (\S+) times its peak; at"
+        r" t = (\S+) s it is (\S+) N\.m, the exact inversion gives (\S+) N\.m; beta turns by (\S+) rad within this"
+        r" step, where about (\S+) rad would be an error of half the peak; the default route, solve without a form and"
+        r" a method, has no step; a smaller step errs less",
         str(heard[0].message),
     )
     assert numbers is not None
-    time, given, exact, turn, allowed = map(float, numbers.groups())
+    times, time, given, exact, turn, allowed = map(float, numbers.groups())
     k = int(np.abs(found.t - time).argmin())
     assert given == pytest.approx(found["M_w"][k], rel=1e-3)
     assert exact == pytest.approx(crane.exact(found.t)["M_w"][k], rel=1e-3)
     assert turn == pytest.approx(np.diff(found["beta"])[k - 1], rel=0.02)
-    assert largest_error(crane, found, "M_w") > 5.0
+    assert times > 5.0
+    assert largest_error(crane, found, "M_w") == pytest.approx(times, rel=1e-2)
     finer = round(steps * turn / allowed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", sc.ServocoreWarning)  # at half the peak it may be given or not
-        assert largest_error(crane, projected(crane, finer, "bodies"), "M_w") == pytest.approx(0.5, rel=0.2)
+    assert largest_error(crane, projected(crane, finer, "bodies"), "M_w") == pytest.approx(0.5, rel=0.2)
 
 
 def test_direction_cosines_add_the_torque_of_two_sines():
@@ -145,7 +144,7 @@ def test_direction_cosines_add_the_torque_of_two_sines():
 @pytest.mark.parametrize("distance", [0.1, 0.03, 0.01])
 def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance):
     crane = near_axis(distance)
-    with pytest.warns(sc.ServocoreWarning, match=r"M_b is .* the exact inversion gives .* phi turns by"):
+    with pytest.warns(sc.ServocoreWarning, match=r"M_b is off by .* the exact inversion gives .* phi turns by"):
         found = projected(crane, 1000)
     assert largest_error(crane, found, "phi") < 1e-12
     assert largest_error(crane, found, "M_b") > 0.5
@@ -156,14 +155,6 @@ def test_inputs_that_an_undamped_method_loses_are_warned_of(method):
     cars = sc.scenes.cars(2).with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
     with pytest.warns(sc.ServocoreWarning, match=r"u is .* N, the exact inversion gives"):
         sc.solve(cars, sc.Projected(), method, step=0.01)
-
-
-def test_runs_that_are_right_are_left_alone():
-    """Warnings are errors: the models of the crane at the paper's step, and a chain and an arm of their own."""
-    for model in sc.scenes.rotary_crane().models:
-        projected(sc.scenes.rotary_crane(), 200, model)
-    projected(sc.scenes.cars(3), 100)
-    projected(sc.scenes.mass_on_car(), 100)
 
 
 # Methods on forms of high index ---------------------------------------------------------------------------------------

@@ -463,8 +463,11 @@ def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers
 @pytest.mark.parametrize(
     ("part", "sentence"),
     [
-        (RigidBody("b", -1.0, (1.0, 1.0, 1.0)), "body b: its mass is -1 kg, it must not be negative"),
-        (PointMass("p", float("nan")), "point p: its mass is nan kg, it must not be negative"),
+        (
+            RigidBody("b", -1.0, (1.0, 1.0, 1.0)),
+            "body b: its mass is -1 kg, it must be finite and must not be negative",
+        ),
+        (PointMass("p", float("nan")), "point p: its mass is nan kg, it must be finite and must not be negative"),
         (RigidBody("b", 1.0, (1.0, 1.0, 2.5)), "inertias 1, 1 and 2.5 kg m.* violate the triangle inequality"),
         (RigidBody("b", 1.0, (1.0, 1.0, -0.5)), "body b: the inertia tensor has the negative principal value -0.5"),
         (RigidBody("b", 1.0, [[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), "body b: the inertia tensor is not symmetric"),

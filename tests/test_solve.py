@@ -76,7 +76,6 @@ def test_a_step_that_does_not_divide_the_duration_is_refused_with_the_nearest_th
         solve(step=step)
 
 
-@pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # and M_b is wrong at such steps
 def test_the_nearest_steps_named_in_a_refusal_are_accepted():
     for step in (0.2985074627, 0.303030303):
         assert len(solve(step=step).t) in (67, 68)
@@ -112,7 +111,6 @@ def test_progress_is_told_after_every_chunk_and_ends_with_all_steps():
     assert told == [(400, 1200), (800, 1200), (1200, 1200)]
 
 
-@pytest.mark.filterwarnings("ignore:.*the exact inversion gives")  # whose inputs are wrong
 def test_a_single_step_is_a_run():
     scene = CRANE.with_reference(path((5, 0, -5), (4.5, 0.5, -4)))
     found = solve(scene, step=20.0)

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from problems import actuated_chain, car_chain, changed, driven_pendulum, mass_on_car, redundant_pendulum
 
 import servocore as sc
-from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER, gyroscopic_forces
+from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
+from servocore.numerics.expressions import gyroscopic_forces
 
 q = sc.Coordinates(sc.Quantity("a", "m"), sc.Quantity("b", "m"))
 STRANGER = ca.SX.sym("stranger")

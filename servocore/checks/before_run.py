@@ -55,7 +55,7 @@ def _warn_of_index(problem: Problem, formulation: Formulation, method: Method) -
     if dae.index > 3 and order < 1:
         warnings.warn(
             f"{dae.name}, {method.name}: the form has index {dae.index}, on which the inputs of {method.name} err like"
-            f" the step to the power {order} and no step is small enough; use the form Reduced(), or BackwardEuler()",
+            f" the step to the power {order} and no step is small enough; use the form Reduced()",
             ServocoreWarning,
             stacklevel=_CALLER,
         )

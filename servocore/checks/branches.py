@@ -184,8 +184,10 @@ def _compiled_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
     return ca.Function("sc_S", [system.q, gamma, system.p], [S]), Call(rows)
 
 
-def require_one_branch(problem: Problem, solution: Solution) -> None:
+def require_one_branch(problem: Problem, solution: Solution) -> str:
     """Warn where the constraints of a solution lose rank, and refuse a solution that changes branch there.
+
+    Returns what is warned of, to be added to what is said of the branch.
 
     Raises
     ------
@@ -194,7 +196,8 @@ def require_one_branch(problem: Problem, solution: Solution) -> None:
     """
     q = configurations(problem, solution) if problem.system.lam.numel() else None
     if q is None:
-        return
+        return ""
+    passed = ""
     every = -(-len(q) // _WATCHED)
     watched = np.unique([*range(0, len(q), every), len(q) - 1])
     for loss in rank_losses(problem, solution.t[watched], q[watched]):
@@ -205,7 +208,9 @@ def require_one_branch(problem: Problem, solution: Solution) -> None:
             )
         ends = min(loss.time - solution.t[0], solution.t[-1] - loss.time) < 1e-6 * np.ptp(solution.t)
         how = "this one begins or ends there" if ends else "this one goes on smoothly"
+        passed += f"; {loss}; {how}"
         warnings.warn(f"{solution.route}: {loss}; {how}", ServocoreWarning, stacklevel=3)
+    return passed
 
 
 def configurations(problem: Problem, solution: Solution) -> Array | None:

@@ -1,75 +1,167 @@
 """Runs whose inputs are far from the exact ones though every equation holds.
 
-Near a singular configuration a step may land on a root that satisfies every equation and is wrong all the same: a
-bridge that turns the long way round, a winch whose direction cosines cannot follow it. What the equations do not show
-is compared with what the path implies.
+Forms of index two and more err by the step, and near a singular configuration a step may land on a root that satisfies
+every equation and is wrong all the same: a bridge that turns the long way round, a winch whose direction cosines cannot
+follow it. What the equations do not show is seen beside exact inputs, or inputs that are much better.
 """
 
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import ServocoreWarning
+from servocore.formulations.base import Formulation
+from servocore.formulations.original import Original
+from servocore.methods.base import Method
+from servocore.methods.collocation import Gauss, RadauIIA
+from servocore.methods.generalized_alpha import GeneralizedAlpha
+from servocore.methods.trapezoidal import Trapezoidal
+from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
-from servocore.stepping.program import Program
+from servocore.solution import ErrorEstimate, Solution
 
-LARGEST_DEVIATION = 0.5
+LARGEST_UNWARNED = 0.05
 """Of an input's peak: an input further from the exact one is warned of."""
 
-_UNNOTICED = 1e-3  # of the largest input: what is smaller may be all round-off
+_HALF = 0.5  # of the peak: from here on the angle is named that a step cannot follow
+_BEYOND = 1e4  # times the peak: what is further off has no size worth telling
 _SMALLEST_TURN = 0.01  # rad a step: not worth a word
+_BESIDE = 0.6  # of the larger step on either side: a step of the motion further from their mean stands out
+_NOTICED = 0.02  # of the range of a coordinate
+_ELSEWHERE = 0.1  # of the range of a coordinate: further from the better motion may be another branch
+_TINY = 1e-9  # of the largest coordinate: one that rests is not far away for round-off
 
 
-def warn_of_wrong_inputs(problem: Problem, program: Program, t: Array, values: Array) -> None:
-    """Warn if a run of steps gives an input that is off by more than `LARGEST_DEVIATION` of its peak.
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """The values of a run beside better ones of the same names at the same instants.
 
-    Forms of index two and more err by the step, and every model and path has a largest step of its own. Without
-    internal dynamics the exact inputs at any instant are known: they are compared where each input is largest and where
-    it changes most, at six instants of a crane's run.
+    Attributes
+    ----------
+    inputs : tuple of Quantity
+        Names of the first columns.
+    t : ndarray, shape (N,)
+        Instants in s.
+    values, better : ndarray, shape (N, number of channels)
+        What is judged and what it is judged by, the inputs first.
+    known : ndarray of bool, shape (inputs,) or longer
+        Whether the difference is the error of the run, rather than that of what it is judged by.
+    basis : str
+        What the better values come from.
     """
-    if program.index <= 1 or problem.follow_branch or not problem.flat:
+
+    inputs: tuple[Quantity, ...]
+    t: Array
+    values: Array
+    better: Array
+    known: npt.NDArray[np.bool_]
+    basis: str
+
+    @property
+    def off(self) -> Array:
+        """Distance of the inputs, shape (N, inputs)."""
+        inputs = slice(len(self.inputs))
+        found: Array = np.abs(self.values[:, inputs] - self.better[:, inputs])
+        return found
+
+    @property
+    def estimate(self) -> ErrorEstimate:
+        """Largest distance of every input that is known."""
+        names = [each.name for each in self.inputs]
+        peaks = np.abs(self.better[:, : len(names)]).max(axis=0)
+        largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
+        rows = zip(names, largest.tolist(), self.known.tolist(), strict=False)
+        found = {name: error if known else None for name, error, known in rows}
+        return ErrorEstimate(found, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
+
+    def far_from_better(self, columns: list[int]) -> float | None:
+        """Return the first time at which some columns are far from the better ones; None if there is none."""
+        run, better = self.values[:, columns], self.better[:, columns]
+        far = (np.abs(run - better) > _ELSEWHERE * np.ptp(better, axis=0) + _TINY * np.abs(better).max()).any(axis=1)
+        return float(self.t[far.argmax()]) if far.any() else None
+
+
+def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
+    """Return the steps of a motion (N, n) that are far from the mean of the ones before and after.
+
+    A motion that changes branch has such a step, and one that hardly resolves its path.
+    """
+    moved = np.diff(q, axis=0)
+    if len(moved) < 3:
+        return np.arange(len(moved))
+    # The first and the last step have neighbours on one side only, which are continued.
+    before = np.vstack([2.0 * moved[1] - moved[2], moved[:-1]])
+    after = np.vstack([moved[1:], 2.0 * moved[-2] - moved[-3]])
+    beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + _NOTICED * np.ptp(q, axis=0)
+    return np.flatnonzero((np.abs(moved - (before + after) / 2.0) > beside).any(axis=1))
+
+
+def warn_of_wrong_inputs(
+    problem: Problem, formulation: Formulation, method: Method | None, solution: Solution, comparison: Comparison
+) -> None:
+    """Warn if a run of steps gives an input that is off by more than `LARGEST_UNWARNED` of its peak."""
+    relative = {k: v for k, v in comparison.estimate.relative.items() if v is not None}
+    name = max(relative, key=lambda each: relative[each], default="")
+    if not name or not relative[name] > LARGEST_UNWARNED:
         return
-    inputs = values[:, : len(problem.system.inputs)]
-    largest = np.abs(inputs).argmax(axis=0)
-    steepest = np.abs(np.diff(inputs, axis=0)).argmax(axis=0) + 1
-    instants = np.unique(np.concatenate([largest, steepest]))
-    jets = problem.reference.jet(t[instants], program.start_order)
-    exact = np.array([_exact_values(program, jet, problem.p)[: inputs.shape[1]] for jet in jets])
-    peaks = np.maximum(np.abs(inputs).max(axis=0), np.nan_to_num(np.abs(exact)).max(axis=0))
-    off = np.nan_to_num(np.abs(inputs[instants] - exact))
-    share = off / np.maximum(peaks, _UNNOTICED * max(float(peaks.max()), 1e-300))
-    at, worst = (int(each) for each in np.unravel_index(share.argmax(), share.shape))
-    if share[at, worst] > LARGEST_DEVIATION:
-        quantity, k = problem.system.inputs[worst], int(instants[at])
-        # The first values of a run are exact.
-        peak = max(float(np.nan_to_num(np.abs(exact[:, worst])).max()), abs(float(inputs[0, worst])))
-        cause = _fastest_turn(program, values, k, LARGEST_DEVIATION * peak / off[at, worst])
-        warnings.warn(
-            f"{program.name}: at t = {t[k]:.6g} s {quantity.name} is {inputs[k, worst]:.4g} {quantity.unit}, the exact"
-            f" inversion gives {exact[at, worst]:.4g} {quantity.unit}; {cause}take the form Reduced(), which has no"
-            f" step, or a smaller step or another method",
-            ServocoreWarning,
-            stacklevel=4,
-        )
+    column = solution.names.index(name)
+    k, unit = int(comparison.off[:, column].argmax()), solution.unit(name)
+    at = int(np.searchsorted(solution.t, comparison.t[k]))
+    turn = _fastest_turn(solution, at, _HALF / relative[name]) if relative[name] > _HALF else ""
+    advice = _advice(problem, formulation, method)
+    step = (solution.t[-1] - solution.t[0]) / (len(solution.t) - 1)
+    warnings.warn(
+        f"{solution.route}, step {step:.6g} s: {name} is off by {_told(relative[name])}; at"
+        f" t = {comparison.t[k]:.6g} s it is {comparison.values[k, column]:.4g} {unit},"
+        f" {comparison.basis} gives {comparison.better[k, column]:.4g} {unit}; {turn}{advice}",
+        ServocoreWarning,
+        stacklevel=5,
+    )
 
 
-def _exact_values(program: Program, jet: Array, p: Array) -> Array:
-    state, report = program.begin(jet, p)
-    return program.values(state, jet, p) if report.converged else np.full(len(program.channels), np.nan)
+def _told(share: float) -> str:
+    if share < 1.0:
+        return f"{100.0 * share:.2g} % of its peak"
+    return f"{share:.3g} times its peak" if share < _BEYOND else f"more than {_BEYOND:g} times its peak"
 
 
-def _fastest_turn(program: Program, values: Array, k: int, factor: float) -> str:
+def _advice(problem: Problem, formulation: Formulation, method: Method | None) -> str:
+    """Say what helps: the default route, unless this is it, and smaller steps only where the inputs converge."""
+    if method is None:
+        return "leave its horizon to BoundaryValue, with a smaller tolerance"
+    index = problem.dae(formulation).index
+    default = ""
+    if problem.flat:
+        default = "the default route, solve without a form and a method, has no step"
+    elif index > 1 or method != RadauIIA(3):
+        default = "the default route, solve without a form and a method, errs less"
+    converges = method.orders(index).forces >= 1 and index <= 3 and (index <= 1 or damps(method))
+    if converges and not isinstance(formulation, Original):
+        return f"{default}; a smaller step errs less" if default else "a smaller step errs less"
+    return default
+
+
+def damps(method: Method) -> bool:
+    """Whether a method damps errors of the inputs from step to step, as far as its kind is known."""
+    undamped = isinstance(method, GeneralizedAlpha) and method.rho >= 1.0
+    return not undamped and not isinstance(method, Gauss | Trapezoidal)
+
+
+def _fastest_turn(solution: Solution, k: int, factor: float) -> str:
     """Name the angle that turns most within the step to instant `k`, and the turn it may make.
 
     Bodies given by their directors exert a torque of J turn^3/h^2 too much on a turn a step, so that the error of the
     inputs is proportional to the turn at a given speed; `factor` takes it to what is allowed.
     """
+    values = solution.values
     turns = {
         channel.name: abs(float(values[k, j] - values[k - 1, j]))
-        for j, channel in enumerate(program.channels)
+        for j, channel in enumerate(solution.channels)
         if channel.unit == "rad"
     }
     name = max(turns, key=lambda each: turns[each], default="")

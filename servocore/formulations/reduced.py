@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from servocore.dae import Dae, Equation, Unknown
+from servocore.errors import InvalidSetting
 from servocore.model.system import MechanicalSystem
 from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 
@@ -35,7 +36,7 @@ class Reduced:
         array = derivative_array(system)
         if not self.states:
             return array
-        return replace(array, states=tuple((array.names.index(name), order) for name, order in self.states))
+        return replace(array, states=tuple(_entry(array, each) for each in self.states))
 
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return x_dot = next derivative of x, 0 = derivative array."""
@@ -68,6 +69,17 @@ class Reduced:
             },
             index=1 if size_x else 0,
         )
+
+
+def _entry(array: DerivativeArray, state: object) -> tuple[int, int]:
+    """Return variable and order of a state; raises `InvalidSetting` if it is none."""
+    entries = {(array.names[j], order): (j, order) for j, order in array.unknowns}
+    if not isinstance(state, tuple) or state not in entries:
+        raise InvalidSetting(
+            f"{array.system.name}: a state is a variable and the order of its derivative, such as"
+            f" {next(iter(entries))}, not {state!r}"
+        )
+    return entries[state]
 
 
 def _times_differentiated(order: int) -> str:

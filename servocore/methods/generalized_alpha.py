@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.dae import Dae
-from servocore.errors import InvalidModel, InvalidSetting
+from servocore.errors import InvalidModel, InvalidSetting, require_real
 from servocore.methods.base import Discretisation, Orders, Start
 from servocore.numerics.square_systems import SquareSystem
 
@@ -27,6 +27,7 @@ class GeneralizedAlpha:
     rho: float = 0.8
 
     def __post_init__(self) -> None:
+        require_real(self.rho, "the spectral radius rho", "a number in [0, 1]", InvalidSetting)
         if not 0.0 <= self.rho <= 1.0:
             raise InvalidSetting(f"the spectral radius rho must lie in [0, 1], not {self.rho}")
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates
 from servocore.model.system import DERIVED, MechanicalSystem
+from servocore.numerics.expressions import as_expression
 
 
 def generalise(
@@ -48,6 +49,9 @@ def generalise(
     InvalidModel
         If the number of coordinates is wrong or F leaves the constraint manifold.
     """
+    require_kind(system, MechanicalSystem, "what is generalised", "a MechanicalSystem", InvalidModel)
+    require_kind(coordinates, Coordinates, f"{system.name}: coordinates", "Coordinates(...)", InvalidModel)
+    mapping = as_expression(mapping, f"{system.name}: the mapping")
     mu, nu, P = coordinates.q, coordinates.v, ca.jacobian(mapping, coordinates.q)
     _require_mapping(system, coordinates, mapping)
     kept = _without_forces(system) if observables is None else {}

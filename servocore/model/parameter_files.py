@@ -30,6 +30,7 @@ def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
         If the file cannot be read or is not TOML, or a key is unknown, is not a number or leaves its bounds;
         the sentence names the file and the key.
     """
+    path = Path(path)
     declared = {each.name: each for each in scene.model().parameters.declared}
     values: dict[str, float] = {}
     for key, value in _read_table(path).items():

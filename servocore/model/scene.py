@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.errors import InvalidModel, InvalidReference, described, require_kind
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
@@ -61,6 +61,29 @@ class Scene:
     parameters: Mapping[str, float] = field(default_factory=dict)
     follow_branch: bool = False
 
+    def __post_init__(self) -> None:
+        require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
+        require_kind(
+            self.models, Mapping, f"{self.name}: models", "factories by name, such as {'only': make}", InvalidModel
+        )
+        if not self.models:
+            raise InvalidModel(f"{self.name}: a scene needs a model")
+        for name, factory in self.models.items():
+            if not isinstance(name, str) or isinstance(factory, MechanicalSystem) or not callable(factory):
+                raise InvalidModel(
+                    f"{self.name}: the model {name} is {described(factory)}; models are functions that make a system:"
+                    f" models={{{name!r}: lambda: system}}"
+                )
+        require_kind(self.reference, Reference, f"{self.name}: the reference", "a Reference", InvalidReference)
+        require_kind(self.parameters, Mapping, f"{self.name}: parameters", "values by name", InvalidModel)
+        listed = isinstance(self.limits, Sequence) and all(isinstance(each, Limit) for each in self.limits)
+        if not listed:
+            raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
+
+        for each in ("closed_form", "independent_solution"):
+            if not (getattr(self, each) is None or callable(getattr(self, each))):
+                raise InvalidModel(f"{self.name}: {each} must be a function, not {described(getattr(self, each))}")
+
     @property
     def default_model(self) -> str:
         """Name of the smallest model."""
@@ -75,19 +98,35 @@ class Scene:
             If there is no such model.
         """
         name = name or self.default_model
-        if name not in self.models:
+        if not isinstance(name, Hashable) or name not in self.models:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
         factory = self.models[name]
-        return _made(factory) if isinstance(factory, Hashable) else factory()
+        try:
+            found: object = _made(factory) if isinstance(factory, Hashable) else factory()
+        except TypeError as error:
+            if "required positional argument" not in str(error):
+                raise
+            raise InvalidModel(f"{self.name}: the factory of {name} is called without arguments: {error}") from None
+        if not isinstance(found, MechanicalSystem):
+            raise InvalidModel(
+                f"{self.name}: the factory of {name} returned {described(found)}, not a MechanicalSystem"
+            )
+        return found
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if its dimension does not fit."""
-        wanted = len(self.model().outputs)
-        if reference.dimension != wanted:
+        changed = replace(self, reference=reference)
+        changed.require_path(changed.model())
+        return changed
+
+    def require_path(self, system: MechanicalSystem) -> None:
+        """Raise `InvalidReference` if the reference has not one component for each output of a model."""
+        outputs = [each.name for each in system.outputs]
+        if self.reference.dimension != len(outputs):
             raise InvalidReference(
-                f"{self.name} needs a path with {wanted} components, this one has {reference.dimension}"
+                f"{self.name} needs a path with {len(outputs)} components, this one has {self.reference.dimension}; the"
+                f" outputs are {', '.join(outputs)}"
             )
-        return replace(self, reference=reference)
 
     def with_parameters(self, **values: float) -> Scene:
         """Return the scene with other parameter values; raises `InvalidModel` for bad names or values."""
@@ -136,6 +175,16 @@ class Scene:
         if self.closed_form is None:
             raise InvalidModel(f"{self.name} has no closed form")
         return self.closed_form(self.reference.jet(t, self.closed_form_order), self.parameter_values())
+
+
+def require_scene(subject: object, who: str) -> None:
+    """Raise `InvalidModel`, with what to write instead, if what `who` was given is no `Scene`."""
+    if isinstance(subject, MechanicalSystem):
+        raise InvalidModel(
+            f"{who} takes a Scene, not the system {subject.name}: Scene(name, models={{'only': lambda: system}},"
+            " reference=path) says which path its outputs follow"
+        )
+    require_kind(subject, Scene, f"what {who} is given", "a Scene", InvalidModel)
 
 
 # What was resolved and compiled for a system is found again by the system itself: scenes made twice, by

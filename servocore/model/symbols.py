@@ -10,11 +10,12 @@ import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, described, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
 
@@ -44,12 +45,25 @@ class Parameter:
     upper: float = math.inf
     description: str = ""
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not self.name:
+            raise InvalidModel(f"the name of a parameter must be a text, not {described(self.name)}")
+        require_kind(self.unit, str, f"the unit of parameter {self.name}", "a text such as 'kg'", InvalidModel)
+        for bound in (self.lower, self.upper):
+            require_kind(bound, (int, float), f"a bound of parameter {self.name}", "a number", InvalidModel)
+        if not self.lower <= self.upper:
+            raise InvalidModel(f"parameter {self.name} has no value between {self.lower} and {self.upper} {self.unit}")
+
     def check(self, value: float) -> float:
         """Return `value` as a float, or raise `InvalidModel` if it is not a number within the bounds."""
         try:
             number = float(value)
         except (TypeError, ValueError):
             raise InvalidModel(f"parameter {self.name} must be a number, not {value!r}") from None
+        except OverflowError:
+            raise InvalidModel(f"parameter {self.name} is too large for a number in double precision") from None
+        if not math.isfinite(number) and math.isinf(self.upper) and math.isinf(self.lower):
+            raise InvalidModel(f"parameter {self.name} must be a finite number, not {number:g} {self.unit}")
         if not (math.isfinite(number) and self.lower <= number <= self.upper):
             raise InvalidModel(
                 f"parameter {self.name} = {number:g} {self.unit} is outside its range"
@@ -63,6 +77,47 @@ def require_unique(names: Sequence[str], kind: str) -> None:
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         raise InvalidModel(f"{kind} named twice: {', '.join(repeated)}")
+
+
+def quantities_of(values: Any, what: str) -> tuple[Quantity, ...]:
+    """Return a sequence of quantities as a tuple; raises `InvalidModel` if it is something else."""
+    if isinstance(values, str | Quantity) or not isinstance(values, Sequence):
+        raise InvalidModel(f"{what} must be a sequence of Quantity, not {described(values)}")
+    for each in values:
+        require_kind(each, Quantity, what, "made of Quantity, such as Quantity('x', 'm')", InvalidModel)
+        for attribute in ("name", "unit"):
+            require_kind(
+                getattr(each, attribute), str, f"{what}: the {attribute} of a quantity", "a text", InvalidModel
+            )
+        number = each.nominal is None or isinstance(each.nominal, int | float | np.number)
+        if not each.name or not number or not 0.0 < each.magnitude < math.inf:
+            raise InvalidModel(
+                f"{what}: a quantity needs a name and a nominal magnitude that is positive and finite, not"
+                f" {each.name!r} and {each.nominal!r}"
+            )
+    return tuple(values)
+
+
+def numbers(values: Any, names: Sequence[str], what: str) -> tuple[float, ...]:
+    """Return finite numbers, one for each of some names, as a tuple; empty where nothing is given.
+
+    Raises
+    ------
+    InvalidModel
+        If there are too few or too many, or one is no finite number.
+    """
+    listed = values.tolist() if isinstance(values, np.ndarray) else values
+    if listed is None or (isinstance(listed, list | tuple) and not listed):
+        return ()
+    if not isinstance(listed, list | tuple):
+        raise InvalidModel(f"{what} must be a tuple of numbers, not {described(values)}")
+    if len(listed) != len(names):
+        raise InvalidModel(f"{what} has length {len(listed)}, one number is needed for each of {', '.join(names)}")
+    for name, value in zip(names, listed, strict=True):
+        number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+        if not (number and math.isfinite(value)):
+            raise InvalidModel(f"{what} must hold a finite number for {name}, not {described(value)}")
+    return tuple(float(each) for each in listed)
 
 
 def symbols(names: Iterable[str]) -> ca.SX:
@@ -85,7 +140,7 @@ class Coordinates:
     v: ca.SX = field(init=False, repr=False)
 
     def __init__(self, *quantities: Quantity) -> None:
-        object.__setattr__(self, "quantities", quantities)
+        object.__setattr__(self, "quantities", quantities_of(quantities, "Coordinates(...)"))
         require_unique(self.names, "coordinate")
         object.__setattr__(self, "q", symbols(self.names))
         object.__setattr__(self, "v", symbols(f"v_{name}" for name in self.names))
@@ -138,6 +193,8 @@ class Parameters:
     p: ca.SX = field(init=False, repr=False)
 
     def __init__(self, *declared: Parameter) -> None:
+        for each in declared:
+            require_kind(each, Parameter, "Parameters(...)", "made of Parameter, one by one", InvalidModel)
         object.__setattr__(self, "declared", declared)
         require_unique(self.names, "parameter")
         object.__setattr__(self, "p", symbols(self.names))
@@ -162,7 +219,8 @@ class Parameters:
         InvalidModel
             If a name is unknown or a value leaves its bounds.
         """
-        changed = changed or {}
+        changed = {} if changed is None else changed
+        require_kind(changed, Mapping, "parameter values", "a mapping of names to numbers", InvalidModel)
         self._require_known(tuple(changed))
         return np.array([each.check(changed.get(each.name, each.default)) for each in self.declared])
 

@@ -12,19 +12,21 @@ hold the time, it is one more row of gamma, whose derivatives are 1, 0, 0, ...: 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Coordinates, Parameters, symbols
+from servocore.model.soundness import Written, require_sound
+from servocore.model.symbols import Coordinates, Parameter, Parameters, numbers, quantities_of, symbols
 from servocore.model.velocities import require_positions
 from servocore.numerics.calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
+from servocore.numerics.expressions import as_expression, gyroscopic_forces
 from servocore.numerics.pivoting import last_good_columns
 
 MAX_REFERENCE_ORDER = 24
@@ -34,20 +36,23 @@ MAX_REFERENCE_ORDER = 24
 DERIVED = ca.SX()
 """Default of the fields that `MechanicalSystem` makes itself when they are not given."""
 
+_EXPRESSIONS = (
+    "mass", "output", "input_matrix", "potential", "force", "constraints", "gyroscopic", "multipliers", "gamma",
+    "guess", "u",
+)  # fmt: skip
+_SYMBOLS = ("multipliers", "gamma", "u")
+
 
 def reference_symbols(components: int) -> ca.SX:
     """Return symbols of a reference and its derivatives, shape (components, `MAX_REFERENCE_ORDER` + 1)."""
     return ca.SX.sym("gamma", components, MAX_REFERENCE_ORDER + 1)
 
 
-def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
-    """Return the matrix with these entries on its diagonal, sparse."""
-    return ca.sparsify(ca.diag(ca.vertcat(*entries)))
-
-
 @dataclass(frozen=True, eq=False)
 class MechanicalSystem:
     """A mechanical system with holonomic constraints, inputs and a servo output, equation (1).
+
+    For an expression a number, a NumPy array or a nested list of numbers and expressions will do.
 
     Parameters
     ----------
@@ -113,8 +118,10 @@ class MechanicalSystem:
     Raises
     ------
     InvalidModel
-        If sizes do not match, M is not symmetric, an expression holds a foreign symbol, or there are more inputs than
-        degrees of freedom. Redundant constraints do not count: the rank is taken where they hold.
+        If kinds or sizes do not match, a name stands for two quantities, an expression holds a foreign symbol or a
+        number that is not finite, M is not symmetric and positive semidefinite at home, an input or output is dead or
+        follows from others, or there are more inputs than degrees of freedom. Redundant constraints do not count: the
+        rank is taken where they hold.
     """
 
     name: str
@@ -144,20 +151,48 @@ class MechanicalSystem:
     constraint_forces: ca.SX = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        n, m, m_h = len(self.coordinates), len(self.inputs), ca.SX(self.constraints).numel()
+        self._take()
+        n, m, m_h = len(self.coordinates), len(self.inputs), self.constraints.numel()
         self._fill("force", ca.SX.zeros(n))
         self._fill("multipliers", ca.SX.sym("lam", m_h))
         self._fill("gamma", reference_symbols(m))
         self._fill("guess", ca.SX.zeros(n))
         self._fill("time", ca.SX(0, 1))
-        object.__setattr__(self, "home", self.home or (1.0,) * m)
         self._set_clock(m)
         self._fill("u", symbols(each.name for each in self.inputs))
-        object.__setattr__(self, "home_parameters", self.home_parameters or tuple(self.parameters.values()))
-        self._require_fields(n, m, m_h)
+        self._require_shapes(n, m, m_h)
         self._derive()
-        self._require_symmetric_mass()
+        require_sound(self._written())
         self._require_freedom(n, m, m_h)
+
+    def _take(self) -> None:
+        """Check the kinds of what was given; turn arrays and numbers into expressions, sequences into tuples."""
+        require_kind(self.name, str, "the name of a system", "a text", InvalidModel)
+        for attribute, kind in (("coordinates", Coordinates), ("parameters", Parameters), ("observables", Mapping)):
+            what, wanted = f"{self.name}: {attribute}", f"a {kind.__name__}"
+            require_kind(getattr(self, attribute), kind, what, wanted, InvalidModel)
+        inputs, outputs = (quantities_of(getattr(self, k), f"{self.name}: {k}") for k in ("inputs", "outputs"))
+        if len(inputs) != len(outputs):
+            raise InvalidModel(f"{self.name}: {len(inputs)} inputs cannot prescribe {len(outputs)} outputs")
+        taken: dict[str, object] = {"inputs": inputs, "outputs": outputs}
+        for each in _EXPRESSIONS:
+            given = getattr(self, each)
+            if given is not DERIVED:
+                found = as_expression(given, f"{self.name}: {each}")
+                one_row = each == "input_matrix" and found is not given and found.shape == (len(self.coordinates), 1)
+                taken[each] = found.T if one_row else found
+        seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
+        taken["observables"] = {
+            each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
+        }
+        named = tuple(each.name for each in outputs)
+        taken["home"] = numbers(self.home, self._at_home(named), f"{self.name}: home") or (1.0,) * len(named)
+        at_home = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
+        taken["home_parameters"] = at_home or tuple(self.parameters.values().tolist())
+        for each in ("mass", "input_matrix"):  # zeros of an array are no entries: structure is told by what is there
+            taken[each] = ca.sparsify(taken[each])
+        for attribute, value in taken.items():
+            object.__setattr__(self, attribute, value)
 
     def _derive(self) -> None:
         derived = {"G": ca.jacobian(self.constraints, self.q), "C": ca.jacobian(self.output, self.q)}
@@ -169,6 +204,12 @@ class MechanicalSystem:
     def _fill(self, attribute: str, default: ca.SX) -> None:
         if getattr(self, attribute) is DERIVED:
             object.__setattr__(self, attribute, default)
+
+    def _at_home(self, outputs: tuple[str, ...]) -> tuple[str, ...]:
+        """Names of the entries of home: the time is the last one in a system that is made from another."""
+        timed = self.time is not DERIVED and ca.SX(self.time).numel() == 1
+        again = timed and isinstance(self.home, tuple) and len(self.home) == len(outputs) + 1
+        return (*outputs, "time") if again else outputs
 
     def _set_clock(self, m: int) -> None:
         """Make the time, if there is one, the last row of gamma and the last entry of home."""
@@ -182,38 +223,49 @@ class MechanicalSystem:
         if len(self.home) == m:
             object.__setattr__(self, "home", (*self.home, 0.0))
 
-    def _require_fields(self, n: int, m: int, m_h: int) -> None:
-        """Check sizes, and that no expression holds a foreign symbol; derive the gyroscopic forces in between."""
-        if len(self.outputs) != m:
-            raise InvalidModel(f"{self.name}: {m} inputs cannot prescribe {len(self.outputs)} outputs")
+    def _require_shapes(self, n: int, m: int, m_h: int) -> None:
+        """Check sizes; derive the gyroscopic forces in between."""
         if len(self.constraint_names) not in (0, m_h):
             raise InvalidModel(f"{self.name}: {len(self.constraint_names)} names for {m_h} holonomic constraints")
-        q, v, p, t = self.q, self.v, self.p, self.time
-        fields = {
-            "mass": ((n, n), (q, p)), "output": ((m, 1), (q, p)), "input_matrix": ((m, n), (q, p)),
-            "potential": ((1, 1), (q, p, t)), "force": ((n, 1), (q, v, p, t)), "constraints": ((m_h, 1), (q, p, t)),
-            "multipliers": ((m_h, 1), ()), "guess": ((n, 1), (self.gamma, p)), "u": ((m, 1), ()),
-            "gamma": ((m + t.numel(), MAX_REFERENCE_ORDER + 1), ()), "gyroscopic": ((n, 1), (q, v, p)),
+        shapes = {
+            "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
+            "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
+            "gamma": (m + self.time.numel(), MAX_REFERENCE_ORDER + 1), "gyroscopic": (n, 1),
         }  # fmt: skip
-        for attribute, (shape, _) in fields.items():
+        for attribute, shape in shapes.items():
             if attribute == "gyroscopic":
-                self._fill(attribute, gyroscopic_forces(self.mass, q, v))
-            found = ca.SX(getattr(self, attribute)).shape
+                self._fill(attribute, gyroscopic_forces(self.mass, self.q, self.v))
+            found = getattr(self, attribute).shape
             if found != shape:
                 raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+            if attribute in _SYMBOLS and not getattr(self, attribute).is_valid_input():
+                raise InvalidModel(f"{self.name}: {attribute} must be symbols of casadi.SX.sym, not expressions")
         rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))
-        require_positions(self.name, v, ([each.name for each in self.outputs], self.output), (rows, self.constraints))
-        for attribute, (_, groups) in fields.items():
-            if groups:
-                self._require_symbols(attribute, getattr(self, attribute), groups)
+        names = [each.name for each in self.outputs]
+        require_positions(self.name, self.v, (names, self.output), (rows, self.constraints))
         for quantity, expression in self.observables.items():
-            self._require_symbols(f"observable {quantity.name}", expression, (q, v, p, self.lam, self.u, self.gamma))
+            if expression.shape != (1, 1):
+                raise InvalidModel(f"{self.name}: observable {quantity.name} has shape {expression.shape}, not (1, 1)")
 
-    def _require_symbols(self, what: str, expression: ca.SX, groups: tuple[ca.SX, ...]) -> None:
-        known = ca.vertcat(*[ca.vec(group) for group in groups])
-        leftover = ca.Function("probe", [known], [expression], {"allow_free": True}).get_free()
-        if leftover:
-            raise InvalidModel(f"{self.name}: {what} holds symbols that it must not use: {leftover}")
+    def _written(self) -> Written:
+        def named(quantities: Iterable[Quantity | Parameter], values: ca.SX) -> list[tuple[str, ca.SX]]:
+            return list(zip((each.name for each in quantities), ca.vertsplit(values), strict=True))
+
+        return Written(
+            name=self.name,
+            inputs=named(self.inputs, self.u),
+            observables=[(quantity.name, each) for quantity, each in self.observables.items()],
+            outputs=named(self.outputs, self.output),
+            coordinates=named(self.coordinates.quantities, self.q),
+            parameters=named(self.parameters.declared, self.p),
+            constraint_names=self.constraint_names or tuple(map(str, range(1, self.constraints.numel() + 1))),
+            fields={each: getattr(self, each) for each in _EXPRESSIONS},
+            v=self.v,
+            time=self.time,
+            nominal=self.coordinates.nominal,
+            home=self.home,
+            home_parameters=np.array(self.home_parameters),
+        )
 
     def _require_freedom(self, n: int, m: int, m_h: int) -> None:
         if m <= n - m_h:
@@ -229,14 +281,6 @@ class MechanicalSystem:
                 f"{self.name}: {m} inputs exceed the {n - found.rank} degrees of freedom"
                 f" ({n} coordinates, {found.rank} independent ones of {m_h} holonomic constraints)"
             )
-
-    def _require_symmetric_mass(self) -> None:
-        skew = ca.Function("skew", [self.q, self.p], [self.mass - self.mass.T])
-        # An irrational-looking point: a difference that vanishes here vanishes as an expression.
-        q, p = np.sin(1.0 + np.arange(len(self.coordinates))), self.parameters.values()
-        difference = np.abs(np.asarray(skew(q, p))).max(initial=0.0)
-        if difference > 1e-9 * max(1.0, float(np.abs(p).max(initial=0.0))):
-            raise InvalidModel(f"{self.name}: the mass matrix is not symmetric (by {difference:.2g})")
 
     @property
     def q(self) -> ca.SX:
@@ -334,7 +378,10 @@ class MechanicalSystem:
         C = np.asarray(ca.Function("C", [self.q, self.p], [self.C])(*self.home_configuration()))
         found = last_good_columns(C * self.coordinates.nominal)
         if found is None:
-            raise InvalidModel(f"{self.name}: the servo outputs are dependent at the home configuration")
+            raise InvalidModel(
+                f"{self.name}: the servo outputs are dependent at the home configuration, that of the guess at"
+                f" {self.home}; give a home where they are not"
+            )
         return found
 
     def require_full_rank(self, q: Array, p: Array) -> None:
@@ -350,9 +397,3 @@ class MechanicalSystem:
             rank = int(np.linalg.matrix_rank(matrix)) if rows else 0
             if rank < rows:
                 raise InvalidModel(f"{self.name}: {what} dependent here (rank {rank} of {rows})")
-
-
-def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
-    """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
-    momentum = ca.mtimes(mass, v)
-    return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)

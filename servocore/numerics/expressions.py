@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import casadi as ca
 import numpy as np
+
+from servocore.errors import InvalidModel, described
 
 
 def largest(values: ca.SX) -> ca.SX:
@@ -31,3 +36,60 @@ def time_derivative(expression: ca.SX, *jets: ca.SX) -> ca.SX:
     """
     terms = (ca.jtimes(expression, ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])) for jet in jets)
     return sum(terms, ca.SX.zeros(expression.shape))
+
+
+def as_expression(value: Any, what: str) -> ca.SX:
+    """Return a number, an array, a nested list of numbers and expressions, or an expression as one of CasADi's SX.
+
+    Raises
+    ------
+    InvalidModel
+        If it is something else, such as a text or an expression of the kind MX.
+    """
+    if isinstance(value, ca.SX):
+        return value
+    if isinstance(value, ca.MX):
+        raise InvalidModel(f"{what} is a casadi.MX; models are written with the symbols of casadi.SX")
+    if isinstance(value, ca.DM):
+        return ca.SX(value)
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.ndim <= 2:
+        return ca.SX(ca.DM(value.astype(np.float64)))
+    rows = value.tolist() if isinstance(value, np.ndarray) else value
+    if isinstance(rows, list | tuple):
+        return _stacked(rows, what)
+    if isinstance(rows, bool) or not isinstance(rows, int | float | np.integer | np.floating):
+        raise InvalidModel(f"{what} must be a casadi.SX, an array or a real number, not {described(value)}")
+    return ca.SX(float(rows))
+
+
+def _stacked(rows: Sequence[Any], what: str) -> ca.SX:
+    """Put rows below one another; those that are lists themselves are laid out flat."""
+    found = []
+    for k, row in enumerate(rows):
+        listed = row.tolist() if isinstance(row, np.ndarray) else row
+        if isinstance(listed, list | tuple):
+            found.append(ca.horzcat(*[_scalar(each, f"{what}[{k}, {j}]") for j, each in enumerate(listed)]))
+        else:
+            found.append(as_expression(listed, f"{what}[{k}]"))
+    lengths = [each.size2() for each in found]
+    if len(set(lengths)) > 1:
+        raise InvalidModel(f"the rows of {what} have different lengths: {', '.join(map(str, lengths))}")
+    return ca.vertcat(ca.SX(0, lengths[0] if lengths else 1), *found)
+
+
+def _scalar(value: Any, what: str) -> ca.SX:
+    found = as_expression(value, what)
+    if found.numel() != 1:
+        raise InvalidModel(f"{what} has shape {found.shape}, one number or expression belongs there")
+    return found
+
+
+def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
+    """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
+    momentum = ca.mtimes(mass, v)
+    return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)
+
+
+def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
+    """Return the matrix with these entries on its diagonal, sparse."""
+    return ca.sparsify(ca.diag(ca.vertcat(*entries)))

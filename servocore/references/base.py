@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, described, require_kind, require_real
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -98,9 +98,10 @@ class Reference(ABC):
         InvalidReference
             If the path has no derivative of that order, or a time is not finite.
         """
-        times = np.asarray(t, dtype=np.float64)
+        times = numbers_of(t, "the times of a path")
         if times.ndim > 1:
             raise InvalidReference(f"times must be one number or one row of numbers, not shape {times.shape}")
+        require_kind(order, (int, np.integer), "the order of a derivative", "a whole number", InvalidReference)
         if not 0 <= order <= self.max_order:
             raise InvalidReference(
                 f"derivatives of order {order} were asked for, but this path has orders 0 to {self.max_order}"
@@ -114,6 +115,14 @@ class Reference(ABC):
     @abstractmethod
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
         """Answer `jet` for checked arguments: times (N,) to derivatives (N, order+1, dimension)."""
+
+
+def numbers_of(values: npt.ArrayLike, what: str) -> FloatArray:
+    """Return an array of numbers, or raise `InvalidReference` if something else is among them."""
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InvalidReference(f"{what} must be numbers in s, not {described(values)}") from None
 
 
 def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> FloatArray:
@@ -151,6 +160,7 @@ def points(values: npt.ArrayLike | Sequence[Sequence[float]], what: str) -> Floa
 
 def positive_time(value: float, what: str) -> float:
     """Return a time (s) called `what`, or raise `InvalidReference` unless it is positive and finite."""
+    require_real(value, f"the {what} of a path", "a time in s", InvalidReference)
     if not (np.isfinite(value) and value > 0.0):
         raise InvalidReference(f"the {what} of a path must be a positive time, not {value} s")
     return float(value)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 from itertools import chain
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, require_kind
 from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
@@ -17,7 +18,6 @@ from servocore.references.splines import fewest_samples, sampled, through
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-    from os import PathLike
 
     from servocore.references.base import FloatArray
 
@@ -159,6 +159,7 @@ def _need_rows(table: _Table, fewest: int) -> None:
 
 def _read(path: str | PathLike[str], columns: Sequence[str], groups: int) -> _Table:
     """Read and check a table with up to `groups` groups of columns."""
+    require_kind(path, (str, PathLike), "the file of a path", "its name", InvalidReference)
     file, components = Path(path), tuple(columns)
     if not components or len({"time", *components}) <= len(components):
         raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, require_real
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 
 if TYPE_CHECKING:
@@ -106,6 +106,7 @@ def periodic(
             f" rows, not tables of shapes {first.shape} and {second.shape}"
         )
     positive_time(period, "period")
+    require_real(start_time, "the start of a path", "a time in s", InvalidReference)
     if not (isinstance(cycles, int) and cycles >= 1):
         raise InvalidReference(f"a periodic path has one or more whole cycles, not {cycles}")
     return Periodic(
@@ -154,4 +155,6 @@ def figure_of_eight(
     InvalidReference
         As `periodic`.
     """
-    return periodic(centre, np.zeros((2, len(centre))), [along, across], period, cycles, start_time)
+    return periodic(
+        centre, np.zeros((2, points([centre], "centre").shape[1])), [along, across], period, cycles, start_time
+    )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.polynomial.polynomial import polyadd, polyder, polymul
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, require_kind, require_real
 
 if TYPE_CHECKING:
     from servocore.references.base import FloatArray
@@ -99,6 +99,7 @@ class PolynomialProfile(Profile):
     _slopes: tuple[tuple[float, ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        require_kind(self.degree, int, "the degree of a polynomial", "a whole number", InvalidReference)
         if self.degree < 1 or self.degree % 2 == 0:
             raise InvalidReference(f"a rest-to-rest polynomial has an odd degree of 1 or more, not {self.degree}")
         k = self.smoothness
@@ -161,6 +162,8 @@ class ThreePhaseProfile(Profile):
     ramp: float | None = None
 
     def __post_init__(self) -> None:
+        if self.ramp is not None:
+            require_real(self.ramp, "the ramp of a three-phase profile", "a time in s", InvalidReference)
         if self.ramp is not None and not (isfinite(self.ramp) and self.ramp > 0.0):
             raise InvalidReference(f"the ramp of a three-phase profile must be a positive time, not {self.ramp} s")
 

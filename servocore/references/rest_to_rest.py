@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, require_kind, require_real
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
 from servocore.references.profiles import DEGREE9, Profile
 
@@ -88,9 +88,11 @@ def rest_to_rest(
         If the points are not finite or differ in dimension, the duration is not positive, or the profile
         does not fit into it.
     """
-    if len(start) != len(end):
-        raise InvalidReference(f"start has {len(start)} components and end has {len(end)}: they must agree")
     first, last = points([start], "start point")[0], points([end], "end point")[0]
+    if len(first) != len(last):
+        raise InvalidReference(f"start has {len(first)} components and end has {len(last)}: they must agree")
+    require_kind(profile, Profile, "the profile of a path", "one such as DEGREE9", InvalidReference)
+    require_real(start_time, "the start of a path", "a time in s", InvalidReference)
     positive_time(duration, "duration")
     if duration < profile.shortest_duration:
         raise InvalidReference(

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from servocore.errors import InvalidReference
-from servocore.references.base import FloatArray, points, positive_time
+from servocore.errors import InvalidReference, require_real
+from servocore.references.base import FloatArray, numbers_of, points, positive_time
 from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, to_path
 from servocore.references.profiles import three_phase
 
@@ -127,6 +127,8 @@ def sampled(
             f"{len(table)} samples are too few: a sampled path needs at least {fewest}, half of them to fit it"
             " and half to check it (a path through fewer points is a path through waypoints)"
         )
+    require_real(tolerance or 0.0, "the tolerance of a sampled path", "a length in m", InvalidReference)
+    require_real(doubt, "the doubt about a sampled path", "a positive fraction", InvalidReference)
     if tolerance is not None and not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise InvalidReference(f"the tolerance of a sampled path must be a length in m, not {tolerance}")
     if not doubt > 0.0:
@@ -223,7 +225,7 @@ def _distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def _increasing(t: npt.ArrayLike | None, count: int, what: str) -> FloatArray:
     """Check times (n,) in s: one for each of the `count` rows, finite, increasing."""
-    column = np.asarray(t, dtype=np.float64)
+    column = numbers_of([] if t is None else t, f"the times of {what}s")
     if column.shape != (count,):
         raise InvalidReference(f"{count} {what}s need {count} times, not an array of shape {column.shape}")
     times = points(column[:, None], f"time of {what}")[:, 0]

@@ -18,8 +18,9 @@ from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
+from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.calls import Array
+from servocore.numerics.expressions import diagonal
 from servocore.scenes import jets
 
 PARAMETERS = (

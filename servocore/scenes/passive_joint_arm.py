@@ -42,8 +42,9 @@ from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
-from servocore.model.system import MechanicalSystem, diagonal, reference_symbols
+from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.calls import Array
+from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes.internal_dynamics import forward, two_sided

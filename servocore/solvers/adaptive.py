@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from servocore.errors import IntegrationFailed, InvalidSetting
+from servocore.errors import IntegrationFailed, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.numerics.calls import Array
@@ -52,6 +52,8 @@ class Adaptive:
     most_steps: int = 1_000_000
 
     def __post_init__(self) -> None:
+        for name in ("rtol", "atol", "most_steps"):
+            require_real(getattr(self, name), name, "a number", InvalidSetting)
         if not (0.0 <= self.rtol < 1.0 and 0.0 <= self.atol < float("inf") and self.rtol + self.atol > 0.0):
             raise InvalidSetting(
                 f"tolerances must be finite and not negative, one of them positive, and rtol below 1;"

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.dae import Dae
-from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting
+from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.calls import Array, mapped, side_by_side
@@ -63,6 +63,9 @@ class BoundaryValue:
     post: float | None = None
 
     def __post_init__(self) -> None:
+        for name in ("tolerance", "stages", "pre", "post"):
+            require_real(getattr(self, name) or 0, f"{name} of a bounded inversion", "a number", InvalidSetting)
+        Gauss(self.stages)
         if not 0.0 < self.tolerance < 1.0:
             raise InvalidSetting(f"the tolerance must lie between 0 and 1, not {self.tolerance}")
         for name, value in (("pre", self.pre), ("post", self.post)):

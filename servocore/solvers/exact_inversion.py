@@ -10,14 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.limits import require_feasible
+from servocore.checks.refusals import explained
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import numbers_of
 from servocore.solution import Solution
 from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
 from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
@@ -118,7 +120,9 @@ class ExactInversion:
     InvalidModel
         If the model has internal dynamics, or the scene follows a branch from instant to instant.
     InvalidReference
-        If the path or the motion breaks a limit of the scene, or the path lacks derivatives.
+        If the path or the motion breaks a limit of the scene, or the path is out of reach or lacks derivatives.
+    IntegrationFailed
+        If the equations are singular on the path.
     InvalidSetting
         If there is no C compiler for `native`.
 
@@ -130,6 +134,7 @@ class ExactInversion:
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool = False) -> None:
+        require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
         array = problem.array
         if not problem.flat or scene.follow_branch:
@@ -147,8 +152,11 @@ class ExactInversion:
         try:
             self._table = prepared_table(problem)
             require_exact_within_limits(problem, self._table)
-        except IntegrationFailed as error:  # told by the call, which may know a better reason
-            self._table = error
+        except IntegrationFailed as error:
+            cause = explained(problem, error)
+            if cause is not error:
+                raise cause from None
+            self._table = error  # told by the call, which may know a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(each.name for each in problem.system.inputs)
 
@@ -170,7 +178,7 @@ class ExactInversion:
         IntegrationFailed
             If an instant is not solved, or on another branch of the equations than the one wanted.
         """
-        times = np.asarray(t, dtype=np.float64)
+        times = numbers_of(t, "the times of inputs")
         flat = times.reshape(-1)
         jets = side_by_side(self._problem.reference.jet(flat, self._order))
         if isinstance(self._table, BranchTable):

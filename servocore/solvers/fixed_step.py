@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 
-from servocore.checks.wrong_inputs import warn_of_wrong_inputs
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.numerics.calls import Array
@@ -27,20 +26,14 @@ class FixedStep:
         What is stepped, and how.
     native : bool
         Whether as machine code.
-    checks : bool
-        Whether inputs that are far from the exact ones are warned of.
     """
 
     formulation: Formulation
     method: Method
     native: bool = False
-    checks: bool = True
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
         first = partial(started, (compile_restart_of, self.formulation, self.method))
         program = program_of(problem, self.formulation, self.method, self.native)
-        solution = solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])
-        if self.checks:
-            warn_of_wrong_inputs(problem, program, times, solution.values)
-        return solution
+        return solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])

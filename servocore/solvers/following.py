@@ -132,9 +132,9 @@ class Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
         taylor, search, jacobian = problem.resolved.once(_compiled)
         q = states[taylor.q]
-        known = np.where(np.isfinite(q), q, np.nan)
-        with np.errstate(invalid="ignore"):
-            ranges = np.nan_to_num(np.nanmax(known, axis=1) - np.nanmin(known, axis=1)) if known.size else np.zeros(0)
+        finite = np.isfinite(q)
+        lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
+        ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
         return cls(problem, taylor, search, jacobian, np.maximum(ranges, 1e-9 * np.array(_nominal(problem))))
 
     def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:

@@ -66,7 +66,9 @@ def begin(problem: Problem, program: Program, step: float, first: First) -> tupl
         return first(problem, past, step, program.start_order)
     state, report = program.begin(past, problem.p, step)
     if not report.converged:
-        raise InconsistentStart(f"{program.name}: no consistent initial values at t = {time:.6g} s")
+        raise InconsistentStart(
+            f"{program.name}: no consistent initial values at t = {time:.6g} s were found from the guess of the model"
+        )
     return state, report.residual
 
 
@@ -155,10 +157,19 @@ def failure(problem: Problem, program: Program, state: Array, time: float, step:
     """Return the error that says where a step failed and why that may be."""
     nodes = np.array([time + c * step for c in program.nodes])
     worst = program.worst_equation(state, problem.reference.jet(nodes, program.order), step, problem.p)
-    causes = "a step too large for the path, or a configuration close to a singular one"
-    if program.index > 3:
-        causes = f"errors that this form of index {program.index} amplifies from step to step, {causes}"
     return IntegrationFailed(
         f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
-        f" the worst equation is the {worst}. Likely causes: {causes}"
+        f" the worst equation is the {worst}. Likely causes: {_likely_causes(program)}"
     )
+
+
+def _likely_causes(program: Program) -> str:
+    """Say why a step may have failed. A smaller step is no cure where there is none, or where errors grow with it."""
+    if program.index == 0:
+        return "a configuration close to a singular one, or a guess of the model far from the answer"
+    if program.index > 3:
+        return (
+            f"errors that this form of index {program.index} amplifies from step to step, more so the smaller the step,"
+            " or a configuration close to a singular one"
+        )
+    return "a step too large for the path, or a configuration close to a singular one"

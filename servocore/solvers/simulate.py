@@ -2,26 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
+from servocore.errors import InconsistentStart, InvalidSetting
 from servocore.model.quantity import Quantity
-from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
+from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
+from servocore.solvers.forward import Tolerance, integrated
+from servocore.solvers.given_inputs import Inputs, counted, interpolated, rising_times
+from servocore.stepping.arguments import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.given_starts import moved_to
 from servocore.stepping.observation import observed, violations_of
 from servocore.structure.inversion import inversion
 
-Inputs = Callable[[float], Array]
-"""Time in s -> inputs u, shape (m,)."""
+_SMALLEST_RTOL = 1e-13
 
 
 def simulate(
@@ -33,6 +34,7 @@ def simulate(
     start: Mapping[str, float] | None = None,
     rtol: float = 1e-9,
     atol: float = 1e-9,
+    time_limit: float | None = None,
 ) -> Solution:
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
@@ -44,9 +46,10 @@ def simulate(
     scene : Scene
         Gives the model, its parameters, and by its reference the initial state that is not given by `start`.
     inputs : Solution or callable
-        A solution with the scene's inputs, interpolated by a cubic spline; or a function of time.
+        A solution with the scene's inputs, interpolated by a cubic spline between its first time and its last; or a
+        function of time.
     t : ndarray, optional
-        Where to report; the times of the solution when not given.
+        Where to report, in rising order; the times of the solution when not given.
     model : str, optional
         Model to integrate; the scene's smallest when not given.
     start : mapping of str to float, optional
@@ -54,6 +57,8 @@ def simulate(
         ask for it the others are moved, as little as possible.
     rtol, atol : float
         Tolerances of the integrator on positions and velocities.
+    time_limit : float, optional
+        Seconds after which the integration is given up.
 
     Returns
     -------
@@ -66,25 +71,33 @@ def simulate(
     InconsistentStart
         If the reference gives no initial state, or the constraints cannot hold with the values of `start`.
     IntegrationFailed
-        If the integrator gives up.
+        If the integrator gives up, time runs out, or a force that jumps with the sign of a velocity, as dry friction,
+        changes sides without end.
     InvalidSetting
-        If neither times nor a solution are given, or `start` names no coordinate.
+        If neither times nor a solution are given, times do not rise or leave those of the inputs, or there are not as
+        many inputs as the scene has, or `start` names no coordinate.
     """
+    require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
+    for what, value in (("rtol", rtol), ("atol", atol), ("time_limit", time_limit if time_limit is not None else 1.0)):
+        require_number(value, what, "a positive number")
+        if not 0.0 < value < float("inf"):
+            raise InvalidSetting(f"{what} must be positive and finite, not {value}")
+    if rtol < _SMALLEST_RTOL:
+        raise InvalidSetting(f"rtol must be {_SMALLEST_RTOL:g} or more, not {rtol:g}: numbers are no more accurate")
     if isinstance(inputs, Solution):
-        t = inputs.t if t is None else t
-        evaluate = interpolated(inputs, problem.system)
+        instants = rising_times(inputs.t if t is None else t)
+        evaluate = interpolated(inputs, problem.system, instants)
     else:
-        evaluate = inputs
-    if t is None:
-        raise InvalidSetting("inputs given as a function need the times at which to report")
-    return _report(problem, *_integrated(problem, evaluate, np.asarray(t), rtol, atol))
+        require_callable(inputs, "the inputs", "a Solution or a function of time")
+        if t is None:
+            raise InvalidSetting("inputs given as a function need the times at which to report")
+        instants, evaluate = rising_times(t), counted(inputs, problem.system)
+    return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
 
 
-def _integrated(problem: Problem, inputs: Inputs, t: Array, rtol: float, atol: float) -> tuple[_Motion, int, int]:
+def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance) -> tuple[_Motion, int, int]:
     """Return the motion at the instants `t`, with the integrator's steps and evaluations."""
-    import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
-
     move, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
 
     def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
@@ -94,30 +107,12 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, rtol: float, atol: f
     def rate(time: float, state: Array) -> Array:
         return moved(time, state, inputs(time))[0]
 
-    first, span = _initial_state(problem, float(t[0])), (float(t[0]), float(t[-1]))
-    found = scipy.integrate.solve_ivp(rate, span, first, method="DOP853", rtol=rtol, atol=atol, dense_output=True)
-    if found.status != 0 or found.sol is None or not np.isfinite(found.y).all():
-        raise IntegrationFailed(
-            f"{problem.system.name}: the forward simulation stopped at t = {found.t[-1]:.6g} s: {found.message}"
-        )
-    states, u = found.sol(t), np.array([inputs(time) for time in t])
+    name, quantities = problem.system.name, problem.system.coordinates.quantities
+    start = _initial_state(problem, float(t[0]))
+    states, steps, evaluations = integrated(name, [each.name for each in quantities], rate, start, t, tolerance)
+    u = np.array([inputs(time) for time in t])
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
-    motion = _Motion(t, states, np.array(forces).reshape(len(t), -1), u)
-    return motion, len(found.t) - 1, int(found.nfev)
-
-
-def interpolated(solution: Solution, system: MechanicalSystem) -> Inputs:
-    """Return the inputs of a solution as a function of time: a cubic spline through its samples."""
-    import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
-
-    table = np.column_stack([solution[each.name] for each in system.inputs])
-    spline = scipy.interpolate.make_interp_spline(solution.t, table, k=min(3, len(solution.t) - 1))
-
-    def evaluate(time: float) -> Array:
-        values: Array = spline(time)
-        return values
-
-    return evaluate
+    return _Motion(t, states, np.array(forces).reshape(len(t), -1), u), steps, evaluations
 
 
 def _free_motion(resolved: ResolvedSystem) -> Call:

@@ -4,36 +4,46 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
+from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidSetting
+from servocore.checks.refusals import explained
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.solution import Solution
+from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
-from servocore.solvers.exact_inversion import Pointwise
+from servocore.solvers.exact_inversion import Pointwise, compile_inputs
 from servocore.solvers.fixed_step import FixedStep
-from servocore.solvers.loop import Progress
+from servocore.solvers.loop import Progress, step_of
 from servocore.solvers.route import Route
+from servocore.solvers.solved_again import solved_again, solved_beside
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.within_limits import run_within_limits, survey_between
+from servocore.stepping.arguments import require_callable, require_formulation, require_method, require_number
 from servocore.stepping.given_starts import require_start
+from servocore.structure.inversion import inversion
 
 _DEFAULT_STEPS = 200
+_MOST_STEPS = 10**8
+_BETTER = RadauIIA(5)
+_ROUGH = 0.01  # a tolerance that does not say by itself that inputs are good
+Stepped = FixedStep | StateSelection | ToTolerance
 
 
 def solve(
@@ -84,13 +94,12 @@ def solve(
     Warns
     -----
     ServocoreWarning
-        If the run cannot succeed as it is set up, or an input turns out to be off by more than half of its peak.
+        If the run cannot succeed as it is set up, or an input turns out to be off by more than 5 % of its peak.
     """
+    _require_arguments(scene, formulation, method, step, output_step, progress)
     problem, advice, form = Problem.of(scene, model, start), "", formulation or Reduced()
     if formulation is None and method is None:
         method, advice = recommended(problem)
-    if output_step is not None and not isinstance(step, Adaptive):
-        raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     times = time_grid(problem.reference, output_step if isinstance(step, Adaptive) else step)
     if problem.start:
         require_start(problem)
@@ -98,12 +107,44 @@ def solve(
     own = route is method  # such a route brings no checks of its own, and chooses its instants
     if checks or own:
         require_feasible(problem, None if own else times)
-    if not (checks or own):
-        return replace(route.run(problem, times, progress), advice=advice)
-    solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
-    require_one_branch(problem, solution)
-    survey_between(problem, solution)
-    return replace(solution, advice=advice)
+    try:
+        if checks or own:
+            solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
+        else:
+            solution = route.run(problem, times, progress)
+    except (InconsistentStart, IntegrationFailed) as error:
+        raise explained(problem, error) from None
+    if checks or own:
+        passed = require_one_branch(problem, solution)
+        survey_between(problem, solution)
+        branch = _branch(problem, route, solution) + passed
+        solution = replace(solution, statistics=replace(solution.statistics, branch=branch))
+    estimator = solution.estimator or partial(_estimated, problem, route)
+    return replace(solution, advice=advice, estimator=estimator)
+
+
+def _require_arguments(
+    scene: Scene,
+    formulation: Formulation | None,
+    method: Method | Route | None,
+    step: float | Adaptive | None,
+    output_step: float | None,
+    progress: Progress | None,
+) -> None:
+    """Raise `InvalidModel` or `InvalidSetting` if an argument is of the wrong kind."""
+    require_scene(scene, "solve")
+    if formulation is not None:
+        require_formulation(formulation)
+    if method is not None:
+        require_method(method)
+    if step is not None and not isinstance(step, Adaptive):
+        require_number(step, "the step", "a time in s or Adaptive(...)")
+    if output_step is not None:
+        require_number(output_step, "the output step", "a time in s")
+        if not isinstance(step, Adaptive):
+            raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
+    if progress is not None:
+        require_callable(progress, "progress", "a function of (steps done, steps in all)")
 
 
 def chosen_route(
@@ -139,7 +180,58 @@ def chosen_route(
         return ToTolerance(formulation, method, step, native)
     if isinstance(formulation, Reduced):
         return StateSelection(formulation, method, native)
-    return FixedStep(formulation, method, native, checks)
+    return FixedStep(formulation, method, native)
+
+
+def judge_of(problem: Problem, route: Route) -> Judge:
+    """Return what the solutions of a route are compared with."""
+    if isinstance(route, Pointwise):
+        return Judge(solved_again, True, "the exact inversion, solved again,")
+    if isinstance(route, BoundaryValue):
+        return Judge(partial(_bounded_again, route), True, "a bounded inversion of higher order")
+    if problem.flat:
+        beside = None if problem.follow_branch else solved_beside
+        return Judge(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", beside)
+    if isinstance(route, Stepped) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+        return Judge(BoundaryValue().run, True, "the bounded inversion")
+    if isinstance(route, Stepped):
+        form = route.formulation if isinstance(route.formulation, Reduced) else Reduced()
+        return Judge(StateSelection(form, _BETTER).run, False, f"{_BETTER.name} on the reduced form")
+    return Judge(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
+
+
+def _bounded_again(route: BoundaryValue, problem: Problem, times: Array) -> Solution:
+    """Solve with more stages, to a smaller tolerance, and over a horizon that this asks for."""
+    start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
+    inside = times[(times > start - margin) & (times < end + margin)]
+    tolerance = min(max(route.tolerance / 100.0, 1e-11), 1e-6)
+    again = replace(route, tolerance=tolerance, stages=min(route.stages + 2, 7), pre=None, post=None)
+    return again.run(problem, inside)
+
+
+def _estimated(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
+    return judge_of(problem, route).estimate(problem, solution)
+
+
+def _branch(problem: Problem, route: Route, solution: Solution) -> str:
+    """Look at the inputs of a solution, as closely as its route needs, and say in which sense its motion is one."""
+    if not isinstance(route, BoundaryValue | Stepped):
+        return solution.statistics.branch  # that of an exact inversion is known, and of another route its own business
+    judge = judge_of(problem, route)
+    if isinstance(route, BoundaryValue):
+        doubtful = route.tolerance > _ROUGH or route.pre is not None or route.post is not None
+        return look(problem, judge, solution, doubtful, (Reduced(), None))
+    how = (route.formulation, route.method)
+    if problem.flat:
+        everywhere = problem.resolved.once(inversion).expression is not None
+        doubtful = is_far(problem, solution, problem.resolved.once(compile_inputs)[0], everywhere)
+    elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+        doubtful = False  # its user was warned before the run
+    elif isinstance(route, ToTolerance):
+        doubtful = not (solution.statistics.error_estimate or np.inf) <= _ROUGH
+    else:
+        doubtful = changes_with_the_step(problem, *how, route.run, solution)
+    return look(problem, judge, solution, doubtful, how)
 
 
 def recommended(problem: Problem) -> tuple[Method | BoundaryValue, str]:
@@ -164,6 +256,11 @@ def time_grid(reference: Reference, step: float | None) -> Array:
     if step > duration * (1 + 1e-9):
         raise InvalidSetting(f"the step of {step:g} s is larger than the duration of {duration:g} s")
     count = round(duration / step)
+    if count > _MOST_STEPS:
+        raise InvalidSetting(
+            f"the step of {step:g} s divides the duration of {duration:g} s into {count:.2g} steps, more than"
+            f" {_MOST_STEPS:.0e}"
+        )
     if abs(count * step - duration) > 1e-6 * step:
         below, above = duration / np.ceil(duration / step), duration / max(1, np.floor(duration / step))
         raise InvalidSetting(

@@ -15,7 +15,7 @@ from typing import Any
 
 import casadi as ca
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.stepping.plant import Plant
@@ -38,6 +38,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         If some holonomic constraints are redundant: nothing would determine their forces. If the equations hold the
         time: the state of a plant is (q, v) alone.
     """
+    require_kind(system, MechanicalSystem, "what is to be compiled", "a MechanicalSystem", InvalidModel)
     system.require_independent_constraints()
     if system.time.numel():
         raise InvalidModel(f"{system.name}: its equations hold the time, which a plant does not know; simulate does")
@@ -117,7 +118,10 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
 
     def add(quantities: Sequence[Any], values: ca.SX, suffix: str = "", unit: str = "") -> None:
         rows.extend(
-            (Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, not suffix and each.wraps), values[k])
+            (
+                Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, wraps=not suffix and each.wraps),
+                values[k],
+            )
             for k, each in enumerate(quantities)
         )
 

@@ -6,13 +6,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidReference, InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
+from servocore.references.base import numbers_of
+from servocore.stepping.arguments import require_formulation, require_method, require_number
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program, StepReport
 
@@ -52,6 +54,10 @@ class Stepper:
     program: Program = field(init=False)
 
     def __post_init__(self) -> None:
+        require_scene(self.scene, "Stepper")
+        require_formulation(self.formulation)
+        require_method(self.method, routes=False)
+        require_number(self.step, "the step", "a time in s")
         if not 0.0 < self.step < float("inf"):
             raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
         problem = Problem.of(self.scene, self.model)
@@ -97,7 +103,7 @@ class Stepper:
             Reference at the initial time; for a method with several `start_instants`, at each of them. With the
             first form such a method starts from exact values instead, and its first inputs are less accurate.
         """
-        jets = np.asarray(reference_jet)
+        jets = self._jets(reference_jet, len(self.start_instants), self.start_order)
         return self.program.begin(jets, self.parameters, self.step if jets.ndim == 3 else 0.0)
 
     def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
@@ -110,8 +116,24 @@ class Stepper:
         reference_jet : ndarray, shape (orders, m), or (nodes, orders, m) for a method with several nodes
             Reference at the new instant (at the nodes of the step).
         """
-        jets = np.asarray(reference_jet)
+        jets = self._jets(reference_jet, len(self.nodes), self.program.order)
+        if np.shape(state) != (self.program.state_size,):
+            raise InvalidSetting(f"a state has shape ({self.program.state_size},), not {np.shape(state)}")
         return self.program.advance(state, jets[None] if jets.ndim == 2 else jets, self.step, self.parameters)
+
+    def _jets(self, jets: Array, instants: int, order: int) -> Array:
+        """Return reference jets as an array; raises `InvalidReference` if they are too few or of another shape."""
+        found = numbers_of(jets, "reference jets")
+        components = len(self.system.outputs)
+        one = found.ndim == 2
+        if found.ndim not in (2, 3) or found.shape[-1] != components or found.shape[-2] <= order:
+            raise InvalidReference(
+                f"a reference jet of {self.system.name} has shape ({order + 1}, {components}) or more rows, once or for"
+                f" each of {instants} instants, not {found.shape}"
+            )
+        if not one and len(found) != instants:
+            raise InvalidReference(f"jets at {instants} instants are needed, not at {len(found)}")
+        return found
 
     def values(self, state: Array, reference_jet: Array, *, fraction: float = 1.0) -> dict[str, float]:
         """Return what the state says of its own instant, by name; or of an instant within its last step.

@@ -102,8 +102,8 @@ REFUSED = {
     for each, words in {
         ball_on_a_beam: "no relative degree|singular",
         car_that_nothing_drives: "structurally singular: nothing determines u.F",
-        two_motors_on_one_joint: "structurally singular: nothing determines u.T_2",
-        one_output_twice: "nothing is left that servo constraint on 2X could determine",
+        two_motors_on_one_joint: "the inputs T_1, T_2 drive the same",
+        one_output_twice: "the outputs X, 2X follow the same coordinates",
         knife_edge: "nonholonomic constraints are not solved",
         speed_as_output: "the output V depends on velocities",
     }.items()

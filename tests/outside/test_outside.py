@@ -106,16 +106,10 @@ def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name):
         assert error(inputs[:, k], exact[each.name]) <= case(name).tolerance
 
 
-@pytest.mark.parametrize("name", [each for each in REFUSED if each != "ball_on_a_beam"])
+@pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_done_is_refused_with_the_reason(name):
     with pytest.raises(sc.ServocoreError, match=REFUSED[name].words):
         sc.solve(REFUSED[name].make())
-
-
-@pytest.mark.xfail(reason="solve does not give the reason that analyse knows", strict=True)
-def test_a_beam_at_rest_has_no_relative_degree_for_its_ball():
-    with pytest.raises(sc.ServocoreError, match=REFUSED["ball_on_a_beam"].words):
-        sc.solve(REFUSED["ball_on_a_beam"].make())
 
 
 @pytest.mark.xfail(reason="nothing looks for poles of the inputs between instants", strict=True)

@@ -5,20 +5,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, described, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.rotationless.joints import Distance
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
 from servocore.model.symbols import Coordinates, Parameters, require_unique
 from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.numerics.expressions import as_expression
 
 Part: TypeAlias = RigidBody | PointMass | Quantity
 """A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
+
+Named = TypeVar("Named")
 
 Configuration: TypeAlias = Mapping[str, Any]
 """By name of the part: (position, directors) of a body, position of a point, augmented value."""
@@ -63,6 +66,11 @@ class Assembly:
     orthonormality: ca.SX = field(init=False)
 
     def __post_init__(self) -> None:
+        require_kind(self.parts, (list, tuple), "the parts of an assembly", "a sequence of them", InvalidModel)
+        kinds = (RigidBody, PointMass, Quantity)
+        for part in self.parts:
+            require_kind(part, kinds, "a part", "a RigidBody, PointMass or Quantity", InvalidModel)
+        require_kind(self.parameters, Parameters, "the parameters of an assembly", "Parameters(...)", InvalidModel)
         require_unique(self._names, "parts")
         for part in self.parts:
             if not isinstance(part, Quantity):
@@ -72,7 +80,10 @@ class Assembly:
         )
         blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
         object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*blocks)))
-        gravity = ca.sparsify(ca.SX(ca.vertcat(*self.gravity)))
+        gravity = ca.sparsify(as_expression(self.gravity, "gravity"))
+        constants = [float(each) for each in ca.vertsplit(ca.densify(gravity)) if each.is_constant()]
+        if gravity.shape != (3, 1) or not np.isfinite(constants).all():
+            raise InvalidModel(f"gravity must be three finite numbers, not {self.gravity}")
         potential, rows = ca.SX(0), ca.SX(0, 1)
         for part, q in zip(self.parts, self._slices, strict=True):
             if not isinstance(part, Quantity):
@@ -101,6 +112,7 @@ class Assembly:
         InvalidModel
             If a part is missing or unknown, or a value has the wrong size.
         """
+        require_kind(values, Mapping, "a configuration", "values by name of the part", InvalidModel)
         if sorted(values) != sorted(self._names):
             raise InvalidModel(
                 f"a configuration must give {', '.join(self._names)}, not {', '.join(values) or 'nothing'}"
@@ -109,7 +121,9 @@ class Assembly:
         for part in self.parts:
             value = values[part.name]
             pieces = value if isinstance(part, RigidBody) else (value,)
-            column = ca.vertcat(*[ca.vec(ca.SX(_column(piece))) for piece in pieces])
+            what = f"the configuration of {part.name}"
+            require_kind(pieces, (list, tuple), what, "(position, directors)", InvalidModel)
+            column = ca.vertcat(*[ca.vec(as_expression(piece, what)) for piece in pieces])
             if column.numel() != len(_quantities(part)):
                 needed = len(_quantities(part))
                 raise InvalidModel(f"the configuration of {part.name} needs {needed} values, not {column.numel()}")
@@ -155,6 +169,10 @@ class Assembly:
         force : casadi.SX, optional
             Applied forces f(q, v, p), shape (n,).
         """
+        constraints = _expressions(constraints, f"{name}: constraints")
+        inputs, outputs = _expressions(inputs, f"{name}: inputs"), _expressions(outputs, f"{name}: outputs")
+        if not callable(guess):
+            raise InvalidModel(f"{name}: guess must be a function of the reference, not {described(guess)}")
         q, driven = self.coordinates.q, ca.vertcat(ca.SX(0, 1), *inputs.values())
         lam = self.multipliers(constraints) if multipliers is None else multipliers
         gamma = reference_symbols(len(inputs))
@@ -242,6 +260,7 @@ def _quantities(part: Part) -> tuple[Quantity, ...]:
     return (part,) if isinstance(part, Quantity) else part.quantities
 
 
-def _column(value: Any) -> Any:
-    """Let sequences of numbers and expressions pass for columns."""
-    return ca.vertcat(*value) if isinstance(value, tuple | list) else value
+def _expressions(values: Mapping[Named, Any], what: str) -> dict[Named, ca.SX]:
+    """Return what a mapping names as expressions; raises `InvalidModel` if it is something else."""
+    require_kind(values, Mapping, what, "expressions by name", InvalidModel)
+    return {key: as_expression(each, f"{what}: {getattr(key, 'name', key)}") for key, each in values.items()}

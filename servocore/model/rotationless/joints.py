@@ -29,12 +29,19 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 
+from servocore.errors import InvalidModel, described
+from servocore.numerics.expressions import as_expression
+
 if TYPE_CHECKING:
     from servocore.model.rotationless.parts import Place, Scalar
 
 
 def spherical(a: Place, b: Place) -> ca.SX:
     """Return the rows of a ball joint: one common point, shape (3,), m."""
+    for each in (a, b):
+        if not hasattr(each, "position"):
+            hint = "; frame.at(...) is one" if hasattr(each, "at") else ""
+            raise InvalidModel(f"a joint is between two places, not {described(each)}{hint}")
     return b.position - a.position
 
 
@@ -108,6 +115,7 @@ def distance(a: Place, b: Place, length: Scalar, *, pushes: bool | None = None) 
     pushes : bool, optional
         True for a link whose length is a coordinate, such as a cylinder; False for a rope of constant length.
     """
+    length = as_expression(length, "the length of a distance")
     return Distance(ca.sumsqr(spherical(a, b)) - length**2, length, pushes)
 
 
@@ -123,13 +131,14 @@ def angle(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
     row, shape (1,), that is not quadratic: it holds sine and cosine of an augmented coordinate, which may
     exceed a full turn. It vanishes half a turn away as well, so the first guess has to tell the two apart.
     """
+    coordinate = as_expression(coordinate, "the coordinate of an angle")
     across = ca.cos(coordinate) * a.binormal - ca.sin(coordinate) * a.normal
     return ca.dot(across, b.normal)
 
 
 def displacement(a: Place, b: Place, coordinate: ca.SX) -> ca.SX:
     """Return the row that makes `coordinate` (m) the position of `b` along the axis of `a`, shape (1,)."""
-    return on_plane(a, b) - coordinate
+    return on_plane(a, b) - as_expression(coordinate, "the coordinate of a displacement")
 
 
 def _parallel(a: Place, b: Place) -> ca.SX:

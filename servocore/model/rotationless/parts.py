@@ -9,10 +9,11 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, described, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.numerics.calls import Array
+from servocore.numerics.expressions import as_expression
 
 Scalar: TypeAlias = "float | ca.SX"
 """A number, or an expression of parameters."""
@@ -73,11 +74,10 @@ class RigidBody:
     @property
     def inertia_tensor(self) -> ca.SX:
         """J about the centre of mass, shape (3, 3)."""
-        if len(self.inertia) != 3:
-            raise InvalidModel(f"body {self.name}: inertia needs three principal values or three rows")
-        if all(isinstance(row, Sequence | np.ndarray) for row in self.inertia):
-            return ca.SX(ca.vertcat(*[ca.horzcat(*row) for row in self.inertia]))
-        return ca.SX(ca.diag(ca.vertcat(*self.inertia)))
+        found = as_expression(self.inertia, f"body {self.name}: inertia")
+        if found.shape not in ((3, 1), (3, 3)):
+            raise InvalidModel(f"body {self.name}: inertia needs three principal values or three rows of three numbers")
+        return ca.diag(found) if found.size2() == 1 else found
 
     def weight_centre(self, q: ca.SX) -> ca.SX:
         """Return the position of the centre of mass, shape (3,), for the twelve coordinates `q`."""
@@ -93,9 +93,13 @@ class RigidBody:
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if at default parameters no distribution of mass has these moments."""
+        require_kind(self.name, str, "the name of a body", "a text", InvalidModel)
         what = f"body {self.name}"
         _check_mass(what, self.mass, parameters)
-        inertia = _number(self.inertia_tensor, parameters)
+        inertia, centre = _number(self.inertia_tensor, parameters), _number(_vector(self.centre), parameters)
+        for each, name in ((inertia, "inertia"), (centre, "centre of mass")):
+            if not np.isfinite(each).all():
+                raise InvalidModel(f"{what}: its {name} holds {each[~np.isfinite(each)][0]}, which is no finite number")
         scale = max(float(np.abs(inertia).max()), 1e-300)
         if not np.abs(inertia - inertia.T).max() <= _ROUND_OFF * scale:
             raise InvalidModel(f"{what}: the inertia tensor is not symmetric")
@@ -136,6 +140,7 @@ class PointMass:
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if the mass is negative at default parameters."""
+        require_kind(self.name, str, "the name of a point mass", "a text", InvalidModel)
         _check_mass(f"point {self.name}", self.mass, parameters)
 
 
@@ -210,7 +215,7 @@ def frame_of(q: ca.SX) -> Frame:
 
 def turned(axis: Sequence[float], angle: Scalar) -> ca.SX:
     """Return directors turned by `angle` (rad) about `axis`, which must not be zero, shape (3, 3)."""
-    e = _unit(axis, "axis")
+    e, angle = _unit(axis, "axis"), as_expression(angle, "the angle")
     cross = ca.SX(ca.sparsify(ca.skew(ca.DM(e))))
     along = ca.SX(ca.sparsify(ca.DM(np.outer(e, e))))
     return ca.cos(angle) * (ca.SX.eye(3) - along) + ca.sin(angle) * cross + along
@@ -228,7 +233,10 @@ def _triad(axis: Sequence[float], normal: Sequence[float] | None) -> tuple[Array
 
 
 def _unit(direction: Sequence[float], what: str) -> Array:
-    values = np.array([float(each) for each in direction])
+    try:
+        values = np.array([float(each) for each in direction])
+    except (TypeError, ValueError, RuntimeError):
+        raise InvalidModel(f"the {what} must be three numbers, not {described(direction)}") from None
     length = float(np.linalg.norm(values)) if values.shape == (3,) else 0.0
     if not 0.0 < length < np.inf:
         raise InvalidModel(f"the {what} {tuple(direction)} is no direction in space")
@@ -236,7 +244,7 @@ def _unit(direction: Sequence[float], what: str) -> Array:
 
 
 def _vector(components: Sequence[Scalar]) -> ca.SX:
-    column = ca.SX(ca.vertcat(*components))
+    column = as_expression(components, "a vector in space")
     if column.shape != (3, 1):
         raise InvalidModel(f"a vector in space has 3 components, not {column.numel()}")
     return ca.sparsify(column)
@@ -248,7 +256,8 @@ def _position_quantities(name: str) -> tuple[Quantity, ...]:
 
 def _number(expression: Any, parameters: Parameters) -> Array:
     """Evaluate an expression of parameters at their default values."""
-    function = ca.Function("number", [parameters.p], [ca.SX(expression)], {"allow_free": True})
+    found = as_expression(expression, "a mass property")
+    function = ca.Function("number", [parameters.p], [found], {"allow_free": True})
     if function.get_free():
         raise InvalidModel(f"mass properties hold symbols that are no parameters: {function.get_free()}")
     return np.asarray(function(parameters.values()))
@@ -257,4 +266,4 @@ def _number(expression: Any, parameters: Parameters) -> Array:
 def _check_mass(what: str, mass: Scalar, parameters: Parameters) -> None:
     value = float(_number(mass, parameters)[0, 0])
     if not 0.0 <= value < np.inf:
-        raise InvalidModel(f"{what}: its mass is {value:g} kg, it must not be negative")
+        raise InvalidModel(f"{what}: its mass is {value:g} kg, it must be finite and must not be negative")

@@ -1,0 +1,299 @@
+"""Why a problem was not solved, looked for after it was not: the path is out of reach, or the equations are singular.
+
+What Newton's method does not solve is looked at by least squares, which ends anywhere: at the nearest configuration to
+a point that is out of reach, and at a solution where the equations have lost rank.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidReference, ServocoreError
+from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.signature import condition_number, lost_rank
+
+SINGULAR_CONDITION = 1e12
+"""Of the equilibrated system Jacobian: beyond it the equations determine nothing."""
+
+_INSTANTS = 41  # of the path that are looked at
+_STARTS, _SPREAD = 8, 1.5  # of the search for the nearest configuration, in nominal magnitudes
+_HELD = 1e4  # weight of the holonomic constraints, which must hold
+_REACHED = 1e-6  # of the size of the path: a smaller miss is none
+_SOLVED = 1e-8  # residual of the derivative array
+_HALVINGS = 16
+_CONFIRMED = 3  # misses from all around; later ones are taken from those before
+_RESTING = 1e-9  # of the largest entry: derivatives of a path below count as zero
+
+
+def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
+    """Return the error that names the cause of a failure, if one is found, and the error itself if not."""
+    missed = out_of_reach(problem)
+    if missed:
+        return InvalidReference(missed)
+    reason = singular(problem)
+    return type(error)(reason) if reason else error
+
+
+@dataclass(frozen=True, eq=False)
+class _Reach:
+    """What measures how near a system can come to a point of its path."""
+
+    problem: Problem
+    rows: Call
+    size: Array
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Reach:
+        reference = problem.reference
+        times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
+        largest = np.abs(reference.jet(times, 0)[:, 0]).max(axis=0)
+        # Outputs of one unit are of one size, so that near is what it is in space.
+        units = np.array([each.unit for each in problem.system.outputs])
+        size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
+        size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
+        return cls(problem, problem.resolved.once(_compiled_rows), size)
+
+    def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
+        """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
+        best: tuple[float, Array, Array] | None = None
+        for start in starts:
+            x = _least_squares(lambda x: self._weighed(x, time), start)
+            residual, _ = self._weighed(x, time)
+            if best is None or np.linalg.norm(residual) < best[0]:
+                best = float(np.linalg.norm(residual)), x, residual[len(residual) - len(self.size) :] * self.size
+            if best[0] < _REACHED:
+                break
+        assert best is not None
+        return best[1], best[2]
+
+    def missed(self, miss: Array) -> bool:
+        """Whether a miss is one."""
+        return bool(not np.abs(miss / self.size).max(initial=0.0) < _REACHED)
+
+    def _weighed(self, x: Array, time: float) -> tuple[Array, Array]:
+        problem, nominal = self.problem, np.array(self.problem.system.coordinates.nominal)
+        residual, jacobian = self.rows(x * nominal, problem.reference.jet(time, 0)[0], problem.p)
+        held = len(residual) - len(self.size)
+        weights = np.concatenate([np.full(held, _HELD), 1.0 / self.size])
+        jacobian = jacobian.reshape(len(residual), -1) * nominal
+        return residual * weights, jacobian * weights[:, None]
+
+
+def _compiled_rows(resolved: ResolvedSystem) -> Call:
+    """Compile (q, gamma, p) -> residual of holonomic and servo constraints, and its Jacobian."""
+    system, gamma = resolved.system, resolved.system.gamma[:, 0]
+    rows = ca.vertcat(system.constraints, system.output - gamma)
+    jacobian = ca.jacobian(rows, system.q)
+    return Call(ca.Function("sc_reach", [system.q, gamma, system.p], [ca.densify(rows), ca.densify(jacobian)]))
+
+
+def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> Array:
+    import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    def part(k: int) -> Callable[[Array], Array]:
+        return lambda x: np.nan_to_num(evaluate(x)[k], nan=1e6, posinf=1e6, neginf=-1e6)
+
+    found = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
+    x: Array = found.x
+    return x
+
+
+def out_of_reach(problem: Problem) -> str:
+    """Say where the path of a problem is first out of reach, and by how much at most; empty if it never is.
+
+    Every configuration counts that the holonomic constraints allow, whatever moves it there. The nearest one to a point
+    may be a saddle, as the axis of a crane is on the way to the other side: a miss counts if starts from all around
+    lead to no better one.
+    """
+    reference, reach = problem.reference, _Reach.of(problem)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
+    x, missed = _guess(problem, float(times[0])), list[tuple[float, int, Array]]()
+    for k, time in enumerate(times):
+        x, miss = reach.nearest(float(time), [x, _guess(problem, float(time))])
+        if reach.missed(miss) and len(missed) < _CONFIRMED:  # others start from there
+            x, miss = reach.nearest(float(time), [x, *_around(problem, x)])
+        if reach.missed(miss):
+            missed.append((float(np.abs(miss / reach.size).max()), k, miss))
+    while missed:
+        _, k, miss = max(missed, key=lambda each: each[0])
+        _, again = reach.nearest(float(times[k]), _around(problem, x))
+        if reach.missed(again):
+            first = min(each[1] for each in missed)
+            begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
+            return _miss_in_words(problem, begin, float(times[k]), again)
+        missed = [each for each in missed if each[1] != k]
+    return ""
+
+
+def _guess(problem: Problem, time: float) -> Array:
+    """Return the guess of the model at an instant, in nominal magnitudes; home where that is not finite."""
+    system, reference = problem.system, problem.reference
+    gamma = np.zeros(system.gamma.shape)
+    order = min(system.gamma.size2() - 1, reference.max_order)
+    gamma[:, : order + 1] = reference.jet(time, order).T
+    evaluate = problem.resolved.once(_compiled_guess)
+    guess = np.asarray(evaluate(gamma, problem.p)).ravel()
+    found: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
+    nominal: Array = np.array(system.coordinates.nominal)
+    return found / nominal
+
+
+def _compiled_guess(resolved: ResolvedSystem) -> ca.Function:
+    system = resolved.system
+    return ca.Function("sc_guess", [system.gamma, system.p], [ca.densify(system.guess)])
+
+
+def _around(problem: Problem, x: Array) -> list[Array]:
+    """Return configurations from which to look again, in nominal magnitudes: home, and random ones about it and `x`."""
+    home = problem.system.home_configuration(problem.p)[0] / np.array(problem.system.coordinates.nominal)
+    generator = np.random.default_rng(8)
+    size = np.maximum(1.0, np.abs(x))
+    spread = [_SPREAD * generator.standard_normal(len(x)) for _ in range(_STARTS)]
+    return [home, *(x + part * size for part in spread), *(home + part for part in spread)]
+
+
+def _first_missed(problem: Problem, reach: _Reach, good: float, bad: float) -> float:
+    for _ in range(_HALVINGS):
+        middle = (good + bad) / 2
+        _, miss = reach.nearest(middle, [_guess(problem, good), *_around(problem, _guess(problem, good))])
+        good, bad = (good, middle) if reach.missed(miss) else (middle, bad)
+    return float(bad)
+
+
+def _miss_in_words(problem: Problem, begin: float, time: float, miss: Array) -> str:
+    place, outputs = problem.reference.jet(time, 0)[0], problem.system.outputs
+    worst = [k for k in range(len(miss)) if abs(miss[k]) > 1e-3 * np.abs(miss).max()]
+    listed = " and ".join(
+        f"{outputs[k].name} = {place[k]:.6g} {outputs[k].unit} by {abs(miss[k]):.3g} {outputs[k].unit}" for k in worst
+    )
+    if len(worst) > 1 and len({outputs[k].unit for k in worst}) == 1:
+        listed += f", {np.linalg.norm(miss[worst]):.3g} {outputs[worst[0]].unit} in all"
+    return (
+        f"{problem.name}: from t = {begin:.6g} s on the path is out of reach; at t = {time:.6g} s the nearest"
+        f" configuration found misses {listed}"
+    )
+
+
+def singular(problem: Problem) -> str:
+    """Say where along the path the equations are first singular, and in what; empty if that is not found.
+
+    With internal dynamics only the start is looked at: later configurations are not known.
+    """
+    reference, array = problem.reference, problem.array
+    if reference.max_order < array.reference_order:
+        return ""
+    inverse, J = problem.resolved.once(inversion), problem.resolved.once(_jacobian_call)
+    invert, search, guess = Call(inverse.function), Call(inverse.search), Call(inverse.guess)
+    times = np.linspace(reference.start_time, reference.end_time, _INSTANTS if problem.flat else 1)
+    last: Array | None = None
+    for time in times:
+        jet = side_by_side(reference.jet(np.array([time]), array.reference_order))
+        values, _, residual = invert(jet, problem.p)
+        if not np.isfinite(residual).all() and last is not None:
+            values, _, residual = search(jet, problem.p, last)
+        if not np.isfinite(residual).all():
+            start = last if last is not None else guess(jet, problem.p)[0]
+            solved = _solved(problem, jet, start)
+            if solved is None:
+                return ""
+            values = solved
+        matrix = J(values, jet, problem.p)[0]
+        if not condition_number(matrix) < SINGULAR_CONDITION:
+            return singular_in_words(problem, float(time), values, matrix)
+        last = values if np.isfinite(values).all() else last
+    return ""
+
+
+def _jacobian_call(resolved: ResolvedSystem) -> Call:
+    return Call(resolved.once(system_jacobian))
+
+
+def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
+    """Return all unknowns of the derivative array, states as they start, by least squares; None if that fails."""
+    array = problem.array
+    free, evaluate = array.places(array.determined), problem.resolved.once(_compiled_array)
+
+    def rows(x: Array) -> tuple[Array, Array]:
+        values = start.copy()
+        values[free] = x
+        residual, jacobian = evaluate(values, jet, problem.p)
+        return residual, jacobian.reshape(len(residual), -1)
+
+    if not np.isfinite(start).all():
+        return None
+    x = _least_squares(rows, start[free])
+    values = start.copy()
+    values[free] = x
+    return values if np.linalg.norm(rows(x)[0]) < _SOLVED else None
+
+
+def _compiled_array(resolved: ResolvedSystem) -> Call:
+    array = resolved.array
+    gamma = array.system.gamma[:, : array.reference_order + 1]
+    jacobian = ca.jacobian(array.residual, array.column(array.determined))
+    results = [ca.densify(array.residual), ca.densify(jacobian)]
+    return Call(ca.Function("sc_array_rows", [array.column(array.unknowns), gamma, array.system.p], results))
+
+
+def singular_in_words(problem: Problem, time: float, values: Array, jacobian: Array) -> str:
+    """Say that the equations are singular at an instant, and in what.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose equations they are.
+    time : float
+        In s.
+    values : ndarray, shape (size,)
+        Unknowns of the derivative array there; NaN where they were not found.
+    jacobian : ndarray, shape (size, size)
+        System Jacobian.
+    """
+    reference = problem.reference
+    jet = reference.jet(time, min(problem.array.reference_order, reference.max_order))
+    resting = _at_rest(problem, time, jet, values) if len(jet) > problem.array.reference_order else ""
+    if resting:
+        return resting
+    said = (
+        f"{problem.system.name} is singular at t = {time:.6g} s: the system Jacobian has condition"
+        f" {condition_number(jacobian):.2g}"
+    )
+    return f"{said}, {lost_rank(problem.signature, jacobian)}" if np.isfinite(jacobian).all() else said
+
+
+def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
+    """Say what makes the system Jacobian singular where the path rests; empty where it moves, or if that is not it.
+
+    Velocities and higher derivatives that are numbers without symmetry tell whether the configuration is to blame.
+    """
+    array, p = problem.array, problem.p
+    if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):
+        return ""
+    found = (
+        values if np.isfinite(values).all() else np.asarray(problem.resolved.once(inversion).guess(jet.T, p)).ravel()
+    )
+    jacobian = problem.resolved.once(_jacobian_call)
+    J = jacobian(found, jet.T, p)[0]
+    if condition_number(J) < SINGULAR_CONDITION:
+        return ""
+    places, n = array.places(each for each in array.unknowns if each[1]), len(problem.system.coordinates)
+    moving = np.array(found)
+    moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
+    where = ", ".join(f"{name} = {found[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
+    only = condition_number(jacobian(moving, jet.T, p)[0]) < SINGULAR_CONDITION
+    if only:
+        what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"
+        what += ", and with velocities it is not"
+    elif array.signature.equations.combined:
+        what = f"is singular at t = {time:.6g} s ({where}): either there is no relative degree, or terms cancel where"
+        what += " its combined equations hold and nowhere else, which structural analysis does not see"
+    else:
+        what = f"has no relative degree at t = {time:.6g} s ({where}): the system Jacobian is singular there, whatever"
+        what += " the velocities"
+    return f"{problem.system.name} {what}; {lost_rank(array.signature, J)}"

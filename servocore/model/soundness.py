@@ -1,0 +1,321 @@
+"""What the expressions of a system must be: numbers where numbers belong, a mass that is one, nothing dead or doubled.
+
+All is told from values at a few points, which costs less than to make the expressions: the configuration at home, its
+neighbours on two sides, and a point without symmetry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.numerics.calls import Array
+
+_NEIGHBOURHOOD = 0.01  # of the nominal magnitudes
+_CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is the round-off of a zero
+_DEPENDENT = 1e-9  # of the largest singular value of rows of length one
+_PART = 0.1  # of a dependence: what has a smaller part is not named
+
+_AT_REST = ("mass", "output", "input_matrix", "potential", "constraints")
+_MOVING = ("force", "gyroscopic")
+_TIMELESS = ("mass", "output", "input_matrix", "gyroscopic")
+_TIME = 0.3  # at which expressions of the time are looked at, in s
+
+Named = Sequence[tuple[str, ca.SX]]
+
+
+@dataclass(frozen=True, eq=False)
+class Written:
+    """What is looked at of a `servocore.model.system.MechanicalSystem`.
+
+    Attributes
+    ----------
+    name : str
+        Of the system, for messages.
+    inputs, observables, outputs, coordinates, parameters : sequence of (str, casadi.SX)
+        By name.
+    constraint_names : tuple of str
+        Of the holonomic constraints.
+    fields : mapping of str to casadi.SX
+        Expressions and symbols by the name of the attribute.
+    v, time : casadi.SX
+        Velocities, and the symbol of the time if there is one.
+    nominal : tuple of float
+        Typical magnitudes of the coordinates.
+    home : tuple of float
+        Value of the servo output.
+    home_parameters : ndarray
+        Parameter values.
+    """
+
+    name: str
+    inputs: Named
+    observables: Named
+    outputs: Named
+    coordinates: Named
+    parameters: Named
+    constraint_names: tuple[str, ...]
+    fields: Mapping[str, ca.SX]
+    v: ca.SX
+    time: ca.SX
+    nominal: tuple[float, ...]
+    home: tuple[float, ...]
+    home_parameters: Array
+
+    def names(self, kind: str) -> list[str]:
+        """Return the names of "coordinates" and the like."""
+        return [name for name, _ in getattr(self, kind)]
+
+    def symbols(self, kind: str) -> ca.SX:
+        """Return the column of "coordinates" or "parameters"."""
+        return ca.vertcat(ca.SX(0, 1), *(symbol for _, symbol in getattr(self, kind)))
+
+
+def require_sound(system: Written) -> None:
+    """Check names, symbols and values of all expressions of a system.
+
+    Raises
+    ------
+    InvalidModel
+        If a name stands for two quantities, an expression holds foreign symbols or numbers that are not finite, or M is
+        not symmetric and positive semidefinite.
+    """
+    _require_names(system)
+    q, v, p = system.symbols("coordinates"), system.v, system.symbols("parameters")
+    lam, u, gamma = (system.fields[each] for each in ("multipliers", "u", "gamma"))
+    groups = ca.vertcat(*(ca.vec(each) for each in (q, v, p, lam, u, gamma)))
+    if len(ca.symvar(groups)) < groups.numel():
+        raise InvalidModel(
+            f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
+        )
+    at_rest, moving = ({each: system.fields[each] for each in listed} for listed in (_AT_REST, _MOVING))
+    seen = {f"observable {name}": expression for name, expression in system.observables}
+    guess = {"guess": system.fields["guess"]}
+    _require_timeless(system)
+    start, still = _compiled(system, guess, (gamma, p)), _compiled(system, at_rest, (q, p, system.time))
+    forces = _compiled(system, moving, (q, v, p, system.time))
+    observe, clock = _compiled(system, seen, (q, v, p, lam, u, gamma)), np.full(system.time.numel(), _TIME)
+    home = _home(system, guess, start)
+    points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
+    rest = [np.sin(2.0 + np.arange(each.numel())).reshape(each.shape) for each in (lam, u, gamma)]
+    found = [_arrays(still.call([*each, clock])) for each in points]
+    _require_finite(system, at_rest, found)
+    _require_finite(system, moving, [_arrays(forces.call([each, rates, values, clock])) for each, values in points])
+    _require_finite(system, seen, [_arrays(observe.call([each, rates, values, *rest])) for each, values in points[-2:]])
+    masses = [each[0] for each in found]
+    _require_symmetric(system.name, masses)
+    require_mass(system.name, masses[:3], system.names("coordinates"))
+
+
+def _require_timeless(system: Written) -> None:
+    for each in _TIMELESS:
+        if system.time.numel() and ca.depends_on(system.fields[each], system.time):
+            raise InvalidModel(f"{system.name}: {each} must not depend on the time")
+
+
+def _require_names(system: Written) -> None:
+    """Raise `InvalidModel` if one name stands for two quantities: the second would vanish from what is reported.
+
+    An output or an observable may have the name of a coordinate that it is.
+    """
+    seen: dict[str, tuple[str, ca.SX]] = {}
+    for kind in ("inputs", "observables", "outputs", "coordinates", "parameters"):
+        for name, expression in getattr(system, kind):
+            other, found = seen.setdefault(name, (kind, expression))
+            if other == kind and found is not expression:
+                raise InvalidModel(
+                    f"{system.name}: two of the {kind} are called {name}, one of them needs another name"
+                )
+            if other != kind and not _same(found, expression):
+                raise InvalidModel(
+                    f"{system.name}: {name} is the name of two quantities, one of the {other} and one of the {kind};"
+                    " one of them needs another name"
+                )
+
+
+def _same(one: ca.SX, other: ca.SX) -> bool:
+    """Whether two expressions have the same value at a point without symmetry."""
+    if ca.is_equal(one, other):
+        return True
+    symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(ca.vertcat(one, other)))
+    values = ca.Function("sc_both", [symbols], [one, other])(np.sin(1.0 + np.arange(symbols.numel())))
+    first, second = (float(each) for each in values)
+    return abs(first - second) <= _DEPENDENT * max(abs(first), abs(second))
+
+
+def _compiled(system: Written, fields: Mapping[str, ca.SX], groups: Sequence[ca.SX]) -> ca.Function:
+    """Compile expressions of groups of symbols.
+
+    Raises
+    ------
+    InvalidModel
+        If an expression holds another symbol.
+    """
+    function = ca.Function("sc_fields", list(groups), list(fields.values()), {"allow_free": True})
+    for what, expression in fields.items() if function.get_free() else ():
+        leftover = ca.Function("sc_field", list(groups), [expression], {"allow_free": True}).get_free()
+        if leftover:
+            raise InvalidModel(f"{system.name}: {what} holds symbols that it must not use: {leftover}")
+    return function
+
+
+def _arrays(values: Sequence[ca.DM]) -> list[Array]:
+    return [np.asarray(each) for each in values]
+
+
+def _home(system: Written, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
+    """Return the configuration at home."""
+    gamma = np.zeros(guess.size_in(0))
+    gamma[:, 0] = system.home
+    found = np.asarray(guess(gamma, system.home_parameters))
+    _require_finite(system, fields, [[found]])
+    lost = np.flatnonzero(~np.isfinite(found.ravel()))
+    if len(lost):
+        raise InvalidModel(
+            f"{system.name}: the guess at home = {system.home} has no value for {system.names('coordinates')[lost[0]]};"
+            f" home must be a value of {', '.join(system.names('outputs'))} that the system can take"
+        )
+    return found.ravel()
+
+
+def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array, Array]]:
+    """Return points (q, p) at which a system is looked at.
+
+    Parameters
+    ----------
+    home : ndarray, shape (n,)
+        Configuration at home.
+    nominal : sequence of float, shape (n,)
+        Typical magnitudes of the coordinates.
+    p : ndarray
+        Parameter values at home.
+
+    Returns
+    -------
+    list of (ndarray, ndarray)
+        At home, beside it on two sides, and at a point without symmetry with parameter values that are none either.
+    """
+    angles = 1.0 + np.arange(len(home))
+    aside = _NEIGHBOURHOOD * np.asarray(nominal) * np.sin(angles)
+    disturbed = p * (1.03 + 0.01 * np.sin(1.0 + np.arange(len(p)))) + 0.02
+    return [(home, p), (home + aside, p), (home - aside, p), (np.sin(angles), disturbed)]
+
+
+def _require_finite(system: Written, fields: Mapping[str, ca.SX], values: Sequence[Sequence[Array]]) -> None:
+    """Raise `InvalidModel`, naming the first entry that is no finite number since a constant in it is none."""
+    for k, (field, expression) in enumerate(fields.items()):
+        finite = np.all([np.isfinite(point[k]) for point in values], axis=0)
+        for i, j in np.argwhere(~finite):
+            constants = _constants_not_finite(expression[int(i), int(j)])
+            if constants:  # else it only has no value at that point
+                entry = _entry(system, field, int(i), int(j))
+                raise InvalidModel(f"{system.name}: {entry} holds {constants[0]}, which is no finite number")
+
+
+def _constants_not_finite(expression: ca.SX) -> list[float]:
+    """Return the constants in an expression that are no finite numbers, in whatever depth."""
+    function = ca.Function("sc_constants", [ca.vertcat(ca.SX(0, 1), *ca.symvar(expression))], [expression])
+    constants = (
+        function.instruction_constant(k)
+        for k in range(function.n_instructions())
+        if function.instruction_id(k) == ca.OP_CONST
+    )
+    return [each for each in constants if not np.isfinite(each)]
+
+
+def _entry(system: Written, field: str, row: int, column: int) -> str:
+    """Return what messages call an entry of a field."""
+    coordinates = system.names("coordinates")
+    rows = {
+        "mass": coordinates, "input_matrix": system.names("inputs"), "output": system.names("outputs"),
+        "constraints": system.constraint_names, "force": coordinates, "gyroscopic": coordinates, "guess": coordinates,
+    }  # fmt: skip
+    if field not in rows:
+        return field
+    return f"{field}[{rows[field][row]}{f', {coordinates[column]}' if field in ('mass', 'input_matrix') else ''}]"
+
+
+def _require_symmetric(whose: str, masses: Sequence[Array]) -> None:
+    for mass in masses:
+        difference = np.abs(mass - mass.T).max(initial=0.0)
+        if difference > _DEPENDENT * max(1.0, float(np.abs(mass).max(initial=0.0))):
+            raise InvalidModel(f"{whose}: the mass matrix is not symmetric (by {difference:.2g})")
+
+
+def require_mass(whose: str, masses: Sequence[Array], names: Sequence[str], where: str = "at home") -> None:
+    """Raise `InvalidModel` unless a mass matrix is positive semidefinite at home, and at one of its neighbours.
+
+    Parameters
+    ----------
+    whose : str
+        Name of the system.
+    masses : sequence of ndarray, shape (n, n)
+        M at home, then at its neighbours: of a mass that grows with a coordinate, and is zero at home, one of them may
+        lie where it has no meaning.
+    names : sequence of str
+        Of the coordinates.
+    where : str
+        What messages call the place.
+    """
+    faults = [_fault(mass, names) for mass in masses if np.isfinite(mass).all()]
+    if faults and (faults[0] or all(faults[1:] or [""])):
+        raise InvalidModel(f"{whose}: the mass matrix is not positive semidefinite {where}: {faults[0] or faults[-1]}")
+
+
+def _fault(mass: Array, names: Sequence[str]) -> str:
+    """Say why a matrix is no mass matrix; empty if it is one."""
+    diagonal, largest = mass.diagonal(), float(np.abs(mass).max(initial=0.0))
+    negative = np.flatnonzero(diagonal < -_CANCELS * largest)
+    if len(negative):
+        return f"that of {names[negative[0]]} is {diagonal[negative[0]]:g}"
+    if not largest:
+        return ""
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, _CANCELS * largest))  # units do not decide
+    values, vectors = np.linalg.eigh(mass * scale * scale[:, None])
+    if values[0] >= -_DEPENDENT:
+        return ""
+    parts = np.abs(vectors[:, 0])
+    listed = ", ".join(names[k] for k in np.flatnonzero(parts > _PART * parts.max())[:4])
+    return f"a motion of {listed} has negative kinetic energy (eigenvalue {np.linalg.eigvalsh(mass)[0]:.3g})"
+
+
+def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kind: str) -> None:
+    """Raise `InvalidModel`, naming them, if some inputs or outputs are dead or follow from others.
+
+    Parameters
+    ----------
+    whose : str
+        Name of the system.
+    rows : sequence of ndarray, shape (m, n)
+        B or C at some points; what holds at all of them counts.
+    names : sequence of str
+        Of the rows.
+    kind : str
+        "input" or "output".
+    """
+    finite = [each for each in rows if np.isfinite(each).all()]
+    if not finite or not names:
+        return
+    dead = np.flatnonzero(np.all([~each.any(axis=1) for each in finite], axis=0))
+    if len(dead):
+        why = "drives no coordinate" if kind == "input" else "depends on no coordinate"
+        raise InvalidModel(f"{whose}: structurally singular, the {kind} {names[dead[0]]} {why}")
+    dependent = [_dependent(each) for each in finite]
+    if all(dependent):
+        listed = ", ".join(names[k] for k in dependent[-1])
+        why = "drive the same" if kind == "input" else "follow the same coordinates"
+        raise InvalidModel(f"{whose}: structurally singular, the {kind}s {listed} {why}: each is implied by the others")
+
+
+def _dependent(rows: Array) -> list[int]:
+    """Return rows that are combinations of one another; none if all are independent."""
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    left, values, _ = np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0))
+    if len(values) == len(rows) and values[-1] > _DEPENDENT * values[0]:
+        return []
+    parts = np.abs(left[:, -1])
+    return [int(k) for k in np.flatnonzero(parts > _PART * parts.max())]

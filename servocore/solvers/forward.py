@@ -1,0 +1,137 @@
+"""The integrator of `simulate`: SciPy's DOP853 step by step, with an end where it would go on without one."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from servocore.errors import IntegrationFailed
+from servocore.numerics.calls import Array
+
+Rate = Callable[[float, Array], Array]
+"""(time in s, state (q, v)) -> its derivative."""
+
+_WATCHED = 60  # steps; as many are looked at together
+_SLOW = 1e-3  # of the whole time: so little progress in so many steps is looked into
+_NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is looked at
+_SAME = 2.0  # a force that is a hundred times as far away no larger than this does not grow: it jumps
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """Tolerances of the integrator, and how long it may take.
+
+    Attributes
+    ----------
+    relative, absolute : float
+        On positions and velocities.
+    seconds : float or None
+        Of this machine; None for no limit.
+    """
+
+    relative: float
+    absolute: float
+    seconds: float | None = None
+
+
+def integrated(
+    name: str, coordinates: Sequence[str], rate: Rate, start: Array, t: Array, tolerance: Tolerance
+) -> tuple[Array, int, int]:
+    """Integrate an ordinary differential equation and report it at instants in rising order.
+
+    Parameters
+    ----------
+    name : str
+        Of the system, for messages.
+    coordinates : sequence of str, length n
+        What messages call the entries of q.
+    rate : callable
+        The equation.
+    start : ndarray, shape (2 n,)
+        State at the first instant.
+    t : ndarray, shape (N,)
+        Instants.
+    tolerance : Tolerance
+        How accurate, and how long.
+
+    Returns
+    -------
+    states : ndarray, shape (2 n, N)
+        At the instants.
+    steps, evaluations : int
+        What it took.
+
+    Raises
+    ------
+    IntegrationFailed
+        If the integrator gives up, time runs out, or a force changes sides without end.
+    """
+    import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    states, done, steps = np.repeat(start[:, None], len(t), axis=1), int((t == t[0]).sum()), 0
+    if done == len(t):
+        return states, 0, 0
+    solver = scipy.integrate.DOP853(rate, t[0], start, t[-1], rtol=tolerance.relative, atol=tolerance.absolute)
+    began, recent = time.monotonic(), deque[tuple[float, Array]](maxlen=_WATCHED)
+    while done < len(t):
+        message = solver.step()  # None unless it fails
+        steps += 1
+        if message or not np.isfinite(solver.y).all():
+            raise IntegrationFailed(
+                f"{name}: the forward simulation stopped at t = {solver.t:.6g} s:"
+                f" {message or 'its state is no longer finite'}"
+            )
+        if tolerance.seconds is not None and time.monotonic() - began > tolerance.seconds:
+            raise IntegrationFailed(
+                f"{name}: the forward simulation had come to t = {solver.t:.6g} s of {t[-1]:.6g} s when its time limit"
+                f" of {tolerance.seconds:g} s was over"
+            )
+        recent.append((solver.t, solver.y))
+        if steps % _WATCHED == 0 and solver.t - recent[0][0] < _SLOW * (t[-1] - t[0]):
+            _require_no_chatter(name, coordinates, rate, recent)
+        reached = int(np.searchsorted(t, solver.t, side="right"))
+        if reached > done:
+            states[:, done:reached] = solver.dense_output()(t[done:reached])
+            done = reached
+    return states, steps, int(solver.nfev)
+
+
+def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recent: deque[tuple[float, Array]]) -> None:
+    """Raise `IntegrationFailed` if an acceleration jumps across the states of the last steps.
+
+    A force that is steep, but continuous, grows with the distance; one that jumps, as dry friction with the sign of a
+    velocity, is the same near and far. Where it holds a body at rest, the velocity changes its sign at every step.
+    """
+    (began, _), (at, last) = recent[0], recent[-1]
+    states, n = np.array([state for _, state in recent]), len(coordinates)
+    ranges = np.ptp(states, axis=0) + 1e-15 * np.abs(states).max(axis=0)
+    for k in (*range(n, 2 * n), *range(n)):  # velocities first
+        middle = last.copy()
+        middle[k] = states[:, k].mean()
+        near, far = (_change(rate, at, middle, k, factor * float(ranges[k])) for factor in (_NEAR, _FAR))
+        worst = int(np.abs(near).argmax())
+        jump = float(abs(near[worst]))
+        if abs(far[worst]) < _SAME * jump and jump * (at - began) ** (1 if k >= n else 2) > ranges[k]:
+            quantity, x = (f"the velocity of {coordinates[k - n]}", "v") if k >= n else (coordinates[k], "x")
+            where = "sign" if abs(middle[k]) <= _NEAR * ranges[k] else f"passing of {middle[k]:.3g}"
+            raise IntegrationFailed(
+                f"{name}: the forward simulation does not get past t = {at:.6g} s: the acceleration of"
+                f" {coordinates[worst]} jumps by {jump:.3g} with the {where} of {quantity}, at every step, as where dry"
+                f" friction sticks; a smooth form does, such as tanh({x}/{x}_s) for sign({x}), where {x}_s is about a"
+                f" thousandth of the usual {x}"
+            )
+
+
+def _change(rate: Rate, at: float, state: Array, entry: int, distance: float) -> Array:
+    """Return how the accelerations change when an entry of the state goes from one side to the other."""
+    sides = []
+    for sign in (-1.0, 1.0):
+        aside = state.copy()
+        aside[entry] += sign * distance
+        sides.append(rate(at, aside)[len(state) // 2 :])
+    change: Array = sides[1] - sides[0]
+    return change

@@ -1,0 +1,116 @@
+"""Inputs that are given to `simulate`, as a function of time that answers within their time only."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from servocore.errors import IntegrationFailed, InvalidSetting, described
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.solution import Solution
+
+Inputs = Callable[[float], Array]
+"""Time in s -> inputs u, shape (m,)."""
+
+_ROUND_OFF = 1e-9  # of the duration
+
+
+def rising_times(t: Any) -> Array:
+    """Return times (N,) as an array.
+
+    Raises
+    ------
+    InvalidSetting
+        If there are none, or they are no finite numbers in rising order.
+    """
+    try:
+        times = np.atleast_1d(np.asarray(t, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InvalidSetting(f"the times at which to report must be numbers in s, not {described(t)}") from None
+    if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
+        raise InvalidSetting(
+            f"the times at which to report must be one row of finite numbers in s, not an array of shape {times.shape}"
+            + ("" if np.isfinite(times).all() else f" that holds {times[~np.isfinite(times)][0]}")
+        )
+    falls = np.flatnonzero(np.diff(times) < 0.0)
+    if len(falls):
+        k = int(falls[0])
+        raise InvalidSetting(f"the times at which to report must rise, but {times[k + 1]:g} s follows {times[k]:g} s")
+    return times
+
+
+def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inputs:
+    """Return the inputs of a solution as a function of time: a cubic spline through its samples.
+
+    Parameters
+    ----------
+    solution : Solution
+        With the inputs of the system by name.
+    system : MechanicalSystem
+        What they drive.
+    t : ndarray, shape (N,)
+        Times that they are to cover, in rising order.
+
+    Raises
+    ------
+    InvalidSetting
+        If an input is missing or not finite, or the times leave those of the solution.
+    """
+    import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    names = [each.name for each in system.inputs]
+    missing = [name for name in names if name not in solution]
+    if missing:
+        raise InvalidSetting(
+            f"the solution lacks the inputs {', '.join(missing)} of {system.name}; it has {', '.join(solution.names)}"
+        )
+    first, last = float(solution.t[0]), float(solution.t[-1])
+    slack = _ROUND_OFF * (last - first)
+    if t[0] < first - slack or t[-1] > last + slack:
+        raise InvalidSetting(
+            f"the inputs are known from t = {first:g} s to {last:g} s, the simulation is to go from {t[0]:g} s to"
+            f" {t[-1]:g} s: nothing says what they are outside their time"
+        )
+    table = np.column_stack([np.empty((len(solution.t), 0)), *(solution[name] for name in names)])
+    bad = np.argwhere(~np.isfinite(table))
+    if len(bad):
+        k, j = bad[0]
+        raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
+    if len(solution.t) < 2:
+        return lambda _: table[0]
+    spline = scipy.interpolate.make_interp_spline(solution.t, table, k=min(3, len(solution.t) - 1))
+
+    def evaluate(time: float) -> Array:
+        values: Array = spline(min(max(time, first), last))  # an instant may lie outside by round-off
+        return values
+
+    return evaluate
+
+
+def counted(inputs: Callable[[float], Any], system: MechanicalSystem) -> Inputs:
+    """Return a function of time whose values are looked at: as many finite numbers as the system has inputs."""
+    names = [each.name for each in system.inputs]
+
+    def evaluate(time: float) -> Array:
+        given = inputs(time)
+        try:
+            values = np.asarray(given, dtype=np.float64).reshape(-1)
+        except (TypeError, ValueError):
+            raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(given)}") from None
+        if len(values) != len(names):
+            raise InvalidSetting(
+                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {system.name} has"
+                f" {len(names)}: {', '.join(names)}"
+            )
+        if not np.isfinite(values).all():
+            lost = int(np.flatnonzero(~np.isfinite(values))[0])
+            raise IntegrationFailed(
+                f"{system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
+                f" {values[lost]}"
+            )
+        return values
+
+    return evaluate

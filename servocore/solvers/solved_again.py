@@ -1,0 +1,68 @@
+"""Exact inversions from an answer that is known: another exact one, or that of a run of steps.
+
+From a guess beside an exact answer: what changes is what Newton's method left. From a run: the exact answer on its
+branch, without following one, if what is found goes on from instant to instant.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
+from servocore.problem import Problem
+from servocore.solution import Solution
+from servocore.solvers.following import CONTINUOUS, Branch, on_one_branch
+from servocore.solvers.loop import Run, run
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import compile_restart_of, program_of
+from servocore.stepping.given_starts import started
+from servocore.structure.inversion import inversion
+
+_ASIDE = 1e-7  # relative
+
+
+def solved_again(problem: Problem, times: Array) -> Solution:
+    """Return the inputs alone, at instants of a problem without internal dynamics."""
+    states, array, count = _exact_states(problem, times), problem.array, len(times)
+    aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
+    jets = side_by_side(problem.reference.jet(times, array.reference_order))
+    search = mapped(problem.resolved.once(inversion).search, count)
+    found = search(jets, np.tile(problem.p[:, None], count), aside)[0].reshape(len(states), -1, order="F")
+    inputs = problem.system.inputs
+    places = [array.position(f"u.{each.name}", 0) for each in inputs]
+    return Solution(times, inputs, found[places].T, "the exact inversion, solved again")
+
+
+def _exact_states(problem: Problem, t: Array) -> Array:
+    """Return all unknowns of the derivative array (size, N) at instants, on one branch."""
+    if problem.follow_branch:
+        first = partial(started, (compile_restart_of, Reduced(), BackwardEuler()))
+        return run(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    states, _, residual = at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)
+    return on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))[0]
+
+
+def solved_beside(problem: Problem, solution: Solution) -> Solution | None:
+    """Return the exact inversion nearest to a run; None if it is not solved, or not seen to be on one branch."""
+    array, inverse, t = problem.array, problem.resolved.once(inversion), solution.t
+    jets = side_by_side(problem.reference.jet(t, array.reference_order))
+    p = np.tile(problem.p[:, None], len(t))
+    guess = mapped(inverse.guess, len(t))(jets, p)[0].reshape(len(array.unknowns), -1, order="F").copy()
+    for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
+        for each in (quantity for quantity in quantities if quantity.name in solution):
+            known = solution[each.name]
+            for order in range(3):
+                entry = (array.names.index(f"{kind}.{each.name}"), order)
+                if entry in array.unknowns:
+                    guess[array.places([entry])[0]] = known
+                known = np.gradient(known, t)
+    states = mapped(inverse.search, len(t))(jets, p, guess)[0].reshape(len(guess), -1, order="F")
+    if not np.isfinite(states).all() or len(Branch.along(problem, states).jumps(t, states)):
+        return None
+    program = program_of(problem, Reduced(), BackwardEuler())
+    return solution_of(problem, [Segment(program, t, Run(states, 0, 0, 0.0))], branch=CONTINUOUS)

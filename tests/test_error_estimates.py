@@ -1,0 +1,350 @@
+"""How far inputs are from right is known where it counts, and warned of from 5 % of their peaks on."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import warnings
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside.systems import vtol
+from problems import as_scene, scene
+
+import servocore as sc
+from servocore.checks.certificates import look
+from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
+from servocore.scenes import jets
+from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.solve import judge_of
+
+DAMPED = (sc.BackwardEuler(), sc.BDF(2), sc.BDF(4), sc.RadauIIA(2), sc.RadauIIA(3), sc.GeneralizedAlpha())
+UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
+
+
+def solved(subject: sc.Scene, *arguments, **settings) -> tuple[sc.Solution, list[str]]:
+    """Solve, and return what was said of the inputs."""
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        found = sc.solve(subject, *arguments, **settings)
+    said = [str(each.message) for each in heard]
+    return found, [each for each in said if "is off by" in each]
+
+
+def assert_known_and_warned_of(exact: dict[str, np.ndarray], found: sc.Solution, said: list[str]) -> None:
+    """The estimate is within a factor of three of the truth, and the warning given if and only if there is cause."""
+    error = found.error
+    shares = {}
+    for name in error:
+        true, peak = np.abs(found[name] - exact[name]).max(), np.abs(exact[name]).max()
+        shares[name] = true / peak
+        if true > 1e-9 * peak:
+            assert true / 3 < error[name] < 3 * true
+        assert error.relative[name] == pytest.approx(error[name] / peak, rel=1e-6)
+    worst = max(shares, key=lambda each: shares[each])
+    assert len(said) == (shares[worst] > LARGEST_UNWARNED)
+    assert all(f": {worst} is off by " in each for each in said)
+
+
+# Random members -------------------------------------------------------------------------------------------------------
+
+
+def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.ndarray:
+    """The path is a polynomial, so the slide of the mass is one too, and a decaying oscillation from rest."""
+    profile = np.polynomial.Polynomial([0, 0, 0, 0, 0, 126, -420, 540, -315, 70])
+    rise = 2.0 * profile(np.polynomial.Polynomial([0.0, 1.0 / duration]))
+    sin, cos = np.sin(p["inclination"]), np.cos(p["inclination"])
+    inertia, damping, stiffness = p["mass"] * sin**2, p["damping"], p["stiffness"]
+    drive, slide = -p["mass"] * cos * rise.deriv(2).coef, np.zeros(10)
+    for n in range(len(drive) - 1, -1, -1):
+        known = damping * (n + 1) * slide[n + 1] + inertia * (n + 2) * (n + 1) * slide[n + 2]
+        slide[n] = (drive[n] - known) / stiffness
+    steady = np.polynomial.Polynomial(slide)
+    roots = np.roots([inertia, damping, stiffness]).astype(complex)
+    weights = np.linalg.solve(np.vander(roots, 2, increasing=True).T, [-steady(0.0), -steady.deriv()(0.0)])
+    swings = (weights * roots**2 * np.exp(np.outer(t, roots))).sum(axis=1).real
+    acceleration = rise.deriv(2)(t) - cos * (steady.deriv(2)(t) + swings)
+    return p["car_mass"] * acceleration + p["mass"] * rise.deriv(2)(t)
+
+
+@settings(max_examples=15)
+@given(
+    stiffness=st.floats(0.0, 2.5),
+    damping=st.floats(-2.0, -0.1),
+    inclination=st.floats(0.2, 1.5),
+    duration=st.floats(1.0, 8.0),
+    form=st.sampled_from([sc.Projected(), sc.Reduced(), sc.Original()]),
+    method=st.sampled_from([*DAMPED, *UNDAMPED]),
+    steps=st.integers(12, 700),
+)
+def test_a_mass_on_a_car_is_judged_by_better_runs(stiffness, damping, inclination, duration, form, method, steps):
+    """Internal oscillations from slow to fast, from hardly damped to well damped, followed well and badly."""
+    k = 10**stiffness
+    subject = (
+        scene("mass_on_car")
+        .with_parameters(
+            stiffness=k, inclination=inclination, damping=10**damping * np.sqrt(8 * k) * np.sin(inclination)
+        )
+        .with_reference(sc.rest_to_rest((0.0,), (2.0,), duration))
+    )
+    found, said = solved(subject, form, method, step=duration / steps)
+    exact = {"u": force_on_the_car(found.t, duration, subject.parameter_values())}
+    assert_known_and_warned_of(exact, found, said)
+
+
+@settings(max_examples=20)
+@given(
+    stiffness=st.floats(0.0, 3.0),
+    duration=st.floats(0.5, 8.0),
+    form=st.sampled_from([sc.Projected(), sc.Original()]),
+    method=st.sampled_from([*DAMPED, *UNDAMPED]),
+    steps=st.integers(12, 700),
+)
+def test_cars_are_judged_by_the_exact_inversion_at_every_instant(stiffness, duration, form, method, steps):
+    subject = (
+        scene("cars")
+        .with_parameters(stiffness_1=10**stiffness)
+        .with_reference(sc.rest_to_rest((0.0,), (1.0,), duration, sc.DEGREE13))
+    )
+    try:
+        found, said = solved(subject, form, method, step=duration / steps)
+    except sc.IntegrationFailed:
+        assert isinstance(form, sc.Original)  # whose inputs grow without bound
+        return
+    assert_known_and_warned_of(subject.exact(found.t), found, said)
+
+
+# A system of somebody's own -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CubicCars:
+    """Two cars of 1 kg with the spring force k e + k3 e^3."""
+
+    k: float = 1.0
+    k3: float = 3.0
+
+    def __call__(self) -> sc.MechanicalSystem:
+        coordinates = sc.Coordinates(sc.Quantity("x_1", "m"), sc.Quantity("x_2", "m"))
+        stretch = coordinates["x_1"] - coordinates["x_2"]
+        return sc.MechanicalSystem(
+            name="cubic cars",
+            coordinates=coordinates,
+            parameters=sc.Parameters(),
+            inputs=(sc.Quantity("F", "N"),),
+            outputs=(sc.Quantity("y", "m"),),
+            mass=ca.SX.eye(2),
+            output=coordinates["x_1"],
+            input_matrix=ca.SX([[0.0, -1.0]]),
+            potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4,
+        )
+
+    def closed_form(self, reference: np.ndarray, _) -> dict[str, np.ndarray]:
+        """F = x_1'' + x_2'', where x_2 = x_1 - e and k e + k3 e^3 = -x_1''."""
+        y = jets.components(reference)[0].derivatives()
+        force, rate, second = -y[2], -y[3], -y[4]
+        root = np.sqrt((force / (2 * self.k3)) ** 2 + (self.k / (3 * self.k3)) ** 3)
+        e = np.cbrt(force / (2 * self.k3) + root) + np.cbrt(force / (2 * self.k3) - root)  # Cardano
+        slope, curvature = self.k + 3 * self.k3 * e**2, 6 * self.k3 * e
+        e_rate = rate / slope
+        return {"F": 2 * y[2] - (second - curvature * e_rate**2) / slope}
+
+    def scene(self, duration: float) -> sc.Scene:
+        reference = sc.rest_to_rest((0.0,), (1.0,), duration)
+        return as_scene(self(), reference, closed_form=self.closed_form, closed_form_order=4)
+
+
+@pytest.mark.parametrize("duration", [1.0, 2.0, 4.0, 16.0])
+@pytest.mark.parametrize("steps", [100, 400, 3200])
+def test_a_spike_between_samples_is_seen(duration, steps):
+    """Where the cubic spring goes through zero the force has a spike that lasts a few steps."""
+    subject = CubicCars().scene(duration)
+    assert np.abs(sc.solve(subject)["F"] - subject.exact(sc.solve(subject).t)["F"]).max() < 1e-8 * 1e4
+    found, said = solved(subject, sc.Projected(), sc.BackwardEuler(), step=duration / steps)
+    assert_known_and_warned_of(subject.exact(found.t), found, said)
+
+
+# Every route ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch():
+    for name in ("cars", "overhead_crane", "elastic_bar"):
+        found = sc.solve(scene(name))
+        assert 0.0 < found.error.largest < 1e-10
+        assert found.statistics.branch.startswith("one: ")
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1e3])
+def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale):
+    """A path of a nanometre where a metre is typical: Newton's method stops before it has begun."""
+    subject = CubicCars(k=1.0, k3=3.0 / scale**2).scene(4.0)
+    found = sc.solve(subject.with_reference(sc.rest_to_rest((0.0,), (scale,), 4.0)))
+    exact = subject.with_reference(sc.rest_to_rest((0.0,), (scale,), 4.0)).exact(found.t)["F"]
+    true, peak = np.abs(found["F"] - exact).max(), np.abs(exact).max()
+    assert true < 1e-10 * peak or true / 3 < found.error["F"] < 3 * true
+
+
+def test_a_run_is_compared_on_the_branch_that_it_began_on():
+    """An aircraft that turns over: from the guess of the model exact inversions jump to another attitude."""
+    aircraft = vtol()
+    found, said = solved(aircraft.scene, sc.Projected(), sc.BDF(2), step=0.005)
+    exact = aircraft.exact(found.t)
+    assert said == []
+    assert found.statistics.branch.startswith("one: every instant is near what the exact inversion gives")
+    true = np.abs(found["torque"] - exact["torque"]).max()
+    assert found.error["torque"] == pytest.approx(true, rel=1e-3)
+
+
+def test_a_bounded_inversion_is_compared_with_one_of_higher_order():
+    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
+    found, said = solved(unstable, None, sc.BoundaryValue(tolerance=0.05, stages=1), step=0.4)
+    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
+    assert said == []
+    assert found.error["u"] == pytest.approx(true, rel=0.1)
+
+
+def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_does():
+    unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
+    with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
+        found = sc.solve(unstable, sc.Reduced(), sc.RadauIIA(3), step=0.04)
+    true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
+    assert found.error["u"] == pytest.approx(true, rel=1e-6)
+
+
+def test_a_tolerance_is_judged_as_a_step_is():
+    found, said = solved(scene("mass_on_car"), sc.Reduced(), sc.BDF(2), step=sc.Adaptive(1e-3))
+    true = np.abs(found["u"] - scene("mass_on_car").exact(found.t)["u"]).max()
+    assert said == []
+    assert found.error["u"] == pytest.approx(true, rel=0.1)
+
+
+@dataclass(frozen=True)
+class Elsewhere:
+    """A route of somebody's own."""
+
+    def run(self, problem, times, progress=None):  # noqa: ARG002
+        values = np.zeros((len(times), len(problem.system.inputs)))
+        return sc.Solution(times, problem.system.inputs, values, "elsewhere")
+
+
+def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is():
+    found = sc.solve(scene("cars"), method=Elsewhere())
+    assert found.error.relative["u"] == pytest.approx(1.0)
+    found, said = solved(scene("mass_on_car"), method=Elsewhere())
+    assert said == []
+    assert found.error["u"] is None
+    assert found.error.largest is None
+    assert "nothing is known to solve mass on car, generalized" in found.error.basis
+
+
+# What is said ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("form", "method", "smaller"),
+    [
+        (sc.Projected(), sc.BackwardEuler(), True),
+        (sc.Original(), sc.BackwardEuler(), False),
+        (sc.Projected(), sc.Trapezoidal(), False),
+        (sc.Projected(), sc.GeneralizedAlpha(1.0), False),
+    ],
+    ids=str,
+)
+def test_a_smaller_step_is_advised_only_where_it_helps(form, method, smaller):
+    cars = scene("cars").with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
+    found, (said,) = solved(cars, form, method, step=0.02)
+    told = re.fullmatch(
+        rf"2 cars, points, {form.name}, {re.escape(method.name)}, step 0\.02 s: u is off by (\S+ %|\S+ times|more than"
+        r" 10000 times)(?: of)? its peak; at t = \S+ s it is \S+ N, the exact inversion gives \S+ N; the default route,"
+        r" solve without a form and a method, has no step(; a smaller step errs less)?",
+        said,
+    )
+    assert told is not None, said
+    assert (told[2] is not None) == smaller
+    if smaller:
+        assert solved(cars, form, method, step=0.01)[0].error.largest < 0.7 * found.error.largest
+
+
+def test_advice_to_the_default_route_is_to_use_a_smaller_step():
+    found, (said,) = solved(scene("mass_on_car"), step=2.0)
+    assert said.endswith("; a smaller step errs less")
+    assert "default" not in said
+    assert found.error.largest > LARGEST_UNWARNED
+
+
+def test_an_input_that_is_next_to_nothing_is_not_compared_with_itself():
+    """The crane moves in a plane: the slewing torque is round-off."""
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -3.0), 20.0)
+    found, said = solved(
+        scene("rotary_crane").with_reference(path), sc.Projected(), sc.BackwardEuler(), step=0.05, model="generalized"
+    )
+    assert said == []
+    assert found.error.largest < LARGEST_UNWARNED
+
+
+def test_without_checks_nothing_is_said_and_the_error_is_known_when_asked_for():
+    found, said = solved(scene("rotary_crane"), sc.Projected(), sc.BackwardEuler(), step=0.1, checks=False)
+    assert said == []
+    assert found.statistics.branch == ""
+    assert found.error.relative["M_b"] == pytest.approx(0.23, abs=0.01)
+    assert list(found.error) == ["M_b", "F", "M_w"]
+    assert found.error.basis == "the exact inversion"
+
+
+def test_an_error_is_computed_once_and_of_the_values_at_hand():
+    asked = []
+    found = sc.solve(scene("cars"))
+    counted = replace(found, estimator=lambda it: asked.append(it) or found.estimator(it))
+    assert asked == []
+    assert counted.error is counted.error
+    assert asked == [counted]
+    worse = replace(found, values=1.5 * found.values)
+    assert worse.error.relative["u"] == pytest.approx(0.5)
+
+
+def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estimate():
+    asked, not_asked = sc.solve(scene("cars")), sc.solve(scene("cars"))
+    assert asked.error["u"] < 1e-10
+    assert pickle.loads(pickle.dumps(asked)).error["u"] == asked.error["u"]
+    assert len(pickle.loads(pickle.dumps(not_asked)).error) == 0
+
+
+# One motion -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not():
+    t = np.linspace(0.0, 2.5, 200)
+    winch = np.column_stack([np.cos(6 * t**2), np.sin(6 * t**2), t])
+    assert len(steps_that_stand_out(winch)) == 0
+    jumping = winch + np.where(t > 1.2, 1.0, 0.0)[:, None]
+    assert steps_that_stand_out(jumping).tolist() == [int((t <= 1.2).sum()) - 1]
+
+
+def test_a_motion_that_changes_over_is_neither_called_one_nor_right():
+    """The aircraft is turned upside down within a step: thrust and attitude jump, everything else goes on."""
+    aircraft = vtol()
+    found = sc.solve(aircraft.scene, sc.Projected(), sc.BDF(2), step=0.005)
+    values, after = found.values.copy(), found.t > 2.0
+    values[after, found.names.index("f")] *= -1.0
+    values[after, found.names.index("theta")] += np.pi
+    turned, problem = replace(found, values=values), sc.Problem.of(aircraft.scene)
+    judge, how = judge_of(problem, FixedStep(sc.Projected(), sc.BDF(2))), (sc.Projected(), sc.BDF(2))
+    with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
+        said = look(problem, judge, turned, False, how)
+    assert said == (
+        "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
+        " another motion from t = 2.005 s"
+    )
+    assert turned.error.relative["f"] == pytest.approx(2.0, rel=0.05)
+
+
+def test_every_solution_says_of_its_motion_that_it_is_one():
+    for name in ("cars", "mass_on_car", "passive_joint_arm", "rotary_crane"):
+        for form in (sc.Projected(), sc.Reduced()):
+            for step in (sc.Adaptive(1e-2), scene(name).reference.duration / 200):
+                method = sc.RadauIIA(3) if form == sc.Reduced() else sc.BDF(2)
+                assert solved(scene(name), form, method, step=step)[0].statistics.branch.startswith("one: ")

@@ -1,0 +1,300 @@
+"""What is refused says why: out of reach and by how much, singular and where; and simulations end."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import casadi as ca
+import numpy as np
+import pytest
+from problems import as_scene, driven_pendulum, polynomial_path, scene
+
+import servocore as sc
+
+CRANE = scene("rotary_crane")
+REACH = 1.8
+"""Of the arm, in m: both of its links."""
+
+
+def linkage(masses, output, drive, *names, **more):
+    """Return a system of points on coordinates x, y, ... with forces F, G, ... and outputs a, b, ..."""
+    coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
+    q = ca.vertsplit(coordinates.q)
+    outputs, rows = output(*q), drive(*q)
+    if "potential" in more:
+        more["potential"] = more["potential"](*q)
+    return sc.MechanicalSystem(
+        name="points",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=tuple(sc.Quantity(each, "N") for each in "FGH"[: len(outputs)]),
+        outputs=tuple(sc.Quantity(each, "m") for each in "abc"[: len(outputs)]),
+        mass=np.diag(masses),
+        output=outputs,
+        input_matrix=rows,
+        **more,
+    )
+
+
+def arm(start, end):
+    """Return an arm of two links, 1 m and 0.8 m, whose tip goes from one point to another in 2 s."""
+    coordinates = sc.Coordinates(sc.Quantity("alpha", "rad"), sc.Quantity("beta", "rad"))
+    a, b = ca.vertsplit(coordinates.q)
+    system = sc.MechanicalSystem(
+        name="arm",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=(sc.Quantity("T_1", "N.m"), sc.Quantity("T_2", "N.m")),
+        outputs=(sc.Quantity("X", "m"), sc.Quantity("Y", "m")),
+        mass=np.eye(2),
+        output=[ca.cos(a) + 0.8 * ca.cos(a + b), ca.sin(a) + 0.8 * ca.sin(a + b)],
+        input_matrix=-np.eye(2),
+        guess=(0.3, 1.0),
+        home=(1.0, 0.9),
+    )
+    return as_scene(system, sc.rest_to_rest(start, end, 2.0))
+
+
+def refusal(subject, way):
+    """Return the reason that one of the ways to solve or look at a scene gives."""
+    ways = {
+        "analyse": lambda: sc.analyse(subject).reason,
+        "ExactInversion": lambda: sc.ExactInversion(subject),
+        "reduced": lambda: sc.solve(subject),
+        "projected": lambda: sc.solve(subject, sc.Projected()),
+    }
+    if way == "analyse":
+        return ways[way]()
+    with pytest.raises(sc.InvalidReference) as caught:
+        ways[way]()
+    return str(caught.value)
+
+
+# Out of reach ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("way", "end"),
+    [
+        ("reduced", (2.0, 1.5)), ("projected", (2.0, 1.5)), ("ExactInversion", (-1.2, 1.8)), ("analyse", (0.9, -2.1)),
+    ],
+)  # fmt: skip
+def test_a_path_out_of_reach_says_from_when_on_and_by_how_much(way, end):
+    """The tip cannot be farther than 1.8 m from the shoulder; it is missed along the line to it."""
+    subject = arm((1.0, 0.9), end)
+    sentence = refusal(subject, way)
+    path, distance = subject.reference, np.hypot(*end)
+    t = np.linspace(0.0, 2.0, 20001)
+    leaves = t[np.argmax(np.hypot(*path.jet(t, 0)[:, 0].T) > REACH)]
+    missed = distance - REACH
+    said = re.fullmatch(
+        r"arm: from t = (\S+) s on the path is out of reach; at t = 2 s the nearest configuration found misses"
+        r" X = (\S+) m by (\S+) m and Y = (\S+) m by (\S+) m, (\S+) m in all",
+        sentence,
+    )
+    begin, x, off_x, y, off_y, off = map(float, said.groups())
+    assert begin == pytest.approx(leaves, abs=2e-4)
+    assert (x, y) == end
+    assert off == pytest.approx(missed, rel=5e-3)
+    assert (off_x, off_y) == pytest.approx((missed * abs(x) / distance, missed * abs(y) / distance), rel=5e-3)
+
+
+def test_a_point_that_is_reached_to_the_last_millimetre_is_no_miss():
+    """Beyond 1.7999 m the arm is all but straight, and still solved."""
+    assert sc.solve(arm((1.0, 0.9), (1.7999 * 0.8, 1.7999 * 0.6)), step=0.02)["X"][-1] == pytest.approx(1.7999 * 0.8)
+
+
+# Singular -------------------------------------------------------------------------------------------------------------
+
+AT_REST = {
+    "an output that is a square": (
+        linkage([1, 1], lambda x, y: [x**2, y], lambda *_: -np.eye(2), "x", "y"), (0.0, 0.0), (1.0, 1.0), "q.x",
+    ),
+    "a coupling that vanishes at rest": (
+        linkage([1, 1], lambda _, y: [y], lambda *_: [-1.0, 0.0], "x", "y", potential=lambda x, y: x**2 * y),
+        (0.0,), (1.0,), "q.x",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", AT_REST)
+def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case):
+    system, start, end, variable = AT_REST[case]
+    subject = as_scene(system, sc.rest_to_rest(start, end, 2.0))
+    reason = sc.analyse(subject).reason
+    assert reason.startswith("points has no relative degree at ")
+    assert "t = 0 s" in reason
+    assert variable in reason.split("the variables ")[1]
+    for form in (None, sc.Original()):
+        with pytest.raises((sc.InconsistentStart, sc.IntegrationFailed)) as caught:
+            sc.solve(subject, form)
+        assert str(caught.value) == reason
+    with pytest.raises(sc.IntegrationFailed, match="no relative degree"):
+        sc.ExactInversion(subject)
+
+
+def test_nothing_that_drives_an_output_is_structurally_singular_for_all():
+    system = linkage([1, 1], lambda _, y: [y], lambda *_: [-1.0, 0.0], "x", "y")
+    subject = as_scene(system, sc.rest_to_rest((0.0,), (1.0,), 2.0))
+    reason = sc.analyse(subject).reason
+    assert "structurally singular" in reason
+    for form in (None, sc.Projected(), sc.Original()):
+        with pytest.raises(sc.InvalidModel) as caught:
+            sc.solve(subject, form)
+        assert str(caught.value) == reason
+
+
+# What is advised ------------------------------------------------------------------------------------------------------
+
+
+def test_a_smaller_step_is_not_advised_where_errors_grow_with_it():
+    """On the original form of index five the generalised crane fails at every step size."""
+    with pytest.raises(sc.IntegrationFailed) as caught:
+        sc.solve(CRANE, sc.Original(), sc.BackwardEuler(), step=0.1, model="generalized", checks=False)
+    sentence = str(caught.value)
+    assert "errors that this form of index 5 amplifies from step to step, more so the smaller the step" in sentence
+    assert "a step too large" not in sentence
+    assert "a smaller step" not in sentence
+
+
+def test_another_form_is_advised_where_it_helps():
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        sc.solve(CRANE, sc.Original(), sc.RadauIIA(2), step=1.0)
+    assert any(str(each.message).endswith("no step is small enough; use the form Reduced()") for each in heard)
+    found, exact = sc.solve(CRANE, sc.Reduced(), sc.RadauIIA(2), step=1.0), CRANE.exact(np.arange(21.0))
+    np.testing.assert_allclose(found["M_b"], exact["M_b"], atol=1e-9 * np.abs(exact["M_b"]).max())
+
+
+# Simulation -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def inputs():
+    return sc.solve(CRANE, step=0.1)
+
+
+@pytest.mark.parametrize("t", [[0.0, 20.1], [-0.5, 3.0], [25.0, 30.0]])
+def test_inputs_are_not_known_outside_their_time(inputs, t):
+    said = re.escape(
+        f"the inputs are known from t = 0 s to 20 s, the simulation is to go from {t[0]:g} s to {t[1]:g} s: nothing"
+        " says what they are outside their time"
+    )
+    with pytest.raises(sc.InvalidSetting, match=f"^{said}$"):
+        sc.simulate(CRANE, inputs, t=np.array(t))
+
+
+@pytest.mark.parametrize(
+    ("t", "said"),
+    [
+        ([0.0, 3.0, 2.0], "must rise, but 2 s follows 3 s"),
+        ([3.0, 1.0], "must rise, but 1 s follows 3 s"),
+        ([0.0, np.nan], r"an array of shape \(2,\) that holds nan"),
+        ([], r"an array of shape \(0,\)"),
+        ([[0.0, 1.0]], r"an array of shape \(1, 2\)"),
+        ("now", "must be numbers in s, not the text 'now'"),
+    ],
+)
+def test_times_to_report_at_rise(inputs, t, said):
+    with pytest.raises(sc.InvalidSetting, match=f"^the times at which to report .*{said}$"):
+        sc.simulate(CRANE, inputs, t=t)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 4, 7])
+def test_too_few_or_many_inputs_are_counted(count):
+    said = f"the function of time returns {count} inputs at t = 0 s, rotary crane, points has 3: M_b, F, M_w"
+    with pytest.raises(sc.InvalidSetting, match=f"^{said}$"):
+        sc.simulate(CRANE, lambda _: np.zeros(count), t=[0.0, 1.0])
+
+
+def test_inputs_of_another_scene_are_missed_by_name(inputs):
+    pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
+    with pytest.raises(sc.InvalidSetting, match=r"^the solution lacks the inputs torque of pendulum; it has M_b, F, "):
+        sc.simulate(pendulum, inputs)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"inputs": np.zeros((3, 3))}, "the inputs must be a Solution or a function of time, not a numpy.ndarray"),
+        ({"inputs": lambda _: ["a", "b", "c"]}, "the inputs at t = 0 s must be numbers, not a list"),
+        ({"rtol": "tight"}, "rtol must be a positive number, not the text 'tight'"),
+        ({"atol": np.inf}, "atol must be positive and finite, not inf"),
+        ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0.0"),
+    ],
+)
+def test_arguments_of_a_simulation_are_looked_at(arguments, said):
+    with pytest.raises(sc.InvalidSetting, match=f"^{re.escape(said)}$"):
+        sc.simulate(CRANE, **{"inputs": lambda _: np.zeros(3), "t": [0.0, 1.0], **arguments})
+
+
+def test_an_input_that_is_no_number_stops_the_simulation_with_its_name():
+    pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
+    with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = 0\.\d+ s: the input torque is nan$"):
+        sc.simulate(pendulum, lambda time: [np.nan if time > 0.5 else 0.0], t=[0.0, 1.0])
+
+
+def test_one_instant_is_the_initial_state():
+    pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
+    assert sc.simulate(pendulum, lambda _: [0.0], t=[0.5, 0.5])["theta"] == pytest.approx([0.3, 0.3])
+
+
+def test_a_simulation_ends_when_its_time_is_over(inputs):
+    said = r"the forward simulation had come to t = \S+ s of 20 s when its time limit of 1e-05 s was over$"
+    with pytest.raises(sc.IntegrationFailed, match=said):
+        sc.simulate(CRANE, inputs, time_limit=1e-5)
+
+
+def block(friction, *, masses=1):
+    """Return blocks in a row with friction, pushed by a force on the first that is too weak to keep it moving."""
+    names = ("x", "y")[:masses]
+    coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
+    return as_scene(
+        sc.MechanicalSystem(
+            name="block",
+            coordinates=coordinates,
+            parameters=sc.Parameters(),
+            inputs=(sc.Quantity("F", "N"),),
+            outputs=(sc.Quantity("out", "m"),),
+            mass=np.eye(masses),
+            output=coordinates.q[0],
+            input_matrix=[-1.0, *[0.0] * (masses - 1)],
+            force=friction(*ca.vertsplit(coordinates.v)),
+        ),
+        polynomial_path([[0.0], [0.5]], 2.0),
+    )
+
+
+STICKING = {
+    "sign": (lambda v: -2.0 * ca.sign(v), 1),
+    "if_else": (lambda v: -2.0 * ca.if_else(v > 0, 1, -1), 1),
+    "between blocks": (lambda v, w: [-5.0 * ca.sign(v - w), 5.0 * ca.sign(v - w) - w], 2),
+}
+
+
+@pytest.mark.parametrize("case", STICKING)
+def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case):
+    friction, masses = STICKING[case]
+    said = (
+        r"^block: the forward simulation does not get past t = \S+ s: the acceleration of x jumps by \S+ with the .*"
+        r" the velocity of x, at every step, as where dry friction sticks; a smooth form does, such as tanh\(v/v_s\)"
+        r" for sign\(v\), where v_s is about a thousandth of the usual v$"
+    )
+    with pytest.raises(sc.IntegrationFailed, match=said):
+        sc.simulate(block(friction, masses=masses), lambda time: [np.sin(3 * time)], t=[0.0, 2.0], time_limit=60)
+
+
+def test_the_smooth_form_ends_and_sticks():
+    """It creeps at a velocity of v_s atanh(F/2), 0.0003 m/s at most."""
+    smooth = block(lambda v: -2.0 * ca.tanh(v / 5e-4))
+    found = sc.simulate(smooth, lambda time: [np.sin(3 * time)], t=[0.0, 1.0, 2.0])
+    assert np.ptp(found["x"][1:]) < 3e-4
+
+
+def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter():
+    passing = block(lambda v: -0.1 * ca.sign(v))
+    found = sc.simulate(passing, lambda time: [-3.0 * np.cos(time)], t=[0.0, 2.0])
+    assert found["x"][-1] < 0.0
+    steep = sc.simulate(block(lambda v: -3e3 * v), lambda _: [3.0], t=[0.0, 2.0])
+    assert steep["x"][-1] == pytest.approx(0.5 / 3e3 + 3.0 / 3e3 * (2.0 - 1 / 3e3), rel=1e-4)
