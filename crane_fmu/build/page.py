@@ -22,7 +22,7 @@ _BAD_STEP = (
 )
 _TIME_BACK = (
     "time goes back",
-    "the communication point t = 0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
+    "the communication point t = 0.0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
 )
 REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
     ROTARY_CRANE.name: (
@@ -45,7 +45,7 @@ REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
         _TIME_BACK,
         (
             "time is skipped",
-            "the communication point t = 0.5 s lies ahead of the FMU's time 0 s;"
+            "the communication point t = 0.5 s lies ahead of the FMU's time 0.0 s;"
             " to repeat a step restore the FMU's state first",
         ),
         (

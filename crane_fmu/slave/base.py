@@ -47,6 +47,9 @@ class State(Protocol):
     def time(self) -> float:
         """In s."""
 
+    def at(self, time: float) -> Self:
+        """Return the same by another clock."""
+
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers, texts and lists."""
 
@@ -182,6 +185,8 @@ class TableSlave(GuardedSlave):
         """Compute the outputs at `current_time` + `step_size`; False leaves everything as it was."""
         now = self._ready()
         require_step(now.time, current_time, step_size)
+        if current_time != now.time:
+            now = now.at(current_time)
         with ONE_AT_A_TIME:
             self._adopt(self._advance(now, step_size))
         return True

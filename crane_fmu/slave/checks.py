@@ -11,12 +11,17 @@ from servocore import InvalidReference, InvalidSetting
 LONGEST_STEP = 3600.0
 """A longer communication step, in s, is taken for a mistake of the host."""
 
+_ROUND_OFF = 16.0  # units in the last place of a time, by which the host's clock may differ from the FMU's
+
 MOST_INTERNAL_STEPS = 100_000
 """A communication step may be divided into this many steps at most."""
 
 
 def require_step(present: float, time: float, h: float) -> None:
-    """Raise `InvalidSetting` unless a communication step of h seconds at `time` continues from `present`."""
+    """Raise `InvalidSetting` unless a communication step of h seconds at `time` continues from `present`.
+
+    The clock is the host's: one that multiplies a step differs by round-off from one that adds steps up.
+    """
     if time == present and 0.0 < h <= LONGEST_STEP and time + h > time:
         return  # as nearly always; NaN is equal to nothing
     if not math.isfinite(time):
@@ -28,10 +33,10 @@ def require_step(present: float, time: float, h: float) -> None:
         )
     if time + h <= time:
         raise InvalidSetting(f"at t = {time:.17g} s a communication step of {h:g} s is lost in round-off")
-    if abs(time - present) > 1e-6 * h + 4.0 * math.ulp(max(abs(time), abs(present))):
+    if abs(time - present) > 1e-6 * h + _ROUND_OFF * math.ulp(max(abs(time), abs(present))):
         direction = "behind" if time < present else "ahead of"
         raise InvalidSetting(
-            f"the communication point t = {time:.9g} s lies {direction} the FMU's time {present:.9g} s;"
+            f"the communication point t = {float(time)!r} s lies {direction} the FMU's time {float(present)!r} s;"
             f" to repeat a step restore the FMU's state first"
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
 import numpy as np
@@ -29,6 +29,10 @@ class PlainState:
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers and lists."""
         return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
+
+    def at(self, time: float) -> Self:
+        """Return the same by another clock, for what has a time."""
+        return replace(self, time=time)  # type: ignore[call-arg]
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
