@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load check format fmu bench chart atlas pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop check format fmu bench chart atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -41,6 +41,9 @@ ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bar
 
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 	SERVOCORE_LOAD=full $(RUN) pytest -s --durations=0 tests/test_load.py
+
+loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (hours)
+	$(BIN)/python tests/loops.py
 
 check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \

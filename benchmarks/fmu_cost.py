@@ -73,8 +73,9 @@ class Driven:
         self._component = c_void_p(made)
         by_name = {each.name: each for each in description.modelVariables}
         for name, text in (texts or {}).items():
-            references, values = (c_uint * 1)(by_name[name].valueReference), (ctypes.c_char_p * 1)(text.encode())
-            self._dll.fmi2SetString(self._component, references, c_size_t(1), values)
+            number = next(int(each.value) for each in by_name[name].declaredType.items if each.name == text)
+            references, values = (c_uint * 1)(by_name[name].valueReference), (ctypes.c_int * 1)(number)
+            self._dll.fmi2SetInteger(self._component, references, c_size_t(1), values)
         connected = [each.valueReference for each in description.modelVariables if each.causality == "input"]
         connected = connected[: inputs.shape[1]]  # the path; what can be measured is not
         outputs = [each.valueReference for each in description.modelVariables if each.causality == "output"]

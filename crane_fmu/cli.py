@@ -183,32 +183,44 @@ OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", hel
 
 
 @app.command(epilog="The same as [cyan]python build_fmu.py[/cyan].")
-def build(output: OutputFolder = Path()) -> None:
-    """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder."""
+def build(output: OutputFolder = Path(), parameters: ParametersFile = None) -> None:
+    """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder.
+
+    With --parameters the crane of the file is the FMU's default.
+    """
     from crane_fmu.build import build_fmu  # noqa: PLC0415
 
+    changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     with PatientProgress("building the FMU") as progress:
-        file = build_fmu(output, progress.describe)
+        file = build_fmu(output, progress.describe, starts=changed)
     print(file)
 
 
 PathToCarry = Annotated[
     Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="A path that LoadTrajectory.fmu carries (profile = file)."),
+    typer.Option("--reference", metavar="FILE.csv", help="A path for the load; LoadTrajectory.fmu carries it."),
 ]
 
 
 @app.command(epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu ssp -o system[/cyan]")
-def ssp(output: OutputFolder = Path("system"), reference: PathToCarry = None) -> None:
+def ssp(
+    output: OutputFolder = Path("system"),
+    reference: PathToCarry = None,
+    tolerance: Tolerance = None,
+    profile: ProfileName = None,
+    parameters: ParametersFile = None,
+) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
-    Crane.ssp. Run it with a communication step of 0.01 s.
+    Crane.ssp. Run it with a communication step of 0.01 s. With --reference or --profile the load goes that way, with
+    --parameters the crane is that of the file, without anything to set in the tool.
     """
-    from crane_fmu.build import build_ssp  # noqa: PLC0415
+    from crane_fmu.build import Wishes, build_ssp  # noqa: PLC0415
 
+    changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     with PatientProgress("building the system") as progress:
-        files = build_ssp(output, progress.describe, reference)
+        files = build_ssp(output, progress.describe, Wishes(reference, tolerance, profile, changed))
     print(*files, sep="\n")
 
 

@@ -57,7 +57,7 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
                 stop_time=reference.end_time,
                 output_interval=step,
                 input=input_rows(reference, step),
-                start_values=start_values,
+                start_values=numbered(fmu, start_values),
                 logger=listen,
                 debug_logging=True,
             )
@@ -71,6 +71,27 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
             f" {wanted} rows: {messages[-1] if messages else 'it did not say why'}"
         )
     return {name: rows[name] for name in rows.dtype.names}
+
+
+def numbered(fmu: Path, values: Mapping[str, float | str]) -> dict[str, float | int]:
+    """Return start values with the names of enumerations' items replaced by their numbers.
+
+    Raises
+    ------
+    InvalidSetting
+        If a choice has no such item.
+    """
+    items = {
+        each.name: {item.name: int(item.value) for item in each.declaredType.items}
+        for each in fmpy.read_model_description(str(fmu), validate=False).modelVariables
+        if each.type == "Enumeration"
+    }
+    found: dict[str, float | int] = {}
+    for name, value in values.items():
+        if isinstance(value, str) and value not in items.get(name, {}):
+            raise sc.InvalidSetting(f"{name} = {value!r} is unknown; it may be {', '.join(items.get(name, {}))}")
+        found[name] = items[name][value] if isinstance(value, str) else value
+    return found
 
 
 def run_ssp(

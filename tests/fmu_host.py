@@ -27,6 +27,7 @@ from crane_fmu.slave.interface import INTERFACE_FILE, ORDERS, Interface
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
 DISCARD = 2
+UNKNOWN = 99  # of no enumeration
 
 
 @cache
@@ -77,6 +78,11 @@ class Host:
         self.messages: list[str] = []
         self.description = read_model_description(str(file), validate=False)
         self.references = {each.name: each.valueReference for each in self.description.modelVariables}
+        self.items = {
+            each.name: {item.name: int(item.value) for item in each.declaredType.items}
+            for each in self.description.modelVariables
+            if each.type == "Enumeration"
+        }
         self.fmu = FMU2Slave(
             guid=self.description.guid,
             unzipDirectory=extracted(file),
@@ -100,8 +106,10 @@ class Host:
 
     def set(self, **values: float | str) -> Host:
         for name, value in values.items():
-            setter = self.fmu.setString if isinstance(value, str) else self.fmu.setReal
-            setter([self.references[name]], [value])
+            if isinstance(value, str):
+                self.fmu.setInteger([self.references[name]], [self.items[name].get(value, UNKNOWN)])
+            else:
+                self.fmu.setReal([self.references[name]], [value])
         return self
 
     def tell(self, jet) -> Host:

@@ -190,27 +190,31 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(("set_reals", self.fmu.inputs, values))
 
     @rule(live=lives, data=st.data())
-    def set_text(self, live, data):
-        if live not in self.alive or not self.fmu.texts:
+    def choose(self, live, data):
+        if live not in self.alive or not self.fmu.choices:
             return
-        variable = data.draw(st.sampled_from(self.fmu.texts))
-        value = data.draw(st.sampled_from((*self.fmu.choices[variable.name], "", "%n%s", "é" * 100)))
-        assert live.instance.set_text(variable.reference, value.encode()) == OK
+        variable = data.draw(st.sampled_from(self.fmu.choices))
+        items = range(1, self.fmu.items[variable.name] + 1)
+        value = data.draw(st.sampled_from((*items, 0, -1, 99, 2**31 - 1)))
+        call = "set_integers", "Integer", [variable.reference], [value]
+        assert live.instance.do(call) == OK
         if live.account.phase not in ("stepping", "terminated"):
-            live.account.calls.append(("set_text", variable.reference, value.encode()))
+            live.account.calls.append(call)
 
-    @rule(live=lives, kind=st.sampled_from(("Integer", "Boolean")), reference=st.sampled_from((0, 20, 999)))
-    def other_types(self, live, kind, reference):
+    @rule(live=lives, reference=st.sampled_from((0, 20, 999)), text=st.sampled_from((b"", b"%n%s", b"x" * 100)))
+    def other_types(self, live, reference, text):
         if live in self.alive:
-            assert live.instance.set_integers(kind, [reference], [1]) == OK
-            assert live.instance.get_integers(kind, [reference]) == (OK, [0])
+            assert live.instance.set_integers("Boolean", [reference], [1]) == OK
+            assert live.instance.get_integers("Boolean", [reference]) == (OK, [0])
+            assert live.instance.set_text(reference, text) == OK
+            assert live.instance.get_texts([reference]) == [b""]
 
     @rule(
         live=lives, text=st.sampled_from((b"\xff\xfe", b"\xc0\xaf", b"\xed\xa0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82"))
     )
     def text_that_is_none(self, live, text):
-        if live in self.alive and self.fmu.has_shim and self.fmu.texts:
-            assert live.instance.set_text(self.fmu.texts[0].reference, text) == ERROR
+        if live in self.alive and self.fmu.has_shim:
+            assert live.instance.set_text(0, text) == ERROR
 
     @rule(live=lives, unknown=st.booleans())
     def get(self, live, unknown):
@@ -220,7 +224,7 @@ class Hostile(RuleBasedStateMachine):
         status, values = live.instance.get_reals(references)
         assert status == OK
         assert not unknown or all(math.isnan(each) for each in values[-2:])
-        live.instance.get_texts([each.reference for each in self.fmu.texts] + [999] * unknown)
+        live.instance.get_integers("Integer", [each.reference for each in self.fmu.choices] + [999] * unknown)
 
     # --- steps ----------------------------------------------------------------------------------------------------
 

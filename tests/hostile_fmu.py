@@ -58,12 +58,8 @@ class Fmu:
         self.dll.fmi2FreeInstance.restype, self.dll.fmi2FreeInstance.argtypes = None, [c_void_p]
         variables = self.description.modelVariables
         self.reals = [Variable(each.name, each.valueReference) for each in variables if each.type == "Real"]
-        self.texts = [Variable(each.name, each.valueReference) for each in variables if each.type == "String"]
-        self.choices = {
-            each.name: [part.strip() for part in each.description.rsplit(":", 1)[-1].split(",")]
-            for each in variables
-            if each.type == "String"
-        }
+        self.choices = [Variable(each.name, each.valueReference) for each in variables if each.type == "Enumeration"]
+        self.items = {each.name: len(each.declaredType.items) for each in variables if each.type == "Enumeration"}
         # The path; what can be measured comes later in the table.
         first = list(takewhile(lambda each: each.causality == "input", variables))
         self.inputs = [each.valueReference for each in first]
@@ -151,12 +147,14 @@ class Instance:
         assert self.call("GetString", (c_uint * n)(*references), n, values, shown=references) == OK
         return list(values)
 
-    def everything(self) -> tuple[list[bytes], list[bytes | None]]:
-        """Bits of all Reals and Strings."""
+    def everything(self) -> tuple[list[bytes], list[int]]:
+        """Bits of all Reals, and all choices."""
         status, values = self.get_reals([each.reference for each in self._fmu.reals])
         assert status == OK
         bits = [b"nan" if value != value else struct.pack("d", value) for value in values]  # noqa: PLR0124
-        return bits, self.get_texts([each.reference for each in self._fmu.texts])
+        status, chosen = self.get_integers("Integer", [each.reference for each in self._fmu.choices])
+        assert status == OK
+        return bits, chosen
 
     def get_state(self) -> tuple[int, int]:
         state = c_void_p()

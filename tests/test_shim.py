@@ -181,12 +181,6 @@ def test_only_co_simulation_is_offered():
     assert said == ["the FMU offers co-simulation only"]
 
 
-def test_a_setting_that_looks_like_a_format_does_not_reach_the_logger_as_one():
-    with Host() as host:
-        assert not host.set(model="%n%s").start().step(0.0, 0.1)
-        assert "model = '%%n%%s' is unknown" in host.messages[-1]
-
-
 # --- building --------------------------------------------------------------------------------------------------------
 
 

@@ -16,9 +16,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import servocore as sc
-from crane_fmu.build.compiled_step import compiled_steps
-from crane_fmu.catalogue import FORMULATIONS, ROTARY_CRANE, Kind
-from crane_fmu.slave.interface import INTERFACE_FILE, PLANT_FILE, Interface, program_file
+from crane_fmu.build.compiled_step import compiled_feedback, compiled_steps
+from crane_fmu.build.feedback_law import feedback_text
+from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, Kind, Starts
+from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, PLANT_FILE, Interface, program_file
 
 Progress = Callable[[str], None]
 """Called with what is being done."""
@@ -94,9 +95,14 @@ class Content:
         return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module)
 
 
-def collect(kind: Kind = ROTARY_CRANE, tell: Progress = lambda _: None, path: bytes | None = None) -> Content:
+def collect(
+    kind: Kind = ROTARY_CRANE,
+    tell: Progress = lambda _: None,
+    path: bytes | None = None,
+    starts: Starts = NO_STARTS,
+) -> Content:
     """Compile what an FMU runs on and gather the sources that its slave needs."""
-    table = kind.interface()
+    table = kind.interface().with_starts(starts)
     files = {
         "__init__.py": f'"""What {kind.file_name} runs on."""\n',
         **travelling(f"crane_fmu.slave.{kind.module}"),
@@ -105,6 +111,8 @@ def collect(kind: Kind = ROTARY_CRANE, tell: Progress = lambda _: None, path: by
     }
     programs = [program_file(*route) for route in kind.to_machine_code]
     libraries = compiled_steps({name: files[name] for name in programs}, tell)
+    if kind.has_feedback:
+        libraries |= compiled_feedback(files[FEEDBACK_FILE], tell)
     return Content(files, table, kind, libraries, path)
 
 
@@ -118,6 +126,9 @@ def _compiled(kind: Kind, tell: Progress) -> dict[str, str]:
     if kind.has_plant:
         tell("compiling the forward dynamics")
         files[PLANT_FILE] = sc.compile_plant(crane.model(_PLANT_MODEL)).to_json()
+    if kind.has_feedback:
+        tell("compiling the feedback")
+        files[FEEDBACK_FILE] = feedback_text(crane.model(_PLANT_MODEL))
     return files
 
 

@@ -6,18 +6,36 @@ What an FMU gains by it is speed alone. Where no compiler is found, and on hosts
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, shared_library
+from crane_fmu.slave.interface import FEEDBACK_FILE, INPUT_TIMES
 from crane_fmu.slave.quick import usual_step
 
 _OPTIONS = "-O1 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
+
+
+def compiled_feedback(text: str, notice: Callable[[str], None]) -> dict[str, bytes]:
+    """Return a shared library with the feedback by its name in the bundle; empty where it cannot be made.
+
+    Parameters
+    ----------
+    text : str
+        What the FMU carries.
+    notice : callable
+        Called with a sentence when the library is left out.
+    """
+    functions = json.loads(text)
+    laws = [ca.Function.deserialize(functions[f"feedback_{time}"]) for time in INPUT_TIMES]
+    return _libraries({FEEDBACK_FILE: lambda: laws}, notice)
 
 
 def compiled_steps(programs: Mapping[str, str], notice: Callable[[str], None]) -> dict[str, bytes]:
@@ -35,20 +53,31 @@ def compiled_steps(programs: Mapping[str, str], notice: Callable[[str], None]) -
     dict of str to bytes
         By the same names with the suffix of a library; empty where they cannot be made.
     """
+    return _libraries({name: partial(_usual_steps, text) for name, text in programs.items()}, notice)
+
+
+def _usual_steps(text: str) -> list[ca.Function]:
+    return [usual_step(sc.Program.from_json(text))]
+
+
+def _libraries(
+    functions: Mapping[str, Callable[[], list[ca.Function]]], notice: Callable[[str], None]
+) -> dict[str, bytes]:
     compiler = c_compiler()
     if compiler is None or not makes_linux_binaries():
         return {}  # the shim says why
 
-    def library(text: str) -> bytes | None:
+    def library(make: Callable[[], list[ca.Function]]) -> bytes | None:
         generator = ca.CodeGenerator("step.c")
-        generator.add(usual_step(sc.Program.from_json(text)))
+        for each in make():
+            generator.add(each)
         try:
             return shared_library(compiler, {"step.c": generator.dump()}, _OPTIONS)
         except sc.ServocoreError:
             return None
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        made = dict(zip(programs, pool.map(library, programs.values()), strict=True))
+        made = dict(zip(functions, pool.map(library, functions.values()), strict=True))
     if None in made.values():
         notice(f"{compiler[0]} does not compile CasADi's C; the FMU will take more time for its steps")
     return {str(Path(name).with_suffix(".so")): each for name, each in made.items() if each is not None}

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 import servocore as sc
+from crane_fmu.catalogue import NO_STARTS, Starts, at_rest
 from crane_fmu.files import csv_text, put
 from crane_fmu.run import forgotten_modules, input_rows
 
@@ -19,15 +20,19 @@ STEP = 0.01
 STOP = {"RotaryCrane": 20.0, "LoadTrajectory": 20.0, "CranePlant": 2.0}
 
 
-def cross_check(fmu: Path) -> None:
+def cross_check(fmu: Path, path: sc.Reference | None = None, starts: Starts = NO_STARTS) -> None:
     """Run an FMU and write its inputs, its results and the options of the run beside it.
 
     Parameters
     ----------
     fmu : Path
         One of the FMUs.
+    path : Reference, optional
+        What the load shall follow in place of the default manoeuvre.
+    starts : mapping of str to float or str
+        Start values that the FMU has in place of defaults.
     """
-    stop, given = STOP[fmu.stem], _inputs(fmu.stem)
+    stop, given = STOP[fmu.stem], _inputs(fmu.stem, path, at_rest(starts)["M_w"])
     with forgotten_modules():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
     settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
@@ -38,14 +43,14 @@ def cross_check(fmu: Path) -> None:
     put(fmu.parent, files)
 
 
-def _inputs(name: str) -> npt.NDArray[Any] | None:
+def _inputs(name: str, path: sc.Reference | None, hold: float) -> npt.NDArray[Any] | None:
     """Return inputs as FMPy reads them: the default manoeuvre, or a push from rest."""
     if name == "RotaryCrane":
-        return input_rows(sc.scenes.rotary_crane().reference, STEP)
+        return input_rows(path or sc.scenes.rotary_crane().reference, STEP)
     if name != "CranePlant":
         return None
     t = np.linspace(0.0, STOP[name], round(STOP[name] / STEP) + 1)
-    push = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, -98.1)
+    push = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, hold)
     return np.rec.fromarrays([t, *push], dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree as ET
 
+from crane_fmu.slave.interface import FEEDBACK_INPUTS
+
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
@@ -30,6 +32,9 @@ UNITS: Mapping[str, tuple[Mapping[str, int], Mapping[str, float]]] = {
 """All units that variables may have, spelled as FMI spells them: exponents of SI base units, and the units in which
 tools may show them with their factors from SI."""
 
+DATE, AUTHOR = "2026-01-01T00:00:00Z", "The authors of servocore"
+"""Of every FMU: two builds of one source shall be equal."""
+
 _TOOL = "servocore"
 
 
@@ -46,9 +51,12 @@ def complete(written: bytes, interface: Interface, notes: Mapping[str, str]) -> 
         Attributes of the vendor annotation, such as the versions of what was compiled.
     """
     root = ET.fromstring(written)
-    root.attrib.pop("generationDateAndTime", None)  # two builds of one source shall be equal
+    root.set("generationDateAndTime", DATE)
+    root.set("author", AUTHOR)
     root.set("generationTool", f"{_TOOL} with {root.get('generationTool')}")
     root.insert(_position(root, "CoSimulation"), _unit_definitions(interface))
+    if any(each.is_choice for each in interface.variables):
+        root.insert(_position(root, "UnitDefinitions"), _type_definitions(interface))
     for element, variable in zip(root.iter("ScalarVariable"), interface.variables, strict=True):
         _complete_variable(element, variable)
     annotations = ET.Element("VendorAnnotations")
@@ -84,11 +92,29 @@ def _unit_definitions(interface: Interface) -> ET.Element:
     return definitions
 
 
+def _type_definitions(interface: Interface) -> ET.Element:
+    definitions = ET.Element("TypeDefinitions")
+    for variable in interface.variables:
+        if variable.is_choice:
+            simple = ET.SubElement(definitions, "SimpleType", name=_type_name(variable))
+            items = ET.SubElement(simple, "Enumeration")
+            for k, name in enumerate(variable.choices, start=1):
+                ET.SubElement(items, "Item", name=name, value=str(k))
+    return definitions
+
+
+def _type_name(variable: Variable) -> str:
+    """Return a name that no variable has."""
+    return "".join(part.capitalize() for part in variable.name.split("_"))
+
+
 def _complete_variable(element: ET.Element, variable: Variable) -> None:
     if element.get("name") != variable.name or len(element) != 1:
         raise ValueError(f"the model description has {element.get('name')} in place of {variable.name}")
     value = element[0]
-    if variable.is_text:
+    if variable.is_choice:
+        number = variable.choices.index(str(variable.start)) + 1
+        value.tag, value.attrib = "Enumeration", {"declaredType": _type_name(variable), "start": str(number)}
         return
     attributes = {
         "unit": variable.unit,
@@ -105,11 +131,15 @@ def _complete_variable(element: ET.Element, variable: Variable) -> None:
 
 
 def _complete_structure(structure: ET.Element, interface: Interface) -> None:
-    """Say what depends on what: outputs change in doStep only, so no input feeds through then."""
+    """Say what depends on what: outputs change in doStep only, so no input feeds through then.
+
+    Measured values are not looked at before the first step.
+    """
     sources = [
         str(k)
         for k, each in enumerate(interface.variables, start=1)
-        if each.causality == "input" or (each.causality == "parameter" and not each.is_text)
+        if (each.causality == "input" and each.name not in FEEDBACK_INPUTS)
+        or (each.causality == "parameter" and not each.is_choice)
     ]
     outputs, initial = list(structure.iter("Unknown")), ET.SubElement(structure, "InitialUnknowns")
     for unknown in outputs:

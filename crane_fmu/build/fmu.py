@@ -13,7 +13,7 @@ import servocore as sc
 from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Progress, collect
 from crane_fmu.build.page import user_page
-from crane_fmu.catalogue import KINDS, ROTARY_CRANE, Kind
+from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, Kind, Starts
 from crane_fmu.files import put
 from servocore.files import write_together
 
@@ -22,7 +22,11 @@ _CHECK_SECONDS = 300.0
 
 
 def build_fmu(
-    directory: Path, progress: Progress = lambda _: None, kind: Kind = ROTARY_CRANE, path: bytes | None = None
+    directory: Path,
+    progress: Progress = lambda _: None,
+    kind: Kind = ROTARY_CRANE,
+    path: bytes | None = None,
+    starts: Starts = NO_STARTS,
 ) -> Path:
     """Build an FMU, check it in a process of its own and only then rename it into place.
 
@@ -36,6 +40,8 @@ def build_fmu(
         Which FMU.
     path : bytes, optional
         A table that a trajectory carries, as CSV.
+    starts : mapping of str to float or str
+        Start values of variables that differ from the defaults; names that the FMU does not have are passed over.
 
     Returns
     -------
@@ -54,20 +60,27 @@ def build_fmu(
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
-    content = collect(kind, progress, path)
+    content = collect(kind, progress, path, starts)
     progress(f"packing {kind.file_name}")
     archive = packed(content, progress)
     progress(f"checking {kind.file_name} in a process of its own")
-    _check(archive, kind)
+    _check(archive, kind, starts)
     target = directory / kind.file_name
     write_together({target: archive})
     return target
 
 
-def _check(archive: bytes, kind: Kind) -> None:
+def _check(archive: bytes, kind: Kind, starts: Starts) -> None:
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
-        command = [sys.executable, "-I", str(_CHECK), kind.file_name, json.dumps(kind.runs), json.dumps(kind.rest)]
+        command = [
+            sys.executable,
+            "-I",
+            str(_CHECK),
+            kind.file_name,
+            json.dumps(kind.runs_with(starts)),
+            json.dumps(kind.rest(starts)),
+        ]
         try:
             done = subprocess.run(
                 command, cwd=folder, capture_output=True, text=True, timeout=_CHECK_SECONDS, check=False

@@ -22,7 +22,8 @@ _BAD_STEP = (
 )
 _TIME_BACK = (
     "time goes back",
-    "the communication point t = 0.0 s lies behind the FMU's time 0.1 s; to repeat a step restore the FMU's state first",
+    "the communication point t = 0.0 s lies behind the FMU's time 0.1 s;"
+    " to repeat a step restore the FMU's state first",
 )
 REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
     ROTARY_CRANE.name: (
@@ -56,6 +57,11 @@ REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
         (
             "a needlessly small `internal_step`",
             "an internal_step of 1e-09 s divides the communication step of 0.1 s into more than 100000 steps",
+        ),
+        (
+            "the path moves while connected derivatives stay exactly zero, for a second step",
+            "at t = 0.2 s the load's position changes, but its velocity and acceleration and jerk and snap stay zero:"
+            " connect what is missing, or set connected = position to have it estimated",
         ),
         (
             "a step so large, or a path so far away, that the trolley would come out behind the axis",
@@ -118,7 +124,7 @@ def documentation_page(kind: Kind) -> str:
 
 
 def _table(variables: tuple[Variable, ...]) -> str:
-    rows = [f"| `{each.name}` | {each.unit or 'text'} | {_extent(each)} | {each.description} |" for each in variables]
+    rows = [f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {each.description} |" for each in variables]
     third: dict[Causality, str] = {"input": "start", "output": "range", "parameter": "default, range, change"}
     header = f"| name | unit | {third[variables[0].causality]} | |"
     return "\n".join([header, "|---|---|---|---|", *rows])
@@ -131,6 +137,6 @@ def _extent(variable: Variable) -> str:
         bounds = f"{low:g} to {high:g}"
     else:
         bounds = f">= {low:g}" if low is not None else f"<= {high:g}" if high is not None else ""
-    start = "" if variable.start is None else f"{variable.start:g}" if not variable.is_text else f"`{variable.start}`"
+    start = "" if variable.start is None else f"{variable.start:g}" if not variable.is_choice else f"`{variable.start}`"
     change = variable.variability if variable.causality == "parameter" else ""
     return ", ".join(each for each in (start, bounds, change) if each)

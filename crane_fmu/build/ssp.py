@@ -1,11 +1,13 @@
 """``Crane.ssp``: trajectory, inverse model and plant connected, in the form of SSP 1.0 that all masters read.
 
-A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; no connectors of the system, no parameters inline.
+A zip with ``SystemStructure.ssd`` and ``resources/*.fmu``; no connectors of the system; a user's own
+parameters are bound inline.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -17,9 +19,9 @@ from crane_fmu.build.bundle import Progress
 from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
-from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE
+from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import csv_text, filled_folder, put
-from crane_fmu.slave.interface import FEEDBACK_INPUTS
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, Variable, components
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -31,10 +33,50 @@ COMPONENTS: Mapping[str, str] = {
 
 _ROWS = 200  # at least, in a table made of a path
 
-_SSD, _SSC = (f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common"))
+_SSD, _SSC, _SSV = (
+    f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common", "ParameterValues")
+)
 
 
-def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path | None = None) -> tuple[Path, ...]:
+@dataclass(frozen=True)
+class Wishes:
+    """What a user wants of a system in place of the defaults.
+
+    Attributes
+    ----------
+    path : Path, optional
+        A table of a load path that the trajectory shall carry.
+    tolerance : float, optional
+        How far the path may stay away from the positions in the table, in m.
+    profile : str, optional
+        Time law of the straight line.
+    parameters : mapping of str to float
+        Of the crane.
+    """
+
+    path: Path | None = None
+    tolerance: float | None = None
+    profile: str | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def reference(self) -> sc.Reference | None:
+        """Return the path in the table, or None without one; raises `InvalidSetting` for wishes that exclude others."""
+        if self.profile is not None:
+            chosen(PROFILES, self.profile, "profile")
+        if self.path is None:
+            if self.tolerance is not None:
+                raise sc.InvalidSetting("--tolerance belongs to --reference")
+            return None
+        if self.profile is not None:
+            raise sc.InvalidSetting("a path is given either by --reference or by --profile, not by both")
+        return sc.from_csv(self.path, self.tolerance)
+
+
+def build_ssp(
+    directory: Path,
+    progress: Progress = lambda _: None,
+    wishes: Wishes = Wishes(),
+) -> tuple[Path, ...]:
     """Build the three FMUs with their cross-check files and pack them.
 
     Parameters
@@ -43,8 +85,8 @@ def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path |
         Where they go; made if it does not exist.
     progress : callable
         Called with a phrase for every stage.
-    path : Path, optional
-        A table of a load path that the trajectory shall carry.
+    wishes : Wishes
+        A path, a time law and a crane of the user's own.
 
     Returns
     -------
@@ -54,25 +96,47 @@ def build_ssp(directory: Path, progress: Progress = lambda _: None, path: Path |
     Raises
     ------
     ServocoreError
-        If a file cannot be read or written, or an FMU fails its check.
+        If a file cannot be read or written, wishes exclude each other, or an FMU fails its check.
     """
-    table = None if path is None else table_of(sc.from_csv(path)).encode()
+    reference = wishes.reference()
+    table = None if reference is None else table_of(reference).encode()
+    starts: dict[str, float | str] = dict(wishes.parameters)
+    duration = 20.0
+    if wishes.profile is not None:
+        starts["profile"] = wishes.profile
+    if reference is not None:
+        first = reference.jet(reference.start_time, 0)[0].tolist()
+        starts |= {"profile": FROM_FILE}
+        for vector in ("load.position", "start.position"):
+            starts |= dict(zip(components(vector), first, strict=True))
+        duration = reference.end_time
     with filled_folder(directory) as draft:
-        fmus = [build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None) for kind in KINDS.values()]
+        fmus = [
+            build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None, starts)
+            for kind in KINDS.values()
+        ]
         progress("writing the cross-check files")
         for fmu in fmus:
-            cross_check(fmu)
+            cross_check(fmu, reference, starts)
         members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
-        system = zipped({_STRUCTURE: description(), **members}, _STRUCTURE)
+        system = zipped({_STRUCTURE: description(starts, duration), **members}, _STRUCTURE)
         put(draft, {SYSTEM_FILE: system})
         names = [*(each.name for each in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
 
 
-def description() -> bytes:
-    """Return the system's description."""
-    ET.register_namespace("ssd", _SSD)
-    ET.register_namespace("ssc", _SSC)
+def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
+    """Return the system's description.
+
+    Parameters
+    ----------
+    starts : mapping of str to float or str
+        Start values that the FMUs have in place of defaults; numbers are bound here too, for all to see.
+    duration : float
+        Time to simulate in s.
+    """
+    for prefix, space in (("ssd", _SSD), ("ssc", _SSC), ("ssv", _SSV)):
+        ET.register_namespace(prefix, space)
     root = ET.Element(f"{{{_SSD}}}SystemStructureDescription", version="1.0", name="Crane")
     system = _child(root, "System", name="Crane")
     elements, wires = _child(system, "Elements"), connections()
@@ -81,15 +145,29 @@ def description() -> bytes:
         source = f"resources/{name}.fmu"
         element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _child(element, "Connectors")
-        for each in KINDS[name].interface().variables:  # what is connected, and what is worth watching: all outputs
+        variables = KINDS[name].interface().variables
+        for each in variables:  # what is connected, and what is worth watching: all outputs
             if each.causality == "output" or (component, each.name) in fed:
                 place = _child(connectors, "Connector", name=each.name, kind=each.causality)
                 ET.SubElement(place, f"{{{_SSC}}}Real", unit=each.unit)
+        _bind(element, [each for each in variables if each.causality == "parameter"], starts)
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
         _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
-    _child(root, "DefaultExperiment", startTime="0", stopTime="20")
+    _child(root, "DefaultExperiment", startTime="0", stopTime=f"{duration:g}")
     return document(root)
+
+
+def _bind(element: ET.Element, parameters: Sequence[Variable], starts: Starts) -> None:
+    """Bind numbers to the parameters of a component."""
+    bound = {each.name: starts[each.name] for each in parameters if each.name in starts and not each.is_choice}
+    if not bound:
+        return
+    values = _child(_child(_child(element, "ParameterBindings"), "ParameterBinding"), "ParameterValues")
+    table = ET.SubElement(values, f"{{{_SSV}}}ParameterSet", version="1.0", name="own")
+    rows = ET.SubElement(table, f"{{{_SSV}}}Parameters")
+    for name, value in bound.items():
+        ET.SubElement(ET.SubElement(rows, f"{{{_SSV}}}Parameter", name=name), f"{{{_SSV}}}Real", value=repr(value))
 
 
 def _child(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:

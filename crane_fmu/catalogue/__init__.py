@@ -4,7 +4,16 @@ The command line, the FMUs, their pages and their checks read the same tables. T
 """
 
 from crane_fmu.catalogue.choices import FORMULATIONS, METHODS, MODELS, chosen
-from crane_fmu.catalogue.kinds import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, ROTARY_CRANE, Kind
+from crane_fmu.catalogue.kinds import (
+    CRANE_PLANT,
+    KINDS,
+    LOAD_TRAJECTORY,
+    NO_STARTS,
+    ROTARY_CRANE,
+    Kind,
+    Starts,
+    at_rest,
+)
 from crane_fmu.slave.lines import PROFILES, THREE_PHASE
 
 __all__ = [
@@ -14,9 +23,12 @@ __all__ = [
     "LOAD_TRAJECTORY",
     "METHODS",
     "MODELS",
+    "NO_STARTS",
     "PROFILES",
     "ROTARY_CRANE",
     "THREE_PHASE",
     "Kind",
+    "Starts",
+    "at_rest",
     "chosen",
 ]

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import product
+from types import MappingProxyType
 
 from crane_fmu.catalogue import variables
 from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
-from crane_fmu.slave.interface import REST, Interface, components
+from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, Interface, components
 from crane_fmu.slave.lines import PROFILES
 
 Route = tuple[str, str]
 """Names of a model and a formulation."""
+
+Starts = Mapping[str, float | str]
+"""Start values by the names of variables, in place of defaults."""
+
+NO_STARTS: Starts = MappingProxyType({})
 
 
 @dataclass(frozen=True)
@@ -31,14 +38,16 @@ class Kind:
         The user page in the documentation; its template has the same name and ``.j2``.
     runs : tuple of dict
         Start values for the runs of the check.
-    rest : dict
-        What the outputs have to be at the end of each.
+    resting : tuple of str
+        Outputs that have to be those of a crane at rest at the end of each.
     routes : tuple of (str, str)
         Models and formulations whose compiled functions it carries.
     to_machine_code : tuple of (str, str)
         Those of them whose steps are compiled further.
     has_plant : bool
         Whether it carries the compiled forward dynamics.
+    has_feedback : bool
+        Whether it carries the feedback.
     """
 
     name: str
@@ -46,19 +55,48 @@ class Kind:
     interface: Callable[[], Interface]
     page: str
     runs: tuple[dict[str, float | str], ...]
-    rest: dict[str, float]
+    resting: tuple[str, ...]
     routes: tuple[Route, ...] = ()
     to_machine_code: tuple[Route, ...] = ()
     has_plant: bool = False
+    has_feedback: bool = False
 
     @property
     def file_name(self) -> str:
         """Name of the file."""
         return f"{self.name}.fmu"
 
+    def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
+        """Return the runs of the check for an FMU with other start values: with a path of its own only as it is."""
+        if starts.get("profile") == FROM_FILE:
+            return ({},) if self is LOAD_TRAJECTORY else self.runs
+        hold = at_rest(starts)["M_w"]
+        return tuple(run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 
-_LOAD_AT_REST = dict(zip(components("load.position"), REST, strict=True))
-_CRANE_AT_REST = {"phi": 0.0, "s": REST[0], "l": -REST[2], "tension": 981.0}
+    def rest(self, starts: Starts) -> dict[str, float]:
+        """Return what outputs have to be at the end of each run."""
+        if self is LOAD_TRAJECTORY and starts:
+            return {}
+        values = at_rest(starts)
+        return {name: values[name] for name in self.resting}
+
+
+_LOAD = components("load.position")
+
+
+def at_rest(starts: Starts) -> dict[str, float]:
+    """Return what a crane's outputs are while its load hangs where it starts."""
+    defaults = {each.name: each.start for each in variables.crane_plant().variables if each.causality == "parameter"}
+    known = {name: float(starts.get(name, defaults[name] or 0.0)) for name in (*CRANE_PARAMETERS, *_START)}
+    place = [known[name] for name in _START]
+    tension = known["load_mass"] * known["gravity"]
+    values = {"phi": math.atan2(place[1], place[0]), "s": math.hypot(*place[:2]), "l": -place[2], "tension": tension}
+    values |= {"M_b": 0.0, "F": 0.0, "M_w": -tension * known["winch_radius"], "swing": 0.0}
+    return values | dict(zip(_LOAD, place, strict=True))
+
+
+_START = components("start.position")
+_CRANE = ("phi", "s", "l", "tension")
 _ROUTES = tuple(product(MODELS, FORMULATIONS))
 
 LOAD_TRAJECTORY = Kind(
@@ -67,7 +105,7 @@ LOAD_TRAJECTORY = Kind(
     interface=variables.load_trajectory,
     page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in PROFILES),
-    rest=_LOAD_AT_REST,
+    resting=_LOAD,
 )
 
 ROTARY_CRANE = Kind(
@@ -76,11 +114,11 @@ ROTARY_CRANE = Kind(
     interface=variables.rotary_crane,
     page="fmu.md",
     runs=tuple({"model": model, "formulation": formulation} for model, formulation in _ROUTES),
-    rest={**_CRANE_AT_REST, "M_b": 0.0, "F": 0.0, "M_w": -98.1, "swing": 0.0},
+    resting=(*_CRANE, "M_b", "F", "M_w", "swing"),
     routes=_ROUTES,
     # a compiler takes a second for each of these, and longer than for all of them for one of the model of bodies
     to_machine_code=(*product(["points"], FORMULATIONS), ("generalized", "reduced")),
-    has_plant=True,
+    has_feedback=True,
 )
 
 CRANE_PLANT = Kind(
@@ -89,7 +127,7 @@ CRANE_PLANT = Kind(
     interface=variables.crane_plant,
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),
-    rest={**_CRANE_AT_REST, **_LOAD_AT_REST},
+    resting=(*_CRANE, *_LOAD),
     has_plant=True,
 )
 

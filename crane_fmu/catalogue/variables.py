@@ -27,7 +27,7 @@ _UNITS = {
 }
 """Units of path, inputs, motion and rates, in tables of outputs as of measured values."""
 
-_ZERO = (0.0, 0.0, 0.0)
+_ZERO, _NO_LIMIT = (0.0, 0.0, 0.0), 1e9
 
 # Exact only while they are constant: a change of these moves the trolley or the rope at once.
 _FIXED_PARAMETERS = frozenset({"gravity", "winch_radius"})
@@ -51,12 +51,16 @@ def rotary_crane() -> Interface:
         *_crane_parameters(),
         _number("internal_step", "s", 0.0, "step of the method; a communication step takes the nearest whole number of"
                 " them; 0: one"),
-        _text("model", MODELS, "model of the crane that is solved"),
-        _text("formulation", FORMULATIONS, "how the servo constraints enter the equations"),
-        _text("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
-        _text("connected", derivatives, "highest derivative of the path that is connected; others are estimated"),
+        _choice("model", MODELS, "model of the crane that is solved"),
+        _choice("formulation", FORMULATIONS, "how the servo constraints enter the equations"),
+        _choice("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
+        _choice("connected", derivatives, "highest derivative of the path that is connected; others are estimated"),
         *_measured(),
         _number("feedback", "1", 1.0, "share of the feedback in the outputs, where motion is measured", highest=1.0),
+        _number("feedback_distance", "m", 0.5, "a load farther than this from its path is left to the feedforward",
+                1e-3, 1e9),
+        *(_number(f"limit.{name}", _UNITS[name], _NO_LIMIT, f"largest |{name}| that the drive gives", 1e-3, _NO_LIMIT)
+          for name, _, _ in _FORCES),
     )  # fmt: skip
     return Interface(rows)
 
@@ -74,7 +78,7 @@ def load_trajectory() -> Interface:
         _number(
             "ramp", "s", 0.0, f"time to accelerate, for {THREE_PHASE}; 0: a quarter of the duration", change="fixed"
         ),
-        _text("profile", (*PROFILES, FROM_FILE), "time law along the line, or a table"),
+        _choice("profile", (*PROFILES, FROM_FILE), "time law along the line, or a table"),
     )
     return Interface(rows)
 
@@ -106,9 +110,9 @@ def crane_plant() -> Interface:
         _number("gust_start", "s", 0.0, "time at which the gust begins", None),
         _number("gust_duration", "s", 0.0, "time that the gust lasts"),
         _number("internal_step", "s", 0.002, "longest step of the solver, Runge-Kutta of order four", 1e-6, 1.0),
-        _text("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
-        _text("hold", ("first_order", "zero_order"), "how inputs go on between communication points"),
-        _text("brakes", ("until_inputs", "none"), "brakes hold the crane until an input is not zero"),
+        _choice("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
+        _choice("hold", ("first_order", "zero_order"), "how inputs go on between communication points"),
+        _choice("brakes", ("until_inputs", "none"), "brakes hold the crane until an input is not zero"),
     )
     return Interface(rows)
 
@@ -193,6 +197,7 @@ def _number(
     return Variable(name, "parameter", change, text, unit, start=start, minimum=lowest, maximum=highest)
 
 
-def _text(name: str, choices: Iterable[str], text: str) -> Variable:
+def _choice(name: str, choices: Iterable[str], text: str) -> Variable:
     names = tuple(choices)
-    return Variable(name, "parameter", "fixed", f"{text}: {', '.join(names)}", start=names[0], choices=names)
+    items = ", ".join(f"{k} {each}" for k, each in enumerate(names, start=1))
+    return Variable(name, "parameter", "fixed", f"{text}: {items}", start=names[0], choices=names)

@@ -15,14 +15,14 @@ from typing import Any, Protocol, Self, TypeVar
 
 from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
-from pythonfmu.variables import Real, String
+from pythonfmu.variables import Integer, Real
 
-from crane_fmu.slave.checks import require_finite, require_legal, require_step
+from crane_fmu.slave.checks import chosen_item, require_finite, require_legal, require_step
 from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
 from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 
-_STATE_FORMAT = "servocore fmu state 1"
+_STATE_FORMAT = "servocore fmu state 2"
 _INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
 _BUNDLE = Path(__file__).parents[2].name
@@ -77,15 +77,15 @@ class TableSlave(GuardedSlave):
         self._folder = self._resources / _BUNDLE
         self._interface = load_once(self._folder / INTERFACE_FILE, Interface.from_json)
         self.guid = self._interface.guid
-        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=20.0, step_size=0.1)
+        self.default_experiment = DefaultExperiment(start_time=0.0, stop_time=20.0, step_size=0.05)
         variables = self._interface.variables
         self._outputs = [k for k, each in enumerate(variables) if each.causality == "output"]
         self._output_place = slice(self._outputs[0], self._outputs[-1] + 1)  # outputs follow each other in the table
         self._inputs = frozenset(k for k, each in enumerate(variables) if each.causality == "input")
         self._leading = next(k for k, each in enumerate(variables) if each.causality != "input")  # inputs come first
         self._leading_references = list(range(self._leading))
-        self._reals = [math.nan if each.is_text or each.start is None else float(each.start) for each in variables]
-        self._texts = [str(each.start) if each.is_text else "" for each in variables]
+        self._reals = [math.nan if each.is_choice or each.start is None else float(each.start) for each in variables]
+        self._items = [each.choices.index(str(each.start)) + 1 if each.is_choice else 0 for each in variables]
         self._phase = _INSTANTIATED
         self._stale = True  # outputs do not belong to the inputs: computed when leaving or reading
         self._failure = ""
@@ -93,7 +93,7 @@ class TableSlave(GuardedSlave):
         self._snapshot: State | None = None
         self._parameters: Any = None  # what a subclass made of parameters; None when one has changed
         for each in variables:
-            variable = (String if each.is_text else Real)(
+            variable = (Integer if each.is_choice else Real)(
                 each.name,
                 causality=Fmi2Causality[each.causality],
                 variability=Fmi2Variability[each.variability],
@@ -210,8 +210,7 @@ class TableSlave(GuardedSlave):
 
     def _setting(self, name: str) -> str:
         k = self._interface.index(name)
-        require_legal(self._interface.variables[k], self._texts[k])
-        return self._texts[k]
+        return chosen_item(self._interface.variables[k], self._items[k])
 
     def _checked(self, references: Sequence[int]) -> list[float]:
         """Return numbers after a look at their ranges."""
@@ -243,24 +242,24 @@ class TableSlave(GuardedSlave):
         for vr, value in zip(vrs, values, strict=True):
             if vr in self._inputs:
                 reals[vr] = value
-            elif self._settable(vr, text=False):
+            elif self._settable(vr, choice=False):
                 reals[vr] = value
                 self._parameters = None
 
     @guarded(nothing)
-    def set_string(self, vrs: list[int], values: list[str]) -> None:
-        """Take settings."""
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Take choices by the numbers of their items."""
         for vr, value in zip(vrs, values, strict=True):
-            if self._settable(vr, text=True):
-                self._texts[vr] = str(value)
+            if self._settable(vr, choice=True):
+                self._items[vr] = int(value)
         self._stale = True
 
-    def _settable(self, vr: int, *, text: bool) -> bool:
+    def _settable(self, vr: int, *, choice: bool) -> bool:
         if not self._known(vr):
             return False
         variable = self._interface.variables[vr]
         late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
-        if late or variable.causality == "output" or variable.is_text != text:
+        if late or variable.causality == "output" or variable.is_choice != choice:
             reason = "cannot change after the initialisation" if late else "cannot be set as such"
             self.remark(f"{variable.name} {reason}; the new value is ignored")
             return False
@@ -288,10 +287,10 @@ class TableSlave(GuardedSlave):
             return [reals[vr] for vr in vrs]
         return [reals[vr] if self._known(vr) else math.nan for vr in vrs]
 
-    @guarded(lambda vrs: [""] * len(vrs))
-    def get_string(self, vrs: list[int]) -> list[str]:
-        """Return settings."""
-        return [self._texts[vr] if self._known(vr) else "" for vr in vrs]
+    @guarded(lambda vrs: [0] * len(vrs))
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Return the numbers of the items that are chosen."""
+        return [self._items[vr] if self._known(vr) else 0 for vr in vrs]
 
     # --- state ----------------------------------------------------------------------------------------------------
 
@@ -307,7 +306,7 @@ class TableSlave(GuardedSlave):
             "failure": self._failure,
             "start_time": self._start_time,
             "reals": list(self._reals),
-            "texts": list(self._texts),
+            "items": list(self._items),
             "snapshot": None if snapshot is None else snapshot.to_plain(),
         }
 
@@ -316,13 +315,13 @@ class TableSlave(GuardedSlave):
         if state.get("format") != _STATE_FORMAT or state.get("guid") != self.guid:
             raise InvalidSetting("the state to restore is not one of this FMU; nothing was changed")
         snapshot = None if state["snapshot"] is None else self.state_type.from_plain(state["snapshot"])
-        reals, texts = [float(each) for each in state["reals"]], [str(each) for each in state["texts"]]
+        reals, items = [float(each) for each in state["reals"]], [int(each) for each in state["items"]]
         phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
         start_time = float(state["start_time"])
-        if (len(reals), len(texts)) != (len(self._reals), len(self._texts)):
+        if (len(reals), len(items)) != (len(self._reals), len(self._items)):
             raise InvalidSetting(_DAMAGED)
-        before = self._texts, self._reals
-        self._texts, self._reals, self._parameters = texts, reals, None
+        before = self._items, self._reals
+        self._items, self._reals, self._parameters = items, reals, None
         try:
             if snapshot is not None:
                 with ONE_AT_A_TIME:
@@ -330,7 +329,7 @@ class TableSlave(GuardedSlave):
                 if not self._fits(snapshot):
                     raise InvalidSetting(_DAMAGED)
         except BaseException:
-            self._texts, self._reals, self._parameters = *before, None
+            self._items, self._reals, self._parameters = *before, None
             if self._snapshot is not None:
                 self._prepare()
             raise

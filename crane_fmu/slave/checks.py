@@ -62,13 +62,16 @@ def require_finite(inputs: Sequence[float], variables: Sequence[Variable], time:
             raise InvalidReference(f"at t = {time:.6g} s the input {variable.name} is {value}, not a finite number")
 
 
-def require_legal(variable: Variable, value: float | str) -> None:
-    """Raise `InvalidSetting` if a parameter's value is outside its range or unknown."""
-    if variable.is_text:
-        if value not in variable.choices:
-            raise InvalidSetting(f"{variable.name} = {value!r} is unknown; it may be {', '.join(variable.choices)}")
-        return
-    number = float(value)
+def chosen_item(variable: Variable, number: int) -> str:
+    """Return the name of an enumeration's item; raises `InvalidSetting` if there is none of that number."""
+    if not 1 <= number <= len(variable.choices):
+        items = ", ".join(f"{k} ({name})" for k, name in enumerate(variable.choices, start=1))
+        raise InvalidSetting(f"{variable.name} = {number} is unknown; it may be {items}")
+    return variable.choices[number - 1]
+
+
+def require_legal(variable: Variable, number: float) -> None:
+    """Raise `InvalidSetting` if a parameter's value is outside its range."""
     low = -math.inf if variable.minimum is None else variable.minimum
     high = math.inf if variable.maximum is None else variable.maximum
     if not (math.isfinite(number) and low <= number <= high):

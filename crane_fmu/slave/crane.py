@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,18 +13,30 @@ import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once, required
 from crane_fmu.slave.checks import internal_steps, require_finite
-from crane_fmu.slave.estimate import Sample, completed, contradiction, kept_samples
-from crane_fmu.slave.feedback import Control, controlled
-from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_INPUTS, ORDERS, PLANT_FILE, program_file
+from crane_fmu.slave.estimate import (
+    SAMPLES,
+    Estimate,
+    Samples,
+    contradiction,
+    estimated,
+    first_sample,
+    with_sample,
+)
+from crane_fmu.slave.feedback import LARGEST_TURN, Feedback, fastest_pendulum, feedbacks
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_FILE, FEEDBACK_INPUTS, ORDERS, program_file
 from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
 from crane_fmu.slave.quick import QuickStep, quick_step
 from crane_fmu.slave.state import PlainState
-from servocore import InvalidSetting, Plant, Program
+from servocore import InvalidReference, InvalidSetting, Program
 
 _INPUTS = ROWS * DIMENSION
 _NOTHING_TOLD = [0.0] * _INPUTS
-_ACTUATORS = 3  # the first channels of a program, and the first outputs
+_ACTUATORS, _S = 3, 4  # the first outputs are the actuators', the fifth is s
+_SETTING_NAMES = ("internal_step", "feedback", "feedback_distance", "limit.M_b", "limit.F", "limit.M_w")
+_SETTINGS = len(_SETTING_NAMES)
+_DOUBT = 0.05  # of the peak of M_b: a larger error of what is estimated is told
+_SLIGHT_TORQUE = 0.002  # of the load's weight times s: peaks below count as that much
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,41 +47,69 @@ class CraneState(PlainState):
     ----------
     motion : Snapshot
         The motion that belongs to the path.
+    forces : ndarray, shape (3,)
+        Inputs of the crane: those of the motion, with feedback, within limits.
     heard : sequence of float
         The path's inputs of the last step, empty before the first.
-    samples : tuple of Sample
-        For the estimation of derivatives.
-    control : Control or None
-        None while there is no feedback.
-    gain : float
-        Share of the feedback in the outputs.
-    said : bool
-        Whether contradicting inputs have been remarked upon.
+    samples : Samples or None
+        For the estimation of derivatives; None where nothing is estimated.
+    peak : float
+        Largest |M_b| since derivatives are known, in N.m.
+    memory : ndarray or None
+        Of the feedback; None while there is none.
+    is_far : bool
+        Whether the feedback is left out because the load is too far from its path.
+    is_odd : bool
+        Whether the inputs of the last step contradicted each other.
+    said : tuple of str
+        What has been remarked upon.
     """
 
     motion: Snapshot
+    forces: Array
     heard: Sequence[float] = ()
-    samples: tuple[Sample, ...] = ()
-    control: Control | None = None
-    gain: float = 0.0
-    said: bool = False
+    samples: Samples | None = None
+    peak: float = 0.0
+    memory: Array | None = None
+    is_far: bool = False
+    is_odd: bool = False
+    said: tuple[str, ...] = ()
 
     @property
     def time(self) -> float:
         """In s."""
         return self.motion.time
 
+    def at(self, time: float) -> CraneState:
+        """Return the same by another clock."""
+        return replace(self, motion=self.motion.at(time))
+
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> CraneState:
         """Undo `to_plain`."""
         return cls(
-            Snapshot.from_plain(plain["motion"]),
-            [float(each) for each in plain["heard"]],
-            tuple((float(time), tuple(float(each) for each in value)) for time, value in plain["samples"]),
-            None if plain["control"] is None else Control.from_plain(plain["control"]),
-            float(plain["gain"]),
-            bool(plain["said"]),
+            motion=Snapshot.from_plain(plain["motion"]),
+            forces=np.array(plain["forces"], dtype=float),
+            heard=[float(each) for each in plain["heard"]],
+            samples=None if plain["samples"] is None else Samples.from_plain(plain["samples"]),
+            peak=float(plain["peak"]),
+            memory=None if plain["memory"] is None else np.array(plain["memory"], dtype=float),
+            is_far=bool(plain["is_far"]),
+            is_odd=bool(plain["is_odd"]),
+            said=tuple(str(each) for each in plain["said"]),
         )
+
+
+@dataclass(frozen=True, eq=False)
+class Settings:
+    """What parameters say: those of the program and of the crane, step, share, distance and limits of the feedback."""
+
+    p: Array
+    own: Array
+    internal_step: float
+    share: float
+    distance: float
+    limits: Array
 
 
 class Slave(TableSlave):
@@ -81,6 +122,7 @@ class Slave(TableSlave):
         super().__init__(**kwargs)
         self._program: Program | None = None
         self._quick: QuickStep | None = None
+        self._law: Feedback | None = None
         self._at_end = False
         self._order = ROWS - 1
         self._channels: list[int] = []
@@ -97,42 +139,90 @@ class Slave(TableSlave):
         program, quick = load_once(file, partial(_with_quick_step, library=file.with_suffix(".so")))
         names = [channel.name for channel in program.channels]
         self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
-        self._numbers = self._references(*program.parameters, "internal_step", "feedback")
+        self._numbers = self._references(*program.parameters, *_SETTING_NAMES)
+        text = self._folder / FEEDBACK_FILE
+        laws = load_once(text, partial(feedbacks, library=text.with_suffix(".so")))
+        self._law = laws[self._setting("input_time")]
         self._at_end, self._order, self._parameters = at_end, order, None
         self._program, self._quick = program, quick
 
     def _begin(self, time: float) -> CraneState:
         program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
-        samples = kept_samples((), time, self._highest(heard), self._order) if self._order < ROWS - 1 else ()
-        return CraneState(begin(program, self._connected(heard), self._required_parameters()[0], time), (), samples)
+        samples = first_sample(self._highest(heard)) if self._order < ROWS - 1 else None
+        settings = self._required_parameters()
+        motion = begin(program, self._connected(heard), settings.p, time)
+        return CraneState(motion, self._limited(motion, settings), samples=samples)
 
     def _fits(self, state: CraneState) -> bool:
         program, motion = required(self._program), state.motion
-        sizes = motion.state.size, motion.jet.shape, motion.values.size
-        return sizes == (program.state_size, (ROWS, DIMENSION), len(program.channels))
+        sizes = motion.state.size, motion.jet.shape, motion.values.size, state.forces.shape
+        right = (program.state_size, (ROWS, DIMENSION), len(program.channels), (_ACTUATORS,))
+        estimates = (state.samples is not None) == (self._order < ROWS - 1)
+        return estimates and sizes == right and (state.memory is None or state.memory.size == required(self._law).size)
 
     # --- steps ----------------------------------------------------------------------------------------------------
 
     def _advance(self, now: CraneState, h: float) -> CraneState:
         program, motion = required(self._program), now.motion
-        p, internal_step, gain = self._required_parameters()
+        settings = self._required_parameters()
         time = motion.time + h if self._at_end else motion.time
         heard = self._finite_inputs(_INPUTS, time)
         if not now.heard and heard == _NOTHING_TOLD:  # some masters pass connected values on after the first step only
             heard = motion.jet.ravel().tolist()
-        said = now.said or self._remarked(now.heard, heard, time)
-        jet, samples = heard, now.samples
-        if self._order < ROWS - 1:
-            samples = kept_samples(samples, time, self._highest(heard), self._order) if h >= SHORTEST_STEP else samples
-            jet = completed(samples, self._connected(heard), self._order, h).ravel().tolist()
-        count = internal_steps(internal_step, h)
+        said, is_odd = self._contradicted(now, heard, time)
+        jet, samples, estimate = heard, now.samples, None
+        if samples is not None:
+            samples, estimate = self._estimated(samples, heard, h)
+            full = self._connected(heard)
+            full[self._order + 1 :] = estimate.rows
+            jet = full.ravel().tolist()
+        count = internal_steps(settings.internal_step, h)
         quick = self._quick if count == 1 else None
-        usual = quick(motion, jet, 0.0 if self._at_end else h, h, p) if quick else None
-        after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, p)
-        control = self._feedback(now, jet, p, h, after.time) if gain > 0.0 else None
+        usual = quick(motion, jet, 0.0 if self._at_end else h, h, settings.p) if quick else None
+        after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, settings.p)
+        forces, peak = self._limited(after, settings), now.peak
+        if estimate is not None:
+            peak, said = self._doubted(estimate, after, peak, said, time)
+        memory, is_far = None, now.is_far
+        if settings.share > 0.0 and any(self._reals[self._measured]):
+            forces, memory, is_far, said = self._with_feedback(now, after, jet, h, settings, forces, said)
         state = object.__new__(CraneState)  # see `quick`: its own way takes three times as long
-        state.__dict__.update(motion=after, heard=heard, samples=samples, control=control, gain=gain, said=said)
+        state.__dict__.update(
+            motion=after, forces=forces, heard=heard, samples=samples, peak=peak, memory=memory, is_far=is_far,
+            is_odd=is_odd, said=said,
+        )  # fmt: skip
         return state
+
+    def _estimated(self, samples: Samples, heard: Sequence[float], h: float) -> tuple[Samples, Estimate]:
+        """Return samples and derivatives with what is told for this step."""
+        elapsed = samples.age + h if self._at_end else samples.age
+        if h >= SHORTEST_STEP:
+            samples, elapsed = with_sample(samples, self._highest(heard), elapsed, self._order), 0.0
+        estimate, samples = estimated(samples, self._order)
+        return replace(samples, age=elapsed if self._at_end else elapsed + h), estimate
+
+    def _doubted(
+        self, estimate: Estimate, after: Snapshot, peak: float, said: tuple[str, ...], time: float
+    ) -> tuple[float, tuple[str, ...]]:
+        """Return the peak of M_b, and tell once when what is estimated does not determine it well."""
+        above = f"derivatives above the load's {ORDERS[self._order]}"
+        if not estimate.is_known:
+            return peak, self._told(
+                said, "motion", time, f"the load starts in motion: {above} are known after {SAMPLES - self._order}"
+                " samples; until then M_b, F and M_w are not those of the path"
+            )  # fmt: skip
+        own = self._required_parameters().own
+        values = after.values[self._channels]
+        s, drop = values.item(_S), -after.jet.item(2) / (own.item(5) + after.jet.item(8))
+        peak = max(peak, abs(values.item(0)))
+        wrong = (own.item(0) / s + own.item(1) * s) * abs(drop) * estimate.snap_error
+        if wrong > _DOUBT * max(peak, _SLIGHT_TORQUE * own.item(2) * own.item(5) * s):
+            said = self._told(
+                said, "samples", time, f"{above} are estimated to {estimate.snap_error:.2g} m/s4 of snap only, worth"
+                f" {wrong:.2g} N.m of M_b, whose peak so far is {peak:.2g} N.m: the samples are too rough, or too far"
+                " apart; connect further derivatives, or lay a smooth path through the samples first"
+            )  # fmt: skip
+        return peak, said
 
     def _unusual_step(self, now: Snapshot, program: Program, jet: Array, h: float, count: int, p: Array) -> Snapshot:
         """Take a step that is the first, has another size, is divided, or is to be refused with a sentence."""
@@ -146,41 +236,70 @@ class Slave(TableSlave):
             path = hermite(now.jet, jet, h)
         return advance(program, now, path, h, count, p)
 
-    def _feedback(self, now: CraneState, jet: Sequence[float], p: Array, h: float, end: float) -> Control | None:
-        """Return the feedback for the next step, or None while no motion is measured: a rope has a length."""
-        measured = self._reals[self._measured]
-        if not any(measured):
-            return None
-        require_finite(measured, self._interface.variables[self._measured], end - h)
+    def _with_feedback(
+        self, now: CraneState, after: Snapshot, jet: Sequence[float], h: float, settings: Settings, forces: Array,
+        said: tuple[str, ...],
+    ) -> tuple[Array, Array | None, bool, tuple[str, ...]]:  # fmt: skip
+        """Return inputs, memory, whether the load is far from its path, and what has been said."""
+        time, measured = now.motion.time, self._reals[self._measured]
+        require_finite(measured, self._interface.variables[self._measured], time)
         if not (measured[2] > 0.0 and measured[8] < 0.0):
             raise InvalidSetting(
-                f"at t = {end - h:.6g} s the measured rope length is {measured[2]:g} m and the measured height of the"
+                f"at t = {time:.6g} s the measured rope length is {measured[2]:g} m and the measured height of the"
                 f" load {measured[8]:g} m: the feedback needs the length above 0 m, the height below 0 m and all"
                 f" measured values connected; feedback = 0 does without"
             )
-        plant = load_once(self._folder / PLANT_FILE, Plant.from_json)
-        motion = now.motion
-        present = motion.jet if self._at_end else _matrix(jet)
-        values = dict(zip(required(self._program).parameters, p, strict=True))
-        own = np.array([values[name] for name in CRANE_PARAMETERS])
-        inputs = motion.values[self._channels[:_ACTUATORS]]
-        return controlled(plant, own, present, inputs, np.array(measured), h, now.control)
+        before = now.motion.jet.ravel().tolist() if self._at_end else jet
+        off, own = math.dist(measured[6:9], before[:3]), settings.own
+        is_far = off > (0.5 if now.is_far else 1.0) * settings.distance
+        if is_far:
+            said = self._told(
+                said, "far", time, f"the measured load is {off:.3g} m from its path, more than feedback_distance ="
+                f" {settings.distance:g} m: it is left to the feedforward until it is within half of that"
+            )  # fmt: skip
+            return forces, None, True, said
+        rate = fastest_pendulum(own, measured[2], before[8])
+        if rate * h > LARGEST_TURN:
+            said = self._told(
+                said, "step", time, f"the step of {h:g} s is too long for the feedback: with this load, trolley and"
+                f" rope it may be {LARGEST_TURN / rate:.3g} s at most; the load is left to the feedforward"
+            )  # fmt: skip
+            return forces, None, False, said
+        law = required(self._law)
+        memory = law.begin(before, own, h)[0] if now.memory is None else now.memory
+        memory, found = law.follow(
+            memory, jet, before, measured, now.forces, after.values[self._channels[:_ACTUATORS]], own, h,
+            settings.share, settings.limits,
+        )  # fmt: skip
+        if not (np.isfinite(memory).all() and np.isfinite(found).all()):
+            said = self._told(said, "lost", time, "the feedback finds no inputs; the load is left to the feedforward")
+            return forces, None, False, said
+        return found, memory, False, said
 
-    def _remarked(self, before: Sequence[float], now: Sequence[float], time: float) -> bool:
-        """Tell once if the path moves where the derivatives that should be connected say that it does not."""
-        if not before or before == now:
-            return False
-        found = contradiction(before, now, self._order)
+    def _limited(self, motion: Snapshot, settings: Settings) -> Array:
+        forces: Array = np.clip(motion.values[self._channels[:_ACTUATORS]], -settings.limits, settings.limits)
+        return forces
+
+    def _contradicted(self, now: CraneState, heard: Sequence[float], time: float) -> tuple[tuple[str, ...], bool]:
+        """Tell if the path moves where derivatives that should be connected say it does not; refuse a second step."""
+        found = contradiction(now.heard, heard, self._order) if now.heard and now.heard != heard else ""
+        if found and now.is_odd:
+            raise InvalidReference(f"at t = {time:.6g} s {found}")
         if found:
-            self.remark(f"at t = {time:.6g} s {found}")
-        return bool(found)
+            consequence = "; the outputs are those of a load that stands still, and the next such step is refused"
+            return self._told(now.said, "path", time, found + consequence), True
+        return now.said, False
+
+    def _told(self, said: tuple[str, ...], topic: str, time: float, sentence: str) -> tuple[str, ...]:
+        """Remark upon a topic unless that has been done, and return what has been said."""
+        if topic in said:
+            return said
+        self.remark(f"at t = {time:.6g} s {sentence}")
+        return (*said, topic)
 
     def _output_values(self, state: CraneState) -> list[float]:
-        values = state.motion.values.tolist()
-        outputs: list[float] = [values[channel] for channel in self._channels]
-        if state.control is not None:
-            for k in range(_ACTUATORS):
-                outputs[k] += state.gain * float(state.control.now[k])
+        outputs: list[float] = state.motion.values[self._channels].tolist()
+        outputs[:_ACTUATORS] = state.forces.tolist()
         return outputs
 
     # --- what the variables say ----------------------------------------------------------------------------------
@@ -194,12 +313,15 @@ class Slave(TableSlave):
         jet[self._order + 1 :] = 0.0
         return jet
 
-    def _required_parameters(self) -> tuple[Array, float, float]:
-        """Return the program's parameters, the internal step and the feedback, checked when they have changed."""
+    def _required_parameters(self) -> Settings:
+        """Return what parameters say, checked when they have changed."""
         if self._parameters is None:
             values = self._checked(self._numbers)
-            self._parameters = np.array(values[:-2]), values[-2], values[-1]
-        found: tuple[Array, float, float] = self._parameters
+            p, (internal_step, share, distance, *limits) = values[:-_SETTINGS], values[-_SETTINGS:]
+            named = dict(zip(required(self._program).parameters, p, strict=True))
+            own = np.array([named[name] for name in CRANE_PARAMETERS])
+            self._parameters = Settings(np.array(p), own, internal_step, share, distance, np.array(limits))
+        found: Settings = self._parameters
         return found
 
 

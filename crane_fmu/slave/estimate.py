@@ -1,74 +1,230 @@
 """Derivatives of the load path that are not connected, estimated from the samples of the highest one that is.
 
-The last n = 7 - k samples of the k-th derivative lie on one polynomial of degree n - 1; its derivatives at the newest
-sample are the estimates. For samples h apart, derivative j of the path has an error of order h^(7 - j), snap one of
-h^3. An error e of the samples, rounding included, comes out as up to `amplification(k) e / h^(4 - k)` in the snap.
+Model: near its newest sample the k-th derivative of the path is a polynomial of degree 6 - k plus errors of the
+samples, rounding included, that are independent and of one size. Polynomials are fitted by least squares to the last
+7 - k samples (an interpolation), and to more and more of them. The longer the window the less of the errors comes
+through, and the more the path differs from a polynomial: the longest window is taken whose snap agrees, to what the
+errors explain, with those of all shorter ones (Lepski's rule). Their size is learnt from residuals of the shortest
+window that has some. Where samples are exact the shortest window wins: derivative j then has an error of order
+h^(7 - j), snap one of h^3.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import factorial
 
 import numpy as np
 
-from crane_fmu.slave.interface import ORDERS
+from crane_fmu.slave.interface import DIMENSION, ORDERS
 from crane_fmu.slave.paths import ROWS, Array
+from crane_fmu.slave.state import PlainState
 
-Sample = tuple[float, tuple[float, ...]]
-"""Time in s, and the highest connected derivative then."""
+SAMPLES = ROWS + 2
+"""Samples that it takes to know the derivatives above a position; one less for each derivative that is connected."""
 
-_LONGEST = ROWS + 2
+_WINDOWS = (0, 2, 6, 12, 20, 32, 48, 72, 104, 150)  # samples more than an interpolation takes
+_MOST = _WINDOWS[-1] + SAMPLES
 _SLIGHT = 1e-9  # of the size of a position: smaller changes are rounding
+_ROUNDING = 2e-16
+_EVEN = 1e-11  # of a step: spacings that differ by less count as equal
+_RISE, _FALL = 1.0 / 4.0, 1.0 / 64.0  # shares of the newest residual in the estimated noise
+_ABSURD = 20.0  # m/s4: a larger snap is taken for an error of the samples
+_AGREE = 3.5  # standard deviations
+_STANDSTILL = 3e-6  # a first change of the samples up to this, in SI units, is no motion
 
 
-def kept_samples(samples: Sequence[Sample], time: float, value: Sequence[float], order: int) -> tuple[Sample, ...]:
-    """Return the samples to keep with a new one; one that is told again for its instant replaces the older."""
-    older = [each for each in samples if each[0] < time]
-    return (*older, (time, tuple(value)))[-(_LONGEST - order) :]
+@dataclass(frozen=True, eq=False)
+class Samples(PlainState):
+    """What is remembered of the path.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Of the samples in s, the newest 0.
+    values : ndarray, shape (n, 3)
+        The highest connected derivative then.
+    age : float
+        Time since the newest sample in s.
+    variance : float
+        Estimated variance of a sample's error; negative before the first estimate.
+    """
+
+    times: Array
+    values: Array
+    age: float
+    variance: float
 
 
-def completed(samples: Sequence[Sample], jet: Array, order: int, step: float) -> Array:
-    """Return a jet whose derivatives above `order` are estimated.
+@dataclass(frozen=True)
+class Estimate:
+    """Derivatives that are estimated.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (4 - k, 3)
+        Derivatives k + 1 to 4 of the path.
+    snap_error : float
+        Estimated error of the last row in m/s4.
+    is_known : bool
+        False while there are too few samples.
+    """
+
+    rows: Array
+    snap_error: float
+    is_known: bool
+
+
+def first_sample(value: Sequence[float]) -> Samples:
+    """Return the samples after the first, which is told for the start."""
+    return Samples(np.zeros(1), np.array([value], dtype=float), 0.0, -1.0)
+
+
+def with_sample(samples: Samples, value: Sequence[float], elapsed: float, order: int) -> Samples:
+    """Return the samples with one more.
 
     Parameters
     ----------
-    samples : sequence of Sample
-        The newest last. Before the first one the path is taken to have been constant, a step apart.
-    jet : ndarray, shape (5, 3)
-        What is connected, at the time of the newest sample.
+    samples : Samples
+        The others.
+    value : sequence of 3 floats
+        The new one; if it is told for the instant of the newest it replaces it.
+    elapsed : float
+        Time since the newest in s.
     order : int
         Highest derivative that is connected.
-    step : float
-        Time between the samples that are assumed before the first one, in s.
     """
-    count = _LONGEST - order
-    first = samples[0]
-    missing = count - len(samples)
-    whole = [(first[0] - (missing - k) * step, first[1]) for k in range(missing)] + list(samples)
-    now = whole[-1][0]
-    spacing = now - whole[-2][0]
-    nodes = tuple(round((each[0] - now) / spacing, 6) for each in whole)
-    factors = _weights(nodes) @ np.array([each[1] for each in whole])
-    full = jet.copy()
-    for j in range(order + 1, ROWS):
-        full[j] = factors[j - order] * factorial(j - order) / spacing ** (j - order)
-    return full
+    row = np.array([value], dtype=float)
+    if elapsed <= 0.0:
+        return replace(samples, values=np.concatenate([samples.values[:-1], row]))
+    times, values = samples.times - elapsed, samples.values
+    if len(times) == 1 and np.abs(row - values).max() <= _STANDSTILL + elapsed ** (ROWS - 1 - order):
+        times = -elapsed * np.arange(_MOST - 1, 0, -1.0)  # a load at rest has rested before
+        values = np.repeat(values, _MOST - 1, axis=0)
+    times, values = np.append(times, 0.0)[-_MOST:], np.concatenate([values, row])[-_MOST:]
+    return Samples(times, values, 0.0, samples.variance)
 
 
-@lru_cache(maxsize=256)  # steps have nearly always the same few patterns, and an inverse costs as much as a step
-def _weights(nodes: tuple[float, ...]) -> Array:
-    """Return the matrix from values at the nodes to the coefficients of their polynomial."""
-    weights: Array = np.linalg.inv(np.vander(nodes, increasing=True))
-    return weights
+def estimated(samples: Samples, order: int) -> tuple[Estimate, Samples]:
+    """Estimate derivatives at the newest sample.
+
+    Parameters
+    ----------
+    samples : Samples
+        The newest is that for which derivatives are wanted.
+    order : int
+        Highest derivative that is connected.
+
+    Returns
+    -------
+    Estimate
+        What is found; derivatives that so few samples do not tell are zero.
+    Samples
+        The samples with what has been learnt of their errors.
+    """
+    degree, wanted = SAMPLES - 1 - order, ROWS - 1 - order
+    if len(samples.times) <= degree:
+        few = np.zeros((wanted, DIMENSION))
+        known = min(len(samples.times) - 1, wanted)
+        if not known:  # one sample tells nothing of a motion
+            return Estimate(few, 0.0, is_known=True), samples
+        few[:known] = _Fit(samples, len(samples.times), len(samples.times) - 1).derivatives(known)
+        return Estimate(few, math.inf, is_known=False), samples
+    counts = [degree + 1 + more for more in _WINDOWS if degree + 1 + more <= len(samples.times)]
+    fits = [_Fit(samples, count, degree) for count in counts[:2]]
+    found = [fit.derivatives(wanted) for fit in fits]
+    if len(fits) > 1:
+        absurd = max(0.0, float(np.abs(found[0][-1]).max()) - _ABSURD) / fits[0].newest(wanted)
+        samples = replace(samples, variance=max(_learnt(samples.variance, fits[1].variance()), absurd**2))
+    size = math.sqrt(max(samples.variance, 0.0)) + _ROUNDING * float(np.abs(samples.values[-1]).max())
+    spreads = [fit.spread(wanted) * size for fit in fits]
+    chosen = 0
+    for k in range(1, len(counts)):
+        if k == len(fits):
+            fits.append(_Fit(samples, counts[k], degree))
+            found.append(fits[k].derivatives(wanted))
+            spreads.append(fits[k].spread(wanted) * size)
+        apart = [float(np.linalg.norm(found[k][-1] - found[j][-1])) for j in range(k)]
+        if any(apart[j] > _AGREE * (spreads[k] + spreads[j]) for j in range(k)):
+            break
+        chosen = k
+    error = _AGREE * spreads[chosen]
+    if chosen == 0 and len(found) > 1:
+        error += float(np.linalg.norm(found[1][-1] - found[0][-1]))
+    return Estimate(found[chosen], error, is_known=True), samples
+
+
+def _learnt(variance: float, newest: float) -> float:
+    """Return the variance after a new residual: it rises fast and falls slowly."""
+    if variance < 0.0:
+        return newest
+    return variance + (_RISE if newest > variance else _FALL) * (newest - variance)
+
+
+class _Fit:
+    """A polynomial fitted to the last samples by least squares."""
+
+    def __init__(self, samples: Samples, count: int, degree: int) -> None:
+        times = samples.times[-count:]
+        self._span = -float(times[0])
+        nodes = times / self._span
+        even = np.abs(nodes - _even_nodes(count)).max() * (count - 1) <= _EVEN
+        self._gains, self._basis = _even_design(count, degree) if even else _design(nodes, degree)
+        self._values = samples.values[-count:] - samples.values[-1]
+        self._freedom = count - degree - 1
+
+    def derivatives(self, highest: int) -> Array:
+        """Return derivatives 1 to `highest` of the samples."""
+        scales = self._span ** np.arange(1.0, highest + 1)
+        found: Array = self._gains[1 : highest + 1] @ self._values / scales[:, None]
+        return found
+
+    def spread(self, order: int) -> float:
+        """Return the standard deviation of a derivative's component for errors of size one."""
+        return float(np.linalg.norm(self._gains[order]) / self._span**order)
+
+    def newest(self, order: int) -> float:
+        """Return by how much an error of the newest sample comes out in a derivative."""
+        return abs(float(self._gains[order, -1])) / float(self._span**order)
+
+    def variance(self) -> float:
+        """Return the mean variance of the samples' errors that the residuals tell."""
+        residual = self._values - self._basis @ (self._basis.T @ self._values)
+        return float(np.square(residual).sum()) / (self._freedom * DIMENSION)
+
+
+def _design(nodes: Array, degree: int) -> tuple[Array, Array]:
+    """Return the matrix from values at nodes in [-1, 0] to derivatives of their polynomial at 0, and its basis."""
+    basis, triangle = np.linalg.qr(np.polynomial.legendre.legvander(2.0 * nodes + 1.0, degree))
+    at_end = [
+        [factorial(n + j) / (factorial(j) * factorial(n - j)) if n >= j else 0.0 for n in range(degree + 1)]
+        for j in range(degree + 1)
+    ]
+    return np.array(at_end) @ np.linalg.solve(triangle, basis.T), basis
+
+
+@lru_cache(maxsize=256)  # by numbers that decide everything: nothing is rounded
+def _even_design(count: int, degree: int) -> tuple[Array, Array]:
+    return _design(_even_nodes(count), degree)
+
+
+@lru_cache(maxsize=256)
+def _even_nodes(count: int) -> Array:
+    nodes: Array = np.arange(1.0 - count, 1.0) / (count - 1)
+    return nodes
 
 
 def amplification(order: int) -> float:
-    """Return by how much an error of equidistant samples is at most amplified in the snap, in units of h^(order-4)."""
-    degree = ROWS - 1 - order
-    nodes = tuple(float(k) for k in range(order - _LONGEST + 1, 1))
-    return float(np.abs(_weights(nodes)[degree]).sum() * factorial(degree))
+    """Return by how much an error of equidistant samples is at most amplified in the snap, in units of h^(order-4).
+
+    That is the shortest window's: what comes through while samples are few, or while the path allows no longer one.
+    """
+    count, wanted = SAMPLES - order, ROWS - 1 - order
+    weights = _even_design(count, count - 1)[0][wanted]
+    return float(np.abs(weights).sum()) / float((count - 1) ** wanted)
 
 
 def contradiction(before: Sequence[float], now: Sequence[float], order: int) -> str:
@@ -91,7 +247,6 @@ def contradiction(before: Sequence[float], now: Sequence[float], order: int) -> 
         if changed and not any(before[j] or now[j] for j in above):
             return (
                 f"the load's {ORDERS[k]} changes, but its {' and '.join(ORDERS[k + 1 : order + 1])} stay zero: connect"
-                f" what is missing, or set connected = {ORDERS[k]} to have it estimated; the outputs are those of a"
-                f" load whose {ORDERS[k]} stands still"
+                f" what is missing, or set connected = {ORDERS[k]} to have it estimated"
             )
     return ""

@@ -40,7 +40,7 @@ def nothing(*_: Any) -> None:
 
 
 class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
-    """A slave whose variables are Reals and Strings, and which tells the host what went wrong."""
+    """A slave whose variables are Reals and Enumerations, and which tells the host what went wrong."""
 
     def report_error(self, callback: str, error: BaseException) -> None:
         """Log an exception; one of servocore's is a sentence for the user, any other is a defect."""
@@ -54,26 +54,27 @@ class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
         """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
         super().log(msg.replace("%", "%%"), status, category, debug)
 
-    # The table has no integers and no booleans; PythonFMU's own methods raise, which would end the host.
+    # The table has no texts and no booleans; PythonFMU's own methods raise, which would end the host.
 
     @guarded(nothing)
-    def set_integer(self, vrs: list[int], _: list[int]) -> None:
+    def set_string(self, vrs: list[int], _: list[str]) -> None:
         """Refuse to set."""
         self._refuse(vrs)
 
-    set_boolean = set_integer
+    set_boolean = set_string
 
-    @guarded(lambda vrs: [0] * len(vrs))
-    def get_integer(self, vrs: list[int]) -> list[int]:
-        """Refuse, with zeros."""
-        return self._refuse(vrs)
+    @guarded(lambda vrs: [""] * len(vrs))
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Refuse, with empty texts."""
+        self._refuse(vrs)
+        return [""] * len(vrs)
 
     @guarded(lambda vrs: [False] * len(vrs))
     def get_boolean(self, vrs: list[int]) -> list[bool]:
         """Refuse, with False."""
-        return [bool(each) for each in self._refuse(vrs)]
+        self._refuse(vrs)
+        return [False] * len(vrs)
 
-    def _refuse(self, vrs: list[int]) -> list[int]:
+    def _refuse(self, vrs: list[int]) -> None:
         if vrs:
-            self.log("the FMU has no Integer and no Boolean variables; the call is ignored", Fmi2Status.warning)
-        return [0] * len(vrs)
+            self.log("the FMU has no String and no Boolean variables; the call is ignored", Fmi2Status.warning)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import uuid
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
@@ -50,6 +51,9 @@ FROM_FILE = "file"
 INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
 """Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
 
+FEEDBACK_FILE, FEEDBACK_FORMAT = "feedback.json", "servocore feedback 1"
+"""The file with the functions of the feedback, and how it begins."""
+
 
 def program_file(model: str, formulation: str) -> str:
     """Name of the file with the compiled functions of a model in a formulation."""
@@ -69,13 +73,13 @@ class Variable:
     description : str
         One line for tool tips.
     unit, display_unit : str
-        SI unit, and the unit that tools should show; empty for texts.
+        SI unit, and the unit that tools should show; empty for choices.
     start : float or str, optional
-        None for what is calculated.
+        None for what is calculated; the name of an item for choices.
     minimum, maximum, nominal : float, optional
         As in FMI 2.0.
     choices : tuple of str
-        Legal values of a text.
+        Names of an enumeration's items, which are numbered from 1.
     """
 
     name: str
@@ -91,8 +95,8 @@ class Variable:
     choices: tuple[str, ...] = ()
 
     @property
-    def is_text(self) -> bool:
-        """True for a String, False for a Real."""
+    def is_choice(self) -> bool:
+        """True for an Enumeration, False for a Real."""
         return bool(self.choices)
 
 
@@ -121,6 +125,10 @@ class Interface:
     def index(self, name: str) -> int:
         """Value reference of the variable called `name`; raises ValueError if there is none."""
         return [each.name for each in self.variables].index(name)
+
+    def with_starts(self, starts: Mapping[str, float | str]) -> Interface:
+        """Return the table with other start values, for those variables that it has."""
+        return Interface(tuple(replace(each, start=starts.get(each.name, each.start)) for each in self.variables))
 
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""

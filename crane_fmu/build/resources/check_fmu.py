@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 
-from fmpy import simulate_fmu
+from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 
 STEPS = 5
@@ -22,13 +22,22 @@ TOLERANCE = 1e-6
 def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
     """Take a few steps with nothing connected."""
     messages: list[str] = []
+    choices = {
+        each.name: each.declaredType.items
+        for each in read_model_description(file).modelVariables
+        if each.type == "Enumeration"
+    }
+    numbers = {
+        name: next(int(item.value) for item in choices[name] if item.name == value) if name in choices else value
+        for name, value in settings.items()
+    }
     label = ", ".join(map(str, settings.values())) or "defaults"
     try:
         result = simulate_fmu(
             file,
             stop_time=0.1 * STEPS,
             output_interval=0.1,
-            start_values=settings,
+            start_values=numbers,
             debug_logging=True,
             logger=lambda _, __, ___, ____, message: messages.append(message.decode()),
         )

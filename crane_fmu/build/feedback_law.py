@@ -1,0 +1,331 @@
+"""The feedback on the measured motion of the crane as CasADi functions: memory in, memory and inputs out.
+
+Everything is designed for sampled data. Between communication points the plant's inputs run linearly; how, is known
+from the instant that the inputs of a step belong to. With *start* (a Jacobi master) the inputs computed in a step take
+effect after it, and go on as from the step before; with *end* (Gauss-Seidel) they are reached at the end of the same
+step. Deviations from the path, e of the crane's state and w of its inputs, follow over a step
+
+    e+ = A e + B w+ + B' w + delta + E d        d: force on the load
+                                                delta: what the path's own inputs miss, run linearly between instants
+
+    w+ = w_d - K (A (e - e_d) + B' (w - w_d))   e_d, w_d: where the load is on its path in spite of delta and d
+
+delta is computed in advance: the nonlinear crane is sent over the step from its place on the path. With *start* e is
+measured, and simulated over the step in which nothing can be changed any more. K minimises the sum of
+|W C e|^2 + |w/f|^2, C e the error of the load's position. The cost-to-go M of A e + B' w is part of the memory: some
+Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
+prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any
+
+import casadi as ca
+
+import servocore as sc
+from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
+
+WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 1.0
+"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z."""
+
+EFFORT = (1.5, 0.7, 1.0)
+"""How freely bridge, trolley and winch are used."""
+
+LEARNING_RATE, LEARNING_SHARE = 50.0, 0.35
+"""How fast the force on the load is learnt, in 1/s, and at most in a step."""
+
+RICCATI_STEPS, FIRST_RICCATI_STEPS = 6, 400
+"""By which the cost-to-go is brought up to date in a step, and before the first."""
+
+SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "snap": 3, "step": 1}
+"""What the memory holds: M, d, predicted state, inputs of the step before, snap told then, its length (0: none)."""
+
+_N, _M, _HALF = 10, 3, 5
+_JET = DIMENSION * len(ORDERS)
+_TERMS = 7  # of the matrix exponential's series: below 1e-6 as long as no pendulum turns more than 1 rad in a step
+
+
+def feedback_text(system: sc.MechanicalSystem) -> str:
+    """Return the feedback for both input times as a text that an FMU carries."""
+    functions = {name: each.serialize() for name, each in feedback_functions(system).items()}
+    return json.dumps({"format": FEEDBACK_FORMAT, **functions})
+
+
+def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
+    """Return the feedback of a crane in the coordinates phi, s, l and two swing angles.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The crane.
+
+    Returns
+    -------
+    dict of str to casadi.Function
+        For each input time T ``begin_T``, (jet, p, h) -> memory, and ``feedback_T``, (memory, jet, jet before,
+        measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
+    """
+    parts = _parts(system)
+    functions = (each(parts, time) for time in ("start", "end") for each in (_begin, _feedback))
+    return {each.name(): each for each in functions}
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Pieces of the law.
+
+    flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (state, u, u_dot, d, p, h) -> state.
+    sampled: (state, u, p, h) -> A, h phi_1 B, h phi_2 B, h phi_1 E, C. riccati: (M, A, B, B', C, f, W) -> M, K.
+    """
+
+    flat: ca.Function
+    measured: ca.Function
+    advance: ca.Function
+    sampled: ca.Function
+    riccati: ca.Function
+
+
+def _parts(system: sc.MechanicalSystem) -> _Parts:
+    return _Parts(flat_motion(), _measured_state(), _advance(system), _sampled(system), _riccati_step())
+
+
+def _function(name: str, arguments: list[Any], results: list[Any]) -> ca.Function:
+    return ca.Function(name, arguments, results, {"cse": True})
+
+
+def _advance(system: sc.MechanicalSystem) -> ca.Function:
+    """Return two classical Runge-Kutta steps under inputs that run linearly."""
+    x, u, slope, d, h = (ca.SX.sym(*each) for each in (("x", _N), ("u", _M), ("u_dot", _M), ("d", _M), ("h", 1)))
+    p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
+    v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
+    rate = _function("rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)])
+    after, half = x, h / 2
+    for begin in (0, half):
+        inputs = [u + slope * (begin + k * half / 2) for k in range(3)]
+        first = rate(after, inputs[0], d, p)
+        second = rate(after + half / 2 * first, inputs[1], d, p)
+        third = rate(after + half / 2 * second, inputs[1], d, p)
+        fourth = rate(after + half * third, inputs[2], d, p)
+        after = after + half / 6 * (first + 2 * second + 2 * third + fourth)
+    return _function("advance", [x, u, slope, d, p, h], [after])
+
+
+def _sampled(system: sc.MechanicalSystem) -> ca.Function:
+    """Return the crane linearised, over a step; phi_k are the functions behind the matrix exponential."""
+    p, h, a = system.p, ca.SX.sym("h"), ca.SX.sym("a", _HALF)
+    forces = system.bias + system.input_matrix.T @ system.u
+    factors = ca.ldl(system.mass)
+    balance = ca.horzcat(*(ca.jacobian(system.mass @ a + forces, each) for each in (system.q, system.v)))
+    balance = ca.substitute(balance, a, ca.ldl_solve(-forces, *factors))
+    lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T, -system.C.T)), *factors)
+    K, D, B, E = ca.horzsplit(lower, [0, _HALF, _N, _N + _M, _N + 2 * _M])
+    B, E = (ca.vertcat(ca.SX(_HALF, _M), each) for each in (B, E))
+
+    def times(F: ca.SX) -> ca.SX:
+        top, bottom = F[:_HALF, :], F[_HALF:, :]
+        return ca.vertcat(h * bottom, h * (K @ top + D @ bottom))
+
+    one = ca.SX.eye(_N)
+    phi_2 = one / math.factorial(_TERMS + 2)
+    for k in reversed(range(_TERMS)):
+        phi_2 = one / math.factorial(k + 2) + times(phi_2)
+    phi_1 = one + times(phi_2)
+    results = one + times(phi_1), h * phi_1 @ B, h * phi_2 @ B, h * phi_1 @ E, system.C
+    given = [ca.vertcat(system.q, system.v), system.u, p, h]
+    return _function("sampled", given, [ca.densify(each) for each in results])
+
+
+def flat_motion() -> ca.Function:
+    """Return (jet, p) -> (state, inputs): the crane's motion is an expression of the load's."""
+    jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
+    flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
+    bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
+
+    def dot(of: ca.SX) -> ca.SX:
+        return ca.jtimes(of, flat, shifted)
+
+    r, fall = jet[:, 0], gravity + jet[2, 2]
+    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley stands where the rope pulls from
+    velocity = dot(place)
+    acceleration = dot(velocity)
+    s, rope = ca.norm_2(place), ca.vertcat(r[:2] - place, r[2])
+    length = ca.norm_2(rope)
+    c, sn = place[0] / s, place[1] / s
+
+    def along(w: ca.SX) -> ca.SX:
+        return c * w[0] + sn * w[1]
+
+    def across(w: ca.SX) -> ca.SX:
+        return c * w[1] - sn * w[0]
+
+    tension = load * fall * length / -r[2]
+    pull = tension * rope / length
+    s_dot, turning, rolling = along(velocity), across(velocity) / s, dot(length)
+    turning_dot = (across(acceleration) - 2 * s_dot * turning) / s
+    swing = ca.vertcat(ca.atan2(along(rope), -r[2]), ca.atan2(across(rope), ca.norm_2(ca.vertcat(along(rope), r[2]))))
+    inputs = ca.vertcat(
+        bridge * turning_dot + s * (trolley * across(acceleration) - across(pull)),
+        trolley * along(acceleration) - along(pull),
+        winch * dot(rolling) / radius - tension * radius,
+    )
+    state = ca.vertcat(ca.atan2(place[1], place[0]), s, length, swing, turning, s_dot, rolling, dot(swing))
+    p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
+    return ca.Function(
+        "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
+    )
+
+
+def _measured_state() -> ca.Function:
+    """Return what is measured -> state: phi, s, l and rates, position and velocity of the load."""
+    given = ca.SX.sym("measured", 12)
+    phi, s, length, phi_dot, s_dot, length_dot = ca.vertsplit(given[:6])
+    r, v = given[6:9], given[9:]
+    c, sn = ca.cos(phi), ca.sin(phi)
+    along, across, down = c * r[0] + sn * r[1] - s, c * r[1] - sn * r[0], -r[2]
+    along_dot = c * v[0] + sn * v[1] + phi_dot * across - s_dot
+    across_dot = c * v[1] - sn * v[0] - phi_dot * (along + s)
+    plane = ca.norm_2(ca.vertcat(along, down))
+    plane_dot = (along * along_dot - down * v[2]) / plane
+    swing_dot = (
+        (along_dot * down + along * v[2]) / plane**2,
+        (across_dot * plane - across * plane_dot) / (across**2 + plane**2),
+    )
+    state = ca.vertcat(
+        phi, s, length, ca.atan2(along, down), ca.atan2(across, plane), phi_dot, s_dot, length_dot, *swing_dot
+    )
+    return ca.Function("measured", [given], [state])
+
+
+def _riccati_step() -> ca.Function:
+    """Return (cost M of A e + B' w before w+ is chosen, A, B, B', C, f, W) -> (M a step earlier, K)."""
+    cost, A, C = ca.SX.sym("M", _N, _N), ca.SX.sym("A", _N, _N), ca.SX.sym("C", _M, _HALF)
+    new, old = ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
+    efforts, weights = ca.SX.sym("f", _M), ca.SX.sym("W", _M)
+    half = cost @ A
+    quadratic = ca.SX(_N, _N)
+    for k in range(_N):  # symmetric: half of it is enough
+        quadratic[: k + 1, k] = A[:, : k + 1].T @ half[:, k]
+    quadratic[:_HALF, :_HALF] += ca.triu(C.T @ ca.diag(weights**2) @ C)
+    quadratic = ca.triu2symm(quadratic)
+    mixed = cost @ old
+    crossed = A.T @ mixed
+    N = quadratic @ new + crossed
+    S = ca.diag(1 / efforts**2) + new.T @ (N + crossed) + old.T @ mixed
+    scale = ca.diag(1 / ca.sqrt(ca.diag(S)))
+    gain = scale @ ca.ldl_solve(scale @ N.T, *ca.ldl(scale @ S @ scale))
+    earlier = ca.SX(_N, _N)
+    for k in range(_N):
+        earlier[: k + 1, k] = quadratic[: k + 1, k] - N[: k + 1, :] @ gain[:, k]
+    results = [ca.triu2symm(earlier), gain]
+    return ca.Function("riccati", [cost, A, new, old, C, efforts, weights], results, {"cse": True})
+
+
+def _efforts(p: Any, s: Any) -> Any:
+    """Return the inputs worth 1 m/s2 of bridge (at the trolley), trolley, winch with load, as freely as wanted."""
+    bridge, trolley, load, winch, radius = (p[k] for k in range(5))
+    worth = bridge / s + trolley * s, trolley, (load + winch / radius**2) * radius
+    return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
+
+
+def _weights(h: ca.MX) -> ca.MX:
+    """Return what an error of the load in x, y and z weighs."""
+    level = ca.fmin(WEIGHT, WEIGHT_TIMES_SQUARE / h**2)
+    return ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
+
+
+def _continued(jet: ca.MX, crackle: ca.MX, tau: Any) -> ca.MX:
+    """Continue a path by its Taylor polynomial with a fifth derivative."""
+    rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
+    moved = []
+    for k in range(len(ORDERS)):
+        value = rows[-1]
+        for j in reversed(range(k, len(ORDERS))):
+            value = rows[j] + tau / (j - k + 1) * value
+        moved.append(value)
+    return ca.vertcat(*moved)
+
+
+def _wrapped(difference: ca.MX) -> ca.MX:
+    """Return a difference of states with the bridge's angle within half a turn."""
+    turns = ca.floor(difference[0] / (2 * math.pi) + 0.5)
+    return ca.vertcat(difference[0] - 2 * math.pi * turns, difference[1:])
+
+
+def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, time: str) -> tuple[Any, ...]:
+    """Return A, B, B', E, C, f, W about a point of the path."""
+    state, inputs = parts.flat(jet, p)
+    A, first, second, E, C = parts.sampled(state, inputs, p, h)
+    new, old = (second, first - second) if time == "end" else (first + second, -second)
+    return A, new, old, E, C, _efforts(p, state[1]), _weights(h)
+
+
+def _begin(parts: _Parts, time: str) -> ca.Function:
+    """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
+    jet, p, h = ca.MX.sym("jet", _JET), ca.MX.sym("p", 6), ca.MX.sym("h")
+    A, new, old, _, C, efforts, weights = _over_a_step(parts, jet, p, h, time)
+    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, C, efforts, weights))]
+    cost = ca.MX.sym("M", _N, _N)
+    one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
+    many = [ca.repmat(each, 1, FIRST_RICCATI_STEPS) for each in (A, new, old, C, efforts, weights)]
+    found = one.fold(FIRST_RICCATI_STEPS)(1e-6 * ca.MX.eye(_N), *many)
+    memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N))
+    return ca.Function(f"begin_{time}", [jet, p, h], [ca.densify(memory)])
+
+
+def _feedback(parts: _Parts, time: str) -> ca.Function:
+    """Return the law."""
+    sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": _M}
+    sizes |= {"feedforward": _M, "p": 6, "h": 1, "share": 1, "limits": _M}
+    given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+    memory, jet, _, measured, acting, feedforward, p, h, share, limits = given.values()
+    known = dict(zip(SIZES, ca.vertsplit(memory, [0, *accumulate(SIZES.values())]), strict=True))
+    goes_on, none = known["step"] > 0, ca.MX.zeros(_M)
+    last = ca.fmax(known["step"], 1e-9)
+    crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
+    (here, u_here), (there, u_there), beyond, middle = _places(parts, given, crackle, time)
+    A, new, old, E, C, efforts, weights = _over_a_step(parts, middle, p, h, time)
+    state = parts.measured(measured)
+    missed = ca.if_else(goes_on, _wrapped(state - known["predicted"])[_HALF:], ca.MX.zeros(_HALF))
+    share_learnt = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
+    force = known["force"] + share_learnt * ca.solve(C @ E[_HALF:, :], C @ missed, "qr")
+    cost = ca.reshape(known["cost"], _N, _N)
+    for _ in range(RICCATI_STEPS):
+        cost, gain = parts.riccati(cost, A, new, old, C, efforts, weights)
+    slope = (u_there - u_here) / h
+    if time == "end":
+        e, origin, target = _wrapped(state - here), (here, u_here), there
+    else:
+        ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
+        after = parts.advance(state, acting, ran, force, p, h)
+        e, origin, target = _wrapped(after - there), (there, u_there), beyond
+    delta = _wrapped(parts.advance(*origin, slope, none, p, h) - target)
+    e_d, w_d = _rest(A, new + old, C, delta + E @ force)
+    wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
+    inputs = ca.fmax(-limits, ca.fmin(limits, feedforward + share * (wanted - feedforward)))
+    if time == "end":
+        after = parts.advance(state, acting, (inputs - acting) / h, force, p, h)
+    remembered = ca.vertcat(ca.vec(cost), force, after, acting, jet[-DIMENSION:], h)
+    return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
+
+
+def _places(parts: _Parts, given: dict[str, ca.MX], crackle: ca.MX, time: str) -> tuple[Any, ...]:
+    """Return state and inputs on the path now and a step later, the state after two, a jet of the step to be ruled."""
+    jet, p, h = given["jet"], given["p"], given["h"]
+    if time == "end":
+        before, none = given["jet_before"], ca.MX.zeros(DIMENSION)
+        middle = (_continued(before, none, h / 2) + _continued(jet, none, -h / 2)) / 2
+        return parts.flat(before, p), parts.flat(jet, p), None, middle
+    there, beyond, middle = (_continued(jet, crackle, steps * h) for steps in (1, 2, 1.5))
+    return parts.flat(jet, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
+
+
+def _rest(A: ca.MX, B: ca.MX, C: ca.MX, push: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return state and inputs with which a constant push leaves the load where it is."""
+    balance = ca.blockcat([[A - ca.MX.eye(_N), B], [ca.horzcat(C, ca.MX.zeros(_M, _HALF)), ca.MX.zeros(_M, _M)]])
+    found = ca.solve(balance, -ca.vertcat(push, ca.MX.zeros(_M)), "qr")
+    return found[:_N], found[_N:]

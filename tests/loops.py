@@ -1,0 +1,182 @@
+"""Masters of our own, Jacobi and Gauss-Seidel, that close the loop of inverse model and plant, and random cases.
+
+``python tests/loops.py`` runs the whole study, ``make loop``.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from fmu_host import JET, Host, fmu_file
+
+import servocore as sc
+from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_INPUTS
+
+CRANE = sc.scenes.rotary_crane()
+FORCES = ("M_b", "F", "M_w")
+MOTION = tuple(
+    f"load.{name}" if "[" in name else name for name in (each.removeprefix("measured.") for each in FEEDBACK_INPUTS)
+)
+STEPS = (0.1, 0.05, 0.02, 0.01, 0.005)
+BOUNDS = {0.1: 2.0, 0.05: 0.25, 0.02: 0.06, 0.01: 0.03, 0.005: 0.03}
+"""Of the load's distance from its path in mm, nominal crane."""
+
+MARGIN, TURN, ACCELERATION, SNAP = 1.0, 0.7, 1.0, 2.5
+"""What is feasible: trolley off the axis (m), bridge (rad/s), load's acceleration (m/s2) and snap (m/s4)."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A manoeuvre of a crane, and what disturbs it."""
+
+    reference: sc.Reference = field(default_factory=lambda: CRANE.reference)
+    crane: dict[str, float] = field(default_factory=dict)
+    disturbance: dict[str, float] = field(default_factory=dict)
+    name: str = "default"
+
+
+class Loop:
+    """Two instances that are used for one run."""
+
+    def __init__(self, case: Case, at: str = "start", **settings: float | str) -> None:
+        self.case, self.at = case, at
+        path = case.reference
+        start = path.jet(path.start_time, 0)[0]
+        places = {f"start.position[{k + 1}]": float(start[k]) for k in range(3)}
+        self.crane = Host().set(input_time=at, **case.crane, **settings)
+        self.plant = Host(fmu_file("CranePlant"), name="plant")
+        self.plant.set(input_time=at, **case.crane, **places, **case.disturbance)
+        crane, plant = self.crane.references, self.plant.references
+        self._jet, self._given = [crane[name] for name in JET], [crane[name] for name in FEEDBACK_INPUTS]
+        self._out, self._forces = [crane[name] for name in FORCES], [plant[name] for name in FORCES]
+        self._motion = [plant[name] for name in MOTION]
+        self.first = path.jet(path.start_time, 4)[0]
+
+    def __enter__(self) -> Loop:
+        self.crane.start(self.first)
+        self._tell_plant()
+        self.plant.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.crane.fmu.freeInstance()
+        self.plant.fmu.freeInstance()
+
+    def _tell_plant(self) -> None:
+        self.plant.fmu.setReal(self._forces, self.crane.fmu.getReal(self._out))
+
+    def measured(self) -> list[float]:
+        return list(self.plant.fmu.getReal(self._motion))
+
+    def step(self, jets: np.ndarray, k: int, h: float) -> np.ndarray:
+        """Take step k; returns where the load is then."""
+        t = k * h
+        self.crane.fmu.setReal(self._given, self.measured())
+        if self.at == "end":
+            self.crane.fmu.setReal(self._jet, jets[k + 1].ravel().tolist())
+            assert self.crane.step(t, h), self.crane.messages
+            self._tell_plant()
+        else:
+            self._tell_plant()
+            self.crane.fmu.setReal(self._jet, jets[k].ravel().tolist())
+            assert self.crane.step(t, h), self.crane.messages
+        assert self.plant.step(t, h), self.plant.messages
+        return np.array(self.measured()[6:9])
+
+
+def deviation(case: Case, h: float, at: str = "start", **settings: float | str) -> float:
+    """Largest distance in mm of the load from its path, also a second after it."""
+    path = case.reference
+    count = round((path.duration + 1.0) / h)
+    t = path.start_time + h * np.arange(count + 1)
+    jets = path.jet(np.minimum(t, path.end_time), 4)
+    jets[t > path.end_time, 1:] = 0.0
+    with Loop(case, at, **settings) as loop:
+        places = [loop.step(jets, k, h) for k in range(count)]
+        assert not loop.crane.messages, loop.crane.messages
+    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
+
+
+# Random cases --------------------------------------------------------------------------------------------------------
+
+
+def random_case(rng: np.random.Generator, *, any_crane: bool = False, disturbed: bool = False) -> Case:
+    """Return a feasible manoeuvre from rest to rest of 8 to 25 s, of the default crane or one within +-50 % of it."""
+    profiles = {"degree 9": sc.DEGREE9, "degree 13": sc.DEGREE13, "three phases": sc.three_phase()}
+    default = CRANE.parameter_values()
+    while True:
+        values = {name: default[name] * (rng.uniform(0.5, 1.5) if any_crane else 1.0) for name in CRANE_PARAMETERS}
+        angle, radius, height = rng.uniform(-np.pi, np.pi, 2), rng.uniform(2.0, 9.0, 2), rng.uniform(-8.0, -2.0, 2)
+        ends = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=1)
+        name, duration = str(rng.choice(list(profiles))), round(float(rng.uniform(8.0, 25.0)), 1)
+        if not 1.0 < np.linalg.norm(ends[1] - ends[0]) < 12.0:
+            continue
+        path = sc.rest_to_rest(ends[0], ends[1], duration, profiles[name])
+        if feasible(path, values):
+            disturbance = _disturbance(rng, duration) if disturbed else {}
+            return Case(
+                path, values if any_crane else {}, disturbance, f"{name}, {duration:g} s, {ends.round(1).tolist()}"
+            )
+
+
+def feasible(path: sc.Reference, crane: dict[str, float]) -> bool:
+    jets = path.jet(np.linspace(0.0, path.duration, 400), 4)
+    found = CRANE.closed_form(jets, crane)
+    s, phi = found["s"], np.unwrap(found["phi"])
+    turning = np.abs(np.gradient(phi, path.duration / 399)).max()
+    sizes = [float(np.linalg.norm(jets[:, k], axis=1).max()) for k in (2, 4)]
+    return bool(s.min() > MARGIN and turning < TURN and sizes[0] < ACCELERATION and sizes[1] < SNAP)
+
+
+def _disturbance(rng: np.random.Generator, duration: float) -> dict[str, float]:
+    axis, sign = int(rng.integers(1, 3)), float(rng.choice([-1.0, 1.0]))
+    begin = float(rng.uniform(1.0, duration - 3.0))
+    return {
+        "mass_error": 0.05 * float(rng.choice([-1.0, 1.0])),
+        f"gust[{axis}]": 20.0 * sign,
+        "gust_start": begin,
+        "gust_duration": 2.0,
+    }
+
+
+def fastest(case: Case) -> float:
+    """Angular frequency of the fastest pendulum on the way, in rad/s: a trolley that is free to roll."""
+    crane = CRANE.parameter_values() | case.crane
+    path = case.reference
+    found = CRANE.closed_form(path.jet(np.linspace(0.0, path.duration, 200), 4), crane)
+    return math.sqrt(crane["gravity"] / found["l"].min() * (1.0 + crane["load_mass"] / crane["trolley_mass"]))
+
+
+# The study -----------------------------------------------------------------------------------------------------------
+
+
+def distribution(values: Sequence[float]) -> str:
+    found = np.sort(values)
+    return f"median {np.median(found):9.2e}   90 % {found[int(0.9 * len(found))]:9.2e}   largest {found[-1]:9.2e} mm"
+
+
+def main(count: int) -> int:
+    """Print the distributions of `count` manoeuvres for each step and master; returns 1 if a bound is broken."""
+    status = 0
+    for at in ("start", "end"):
+        print("Jacobi, input_time = start" if at == "start" else "Gauss-Seidel, input_time = end", flush=True)
+        for h in STEPS:
+            print(f"  {h:g} s: default manoeuvre {deviation(Case(), h, at):.2e} mm", flush=True)
+            for any_crane in (False, True):
+                rng = np.random.default_rng(7)
+                cases = [random_case(rng, any_crane=any_crane) for _ in range(count)]
+                usable = [each for each in cases if fastest(each) * h <= 1.0]
+                found = [deviation(each, h, at) for each in usable]
+                bound = BOUNDS[h] * (3.0 if any_crane else 1.0)
+                status |= max(found) > bound
+                print(f"    {'any crane' if any_crane else 'nominal  '} {len(found):4d} runs   {distribution(found)}"
+                      f"   (at most {bound:g})   {usable[int(np.argmax(found))].name}", flush=True)  # fmt: skip
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else 200))

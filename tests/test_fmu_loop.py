@@ -1,0 +1,175 @@
+"""The loop of inverse model and plant holds at every step, in masters of our own; ``make loop`` has all cases."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from fmu_host import Host, extracted, fmu_file
+from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, random_case
+
+import servocore as sc
+from crane_fmu.slave.feedback import feedbacks
+from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
+
+MASTERS = ("start", "end")
+GUSTS = ("gust[1]", "gust[2]")
+
+
+@pytest.mark.parametrize("h", STEPS[:-2])
+@pytest.mark.parametrize("at", MASTERS)
+def test_the_default_manoeuvre_holds_at_every_step(at, h):
+    assert deviation(Case(), h, at) < BOUNDS[h] / 50.0
+
+
+@pytest.mark.parametrize("any_crane", [False, True], ids=["nominal", "any crane"])
+@pytest.mark.parametrize("at", MASTERS)
+def test_random_manoeuvres_hold_at_long_steps(at, any_crane):
+    rng = np.random.default_rng(11 + any_crane)
+    for h in (0.1, 0.05):
+        for _ in range(2):
+            case = random_case(rng, any_crane=any_crane)
+            if fastest(case) * h <= 1.0:
+                assert deviation(case, h, at) < BOUNDS[h] * (3.0 if any_crane else 1.0), case.name
+
+
+@pytest.mark.parametrize("gust", GUSTS)
+def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(gust):
+    disturbance = {"mass_error": 0.05, gust: 20.0, "gust_start": 8.0, "gust_duration": 2.0}
+    path = CRANE.reference
+    count, h = 1200, 0.01
+    jets = path.jet(h * np.arange(count + 1), 4)
+    with Loop(Case(disturbance=disturbance)) as loop:
+        places = [loop.step(jets, k, h) for k in range(count)]
+    assert np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max() < 0.01
+
+
+def test_drives_that_give_no_more_bring_the_load_back_without_winding_up():
+    """The gust takes some 1.6 kN.m; with half a kN.m the load gives way and returns."""
+    disturbance = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
+    path, h, count = CRANE.reference, 0.02, 800
+    jets, errors, peak = path.jet(h * np.arange(count + 1), 4), [], 0.0
+    with Loop(Case(disturbance=disturbance), **{"limit.M_b": 500.0}) as loop:
+        for k in range(count):
+            errors.append(np.linalg.norm(loop.step(jets, k, h) - jets[k + 1, 0]))
+            peak = max(peak, abs(loop.crane["M_b"]))
+    assert peak == pytest.approx(500.0)
+    assert 0.008 < max(errors) < 0.2
+    assert errors[-1] < 1e-3
+
+
+def at_rest(shift):
+    """What a crane at rest measures whose load hangs off by a distance along x."""
+    return {"measured.s": 5.0 + shift, "measured.l": 5.0, "measured.position[1]": 5.0 + shift,
+            "measured.position[3]": -5.0}  # fmt: skip
+
+
+def test_a_load_far_from_its_path_is_left_to_the_feedforward_and_told_once():
+    with Host() as host:
+        host.start()
+        for k, shift in enumerate((0.6, 0.4, 0.6, 0.2)):
+            host.set(**at_rest(shift))
+            assert host.step(0.1 * k, 0.1)
+            assert (host["F"] == pytest.approx(0.0, abs=1e-6)) == (k < 3)
+        assert len(host.messages) == 1
+        assert "the measured load is 0.6 m from its path, more than feedback_distance = 0.5 m" in host.messages[0]
+
+
+def test_a_step_too_long_for_the_pendulum_is_told_with_the_longest_that_will_do():
+    with Host() as host:
+        host.start().set(**at_rest(0.01))
+        assert host.step(0.0, 0.3)
+        assert host["F"] == pytest.approx(0.0, abs=1e-6)
+        longest = 1.0 / np.sqrt(9.81 / 5.0 * 11.0)
+        assert f"it may be {longest:.3g} s at most" in host.messages[0]
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_outputs_stay_within_the_limits_without_feedback_too(name):
+    with Host() as host:
+        host.set(**{f"limit.{name}": 1.0}).start(CRANE.reference.jet(8.0, 4))
+        assert abs(host[name]) <= 1.0
+
+
+# Stability -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def laws():
+    """The functions that the FMU carries."""
+    (text,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{FEEDBACK_FILE}")
+    return feedbacks(text.read_text(), text.with_suffix(".so"))
+
+
+def transition(law, at, h):
+    """Yield the closed loop's transition matrices over steps of the default manoeuvre, by differences.
+
+    The state is that of the crane, the inputs of this step and of the one before, and the feedback's memory but for
+    the cost-to-go; the plant is the law's own, so what is proven is the law.
+    """
+    path, names = CRANE.reference, CRANE.parameter_values()
+    p = np.array([names[each] for each in CRANE_PARAMETERS])
+    plant = plant_step()
+    count = round((path.duration + 4.0) / h)
+    t = h * np.arange(count + 2)
+    jets = path.jet(np.minimum(t, path.end_time), 4)
+    jets[t > path.end_time, 1:] = 0.0
+    jets = jets.reshape(len(t), 15)
+    (memory,) = law.begin(jets[0], p, h)
+    x = np.array([0.0, 5.0, 5.0, *[0.0] * 7])
+    u = before = np.array([0.0, 0.0, -98.1])
+
+    def step(values, k):
+        x, u, before, rest = np.split(values, [10, 13, 16])
+        full = np.concatenate([memory[:100], rest])
+        told, old = (jets[k + 1], jets[k]) if at == "end" else (jets[k], jets[k])
+        full, new = law.follow(full, told, old, seen(x), u, u, p, h, 1.0, [1e9] * 3)
+        slope = (new - u) / h if at == "end" else (u - before) / h
+        return np.concatenate([plant(x, u, slope, p, h), new, u, full[100:]]), full[:100]
+
+    values = np.concatenate([x, u, before, memory[100:]])
+    moving = list(range(16 + 3 + 10 + 3))  # snap and step that are remembered do not depend on the state
+    for k in range(count):
+        after, cost = step(values, k)
+        if k:
+            columns = []
+            for j in moving:
+                shifted = values.copy()
+                size = 1e-6 * (1.0 + abs(values[j]))
+                shifted[j] += size
+                columns.append((step(shifted, k)[0] - after)[moving] / size)
+            yield np.array(columns).T
+        values, memory = after, np.concatenate([cost, after[16:]])
+
+
+def plant_step():
+    plant, none = sc.compile_plant(CRANE.model("generalized")), np.zeros(3)
+
+    def step(x, u, slope, p, h):
+        middle = plant.advance(x, u, slope, none, p, h / 2)
+        return plant.advance(middle, u + slope * h / 2, slope, none, p, h / 2)
+
+    return step
+
+
+_Q, _V = ca.SX.sym("q", 5), ca.SX.sym("v", 5)
+_PLACE = ca.substitute(CRANE.model("generalized").output, CRANE.model("generalized").q, _Q)
+_LOAD = ca.Function("load", [ca.vertcat(_Q, _V)], [ca.vertcat(_PLACE, ca.jtimes(_PLACE, _Q, _V))])
+
+
+def seen(x):
+    """Return what is measured of a state."""
+    return np.concatenate([x[:3], x[5:8], np.array(_LOAD(x)).ravel()])
+
+
+@pytest.mark.parametrize("h", [0.1])
+@pytest.mark.parametrize("at", MASTERS)
+def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(laws, at, h):
+    """Frozen eigenvalues prove nothing for a crane that moves: the product over the path has to become small."""
+    product, norms = np.eye(32), []
+    for each in transition(laws[at], at, h):
+        product = each @ product
+        norms.append(np.linalg.norm(product, 2))
+    assert norms[-1] < 1e-4 * max(norms)
