@@ -130,7 +130,7 @@ def transition(law, at, h):
         return np.concatenate([plant(x, u, slope, p, h), new, u, full[100:]]), full[:100]
 
     values = np.concatenate([x, u, before, memory[100:]])
-    moving = list(range(16 + 3 + 10 + 3))  # snap and step that are remembered do not depend on the state
+    moving = list(range(16 + 3 + 10 + 3 + 1))  # snap and step that are remembered do not depend on the state
     for k in range(count):
         after, cost = step(values, k)
         if k:
@@ -168,7 +168,7 @@ def seen(x):
 @pytest.mark.parametrize("at", MASTERS)
 def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(laws, at, h):
     """Frozen eigenvalues prove nothing for a crane that moves: the product over the path has to become small."""
-    product, norms = np.eye(32), []
+    product, norms = np.eye(33), []
     for each in transition(laws[at], at, h):
         product = each @ product
         norms.append(np.linalg.norm(product, 2))

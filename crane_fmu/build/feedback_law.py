@@ -42,8 +42,12 @@ LEARNING_RATE, LEARNING_SHARE = 50.0, 0.35
 RICCATI_STEPS, FIRST_RICCATI_STEPS = 6, 400
 """By which the cost-to-go is brought up to date in a step, and before the first."""
 
-SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "snap": 3, "step": 1}
-"""What the memory holds: M, d, predicted state, inputs of the step before, snap told then, its length (0: none)."""
+EASE, RECOVERY = 2.0, 0.5
+"""Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
+
+SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1}
+"""What the memory holds: M, d, predicted state, inputs of the step before, how much the drives have been at their limits
+(logarithm of a share), snap told then, its length (0: none)."""
 
 _N, _M, _HALF = 10, 3, 5
 _JET = DIMENSION * len(ORDERS)
@@ -232,10 +236,10 @@ def _efforts(p: Any, s: Any) -> Any:
     return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
 
 
-def _weights(h: ca.MX) -> ca.MX:
+def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
     """Return what an error of the load in x, y and z weighs."""
     level = ca.fmin(WEIGHT, WEIGHT_TIMES_SQUARE / h**2)
-    return ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
+    return ca.exp(-EASE * strain) * ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
 
 
 def _continued(jet: ca.MX, crackle: ca.MX, tau: Any) -> ca.MX:
@@ -256,18 +260,18 @@ def _wrapped(difference: ca.MX) -> ca.MX:
     return ca.vertcat(difference[0] - 2 * math.pi * turns, difference[1:])
 
 
-def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, time: str) -> tuple[Any, ...]:
+def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str) -> tuple[Any, ...]:
     """Return A, B, B', E, C, f, W about a point of the path."""
     state, inputs = parts.flat(jet, p)
     A, first, second, E, C = parts.sampled(state, inputs, p, h)
     new, old = (second, first - second) if time == "end" else (first + second, -second)
-    return A, new, old, E, C, _efforts(p, state[1]), _weights(h)
+    return A, new, old, E, C, _efforts(p, state[1]), _weights(h, strain)
 
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
     jet, p, h = ca.MX.sym("jet", _JET), ca.MX.sym("p", 6), ca.MX.sym("h")
-    A, new, old, _, C, efforts, weights = _over_a_step(parts, jet, p, h, time)
+    A, new, old, _, C, efforts, weights = _over_a_step(parts, jet, p, h, ca.MX(0), time)
     given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, C, efforts, weights))]
     cost = ca.MX.sym("M", _N, _N)
     one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
@@ -288,7 +292,7 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     last = ca.fmax(known["step"], 1e-9)
     crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
     (here, u_here), (there, u_there), beyond, middle = _places(parts, given, crackle, time)
-    A, new, old, E, C, efforts, weights = _over_a_step(parts, middle, p, h, time)
+    A, new, old, E, C, efforts, weights = _over_a_step(parts, middle, p, h, known["strain"], time)
     state = parts.measured(measured)
     missed = ca.if_else(goes_on, _wrapped(state - known["predicted"])[_HALF:], ca.MX.zeros(_HALF))
     share_learnt = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
@@ -306,11 +310,19 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     delta = _wrapped(parts.advance(*origin, slope, none, p, h) - target)
     e_d, w_d = _rest(A, new + old, C, delta + E @ force)
     wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
-    inputs = ca.fmax(-limits, ca.fmin(limits, feedforward + share * (wanted - feedforward)))
+    inputs, strain = _within(limits, feedforward, share * (wanted - feedforward), known["strain"] - RECOVERY * h)
     if time == "end":
         after = parts.advance(state, acting, (inputs - acting) / h, force, p, h)
-    remembered = ca.vertcat(ca.vec(cost), force, after, acting, jet[-DIMENSION:], h)
+    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h)
     return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
+
+
+def _within(limits: ca.MX, feedforward: ca.MX, more: ca.MX, strain: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return inputs within limits that keep the direction of what is added to the feedforward, and the strain."""
+    base = ca.fmax(-limits, ca.fmin(limits, feedforward))
+    room = ca.if_else(more > 0, limits - base, limits + base) / ca.fmax(ca.fabs(more), 1e-9)
+    share = ca.fmin(1, ca.mmin(room))
+    return base + share * more, ca.fmin(ca.fmax(strain, 0) - ca.log(ca.fmax(share, 0.5)), 3)
 
 
 def _places(parts: _Parts, given: dict[str, ca.MX], crackle: ca.MX, time: str) -> tuple[Any, ...]:

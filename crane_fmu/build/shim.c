@@ -70,12 +70,45 @@ static void tell(const fmi2CallbackFunctions *functions, fmi2String instance, co
 
 static void *python(const char *name) { return dlsym(RTLD_DEFAULT, name); }
 
+/* The folder of the version that an environment is made of, as in lib/python3.12/site-packages, or an empty text. */
+static void version_of(const char *interpreter, char *version) {
+    static const char *const known[] = {"3.13", "3.12", "3.11"};
+    char path[LONGEST];
+    const char *slash = strrchr(interpreter, '/');
+    const int folder = slash ? (int)(slash - interpreter) : 0;
+    version[0] = '\0';
+    for (size_t k = 0; slash && k < sizeof known / sizeof *known; k++) {
+        snprintf(path, sizeof path, "%.*s/../lib/python%s/site-packages", folder, interpreter, known[k]);
+        if (!access(path, R_OK)) strcpy(version, known[k]);
+    }
+}
+
+/* The interpreter that is asked for: CRANE_FMU_PYTHON, or that of the active virtual environment, or an empty text. */
+static int chosen_interpreter(char *path, char *why) {
+    const char *chosen = getenv("CRANE_FMU_PYTHON"), *environment = getenv("VIRTUAL_ENV");
+    path[0] = '\0';
+    if (chosen && *chosen) {
+        snprintf(path, LONGEST, "%s", chosen);
+        if (access(path, X_OK)) {
+            sentence(why, "CRANE_FMU_PYTHON = %s is no program that can be run: it must be the path of a Python interpreter",
+                     chosen);
+            return 0;
+        }
+    } else if (environment && *environment) {
+        snprintf(path, LONGEST, "%s/bin/python", environment);
+        if (access(path, X_OK)) path[0] = '\0';
+    }
+    return 1;
+}
+
 /* Make the symbols of a Python library visible to PythonFMU's binary and to extension modules. */
 static int open_python(char *why) {
     static const char *const candidates[] = {PYTHON_LIBRARIES};
     const size_t count = sizeof candidates / sizeof *candidates;
     const char *wanted = getenv("CRANE_FMU_LIBPYTHON");
+    char interpreter[LONGEST], version[8], name[64];
     if (python("Py_Initialize")) return 1;
+    if (!chosen_interpreter(interpreter, why)) return 0;
     if (wanted && *wanted) {
         if (dlopen(wanted, RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
         const char *reason = dlerror();
@@ -85,6 +118,23 @@ static int open_python(char *why) {
     /* a host may have opened one for itself alone: two of them in a process would not do */
     for (size_t k = 0; k < count; k++)
         if (dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL | RTLD_NOLOAD) && python("Py_Initialize")) return 1;
+    /* the environment that is asked for decides: packages of one version are of no use to another */
+    version_of(interpreter, version);
+    if (*version) {
+        char real_path[LONGEST];
+        snprintf(name, sizeof name, "libpython%s.so.1.0", version);
+        for (size_t k = 0; k < count; k++)
+            if (strstr(candidates[k], name) && dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize"))
+                return 1;
+        if (realpath(interpreter, real_path) && strrchr(real_path, '/')) { /* beside the interpreter it was made of */
+            char beside[2 * LONGEST];
+            snprintf(beside, sizeof beside, "%.*s/../lib/%s", (int)(strrchr(real_path, '/') - real_path), real_path, name);
+            if (dlopen(beside, RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
+        }
+        sentence(why, "%s is Python %s, but no library %s was found: install it, or name it in the environment variable"
+                      " CRANE_FMU_LIBPYTHON", interpreter, version, name);
+        return 0;
+    }
     for (size_t k = 0; k < count; k++)
         if (dlopen(candidates[k], RTLD_NOW | RTLD_GLOBAL) && python("Py_Initialize")) return 1;
     sentence(why, "the host has no Python and no Python library was found (tried %s first); name one in the environment"
@@ -97,19 +147,15 @@ static int open_python(char *why) {
 static void choose_packages(void) {
     void (*set_name)(const wchar_t *) = (void (*)(const wchar_t *))python("Py_SetProgramName");
     wchar_t *(*decode)(const char *, size_t *) = (wchar_t * (*)(const char *, size_t *)) python("Py_DecodeLocale");
-    const char *chosen = getenv("CRANE_FMU_PYTHON"), *environment = getenv("VIRTUAL_ENV");
-    char path[LONGEST];
+    char path[LONGEST], unused[LONGEST];
     Dl_info library;
-    if (chosen && *chosen)
-        snprintf(path, sizeof path, "%s", chosen);
-    else if (environment && *environment)
-        snprintf(path, sizeof path, "%s/bin/python", environment);
-    else if (dladdr(python("Py_Initialize"), &library) && library.dli_fname && strchr(library.dli_fname, '/')) {
+    if (!chosen_interpreter(path, unused)) return;
+    if (!*path && dladdr(python("Py_Initialize"), &library) && library.dli_fname && strchr(library.dli_fname, '/')) {
         const int folder = (int)(strrchr(library.dli_fname, '/') - library.dli_fname);
         snprintf(path, sizeof path, "%.*s/../bin/python3", folder, library.dli_fname);
         if (access(path, X_OK)) return; /* Python looks for python3 on the search path itself */
-    } else
-        return;
+    }
+    if (!*path) return;
     wchar_t *name = set_name && decode ? decode(path, NULL) : NULL;
     if (name) set_name(name); /* Python keeps the pointer */
 }
@@ -207,6 +253,21 @@ static int load(char *why) {
     return done;
 }
 
+/* Python makes a text of valid UTF-8 only. */
+static int is_utf8(const char *text) {
+    const unsigned char *t = (const unsigned char *)text;
+    while (*t) {
+        const int more = *t < 0x80 ? 0 : *t >= 0xC2 && *t < 0xE0 ? 1 : *t >= 0xE0 && *t < 0xF0 ? 2 : 3;
+        const unsigned char low = *t == 0xE0 ? 0xA0 : *t == 0xF0 ? 0x90 : 0x80; /* of the second byte */
+        const unsigned char high = *t == 0xED ? 0x9F : *t == 0xF4 ? 0x8F : 0xBF;
+        if (*t >= 0x80 && (*t < 0xC2 || *t > 0xF4 || t[1] < low || t[1] > high)) return 0;
+        for (int k = 2; k <= more; k++)
+            if ((t[k] & 0xC0) != 0x80) return 0;
+        t += more + 1;
+    }
+    return 1;
+}
+
 /* --- what the host says ------------------------------------------------------------------------------------------- */
 
 /* Equal but for braces around them. */
@@ -241,6 +302,8 @@ static int plain_location(const char *address, char *plain, char *why) {
     plain[k] = '\0';
     if (*address || k == 7 || strlen(plain) != k)
         sentence(why, "the resource location that the host gives is empty, too long or no path");
+    else if (!is_utf8(plain))
+        sentence(why, "the FMU is unpacked into a folder whose name is not UTF-8; it cannot be used from there");
     else if (strstr(plain, "%20"))
         sentence(why, "the FMU is unpacked into %s; a folder with %%20 in its name cannot be used", plain + 7);
     else
@@ -258,7 +321,7 @@ fmi2Component fmi2Instantiate(fmi2String instance, fmi2Type type, fmi2String gui
                               const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging) {
     char why[LONGEST] = "", plain[LONGEST];
     if (!functions || !functions->logger) return NULL;
-    if (!instance) instance = "";
+    if (!instance || !is_utf8(instance)) instance = "";
     if (type != fmi2CoSimulation)
         sentence(why, "the FMU offers co-simulation only");
     else if (!guid || !same_guid(guid, FMU_GUID))
@@ -306,21 +369,6 @@ FORWARD(GetRealStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Real *va
 FORWARD(GetIntegerStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value), (c, kind, value))
 FORWARD(GetBooleanStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value), (c, kind, value))
 FORWARD(GetStringStatus, (fmi2Component c, const fmi2StatusKind kind, fmi2String *value), (c, kind, value))
-
-/* Python makes a text of valid UTF-8 only. */
-static int is_utf8(const char *text) {
-    const unsigned char *t = (const unsigned char *)text;
-    while (*t) {
-        const int more = *t < 0x80 ? 0 : *t >= 0xC2 && *t < 0xE0 ? 1 : *t >= 0xE0 && *t < 0xF0 ? 2 : 3;
-        const unsigned char low = *t == 0xE0 ? 0xA0 : *t == 0xF0 ? 0x90 : 0x80; /* of the second byte */
-        const unsigned char high = *t == 0xED ? 0x9F : *t == 0xF4 ? 0x8F : 0xBF;
-        if (*t >= 0x80 && (*t < 0xC2 || *t > 0xF4 || t[1] < low || t[1] > high)) return 0;
-        for (int k = 2; k <= more; k++)
-            if ((t[k] & 0xC0) != 0x80) return 0;
-        t += more + 1;
-    }
-    return 1;
-}
 
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String values[]) {
     if (!c || !real.SetString) return fmi2Error;
