@@ -224,6 +224,57 @@ def ssp(
     print(*files, sep="\n")
 
 
+Signals = Annotated[
+    list[str] | None,
+    typer.Option("--map", metavar="OURS=THEIRS",
+                 help="What M_b, F, M_w and the load's x, y, z are called in the FMU, or a TOML file that says so."),
+]  # fmt: skip
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=NUMBER", help="A start value of the FMU, in its own unit.")
+]
+
+_DRIVE_EXAMPLE = """[bold]Example[/bold]
+
+[cyan]crane-fmu drive mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[[1]]
+--map y=load.r[[2]] --map z=load.r[[3]] --from 5 0 -5 --to -2 2 -2 --duration 20[/cyan]
+"""
+
+
+@app.command(epilog=_DRIVE_EXAMPLE)
+def drive(
+    plant: Annotated[Path, typer.Argument(metavar="PLANT.fmu", help="Any crane as an FMU, your own for instance.")],
+    mapped: Signals = None,
+    settings: Settings = None,
+    reference: ReferenceFile = None,
+    tolerance: Tolerance = None,
+    start: Start = None,
+    end: End = None,
+    duration: Duration = None,
+    profile: ProfileName = None,
+    ramp: Ramp = None,
+    parameters: ParametersFile = None,
+    step: Step = None,
+    output: OutputFile = None,
+) -> None:
+    """Drive a crane of your own, an FMU, by our inputs, and say how far its load leaves the path.
+
+    There is no feedback: what is seen is how well your crane and ours agree. The path is given as for feedforward.
+    With --output the motion goes into a table.
+    """
+    from crane_fmu import drive as driving  # noqa: PLC0415
+
+    line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
+    path = path_request(reference, tolerance, line)
+    require_places({"--output": output}, [reference, parameters, plant])
+    changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
+    names, starts = driving.signals(mapped or ()), driving.settings(settings or ())
+    with PatientProgress("driving the plant"):
+        found = driving.drive(plant, path, names, changed, starts, step)
+    if output is not None:
+        write_together({output: found.table()})
+    print(*found.sentences(), sep="\n")
+
+
 @app.command("demo", epilog="[bold]Example[/bold]\n\n[cyan]crane-fmu demo -o out[/cyan]")
 def run_demo(output: OutputFolder = Path("out")) -> None:
     """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.

@@ -46,7 +46,7 @@ EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
 
 SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1}
-"""What the memory holds: M, d, predicted state, inputs of the step before, how much the drives have been at their limits
+"""What the memory holds: M, d, predicted state, inputs of the step before, how long drives have been at their limits
 (logarithm of a share), snap told then, its length (0: none)."""
 
 _N, _M, _HALF = 10, 3, 5
