@@ -211,7 +211,6 @@ def _even_design(count: int, degree: int) -> tuple[Array, Array]:
     return _design(_even_nodes(count), degree)
 
 
-@lru_cache(maxsize=256)
 def _even_nodes(count: int) -> Array:
     nodes: Array = np.arange(1.0 - count, 1.0) / (count - 1)
     return nodes
