@@ -184,3 +184,39 @@ def test_a_trajectory_without_a_table_says_where_one_belongs():
         host.set(profile="file").start()
         assert not host.step(0.0, 0.1)
         assert "needs a table resources/path.csv" in host.messages[0]
+
+
+def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    goal = [4.0, 2.0, -5.0]
+    path = sc.through([[6.0, -1.0, -5.0], [5.0, 1.0, -4.0], goal], duration=10.0)
+    (tmp_path / "path.csv").write_text(table_of(path))
+    (tmp_path / "crane.toml").write_text("load_mass = 140.0\nbridge_inertia = 600.0\n")
+    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "path.csv", "--parameters", "crane.toml"])
+    assert result.exit_code == 0, result.output
+    with forgotten_modules(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        rows = simulate_ssp(str(tmp_path / "out" / "Crane.ssp"), stop_time=11.0, step_size=STEP)
+    found = [rows[f"plant.load.position[{k}]"][-1] for k in (1, 2, 3)]
+    assert np.linalg.norm(np.array(found) - goal) < 1e-4
+    with zipfile.ZipFile(tmp_path / "out" / "Crane.ssp") as archive:
+        root = ET.fromstring(archive.read("SystemStructure.ssd"))
+    bound = {each.get("name"): each[0].get("value") for each in root.iter() if each.tag.endswith("}Parameter")}
+    assert bound["load_mass"] == "140.0"
+    assert bound["start.position[1]"] == "6.0"
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--tolerance", "1e-3"], "--tolerance belongs to --reference"),
+        (["--profile", "none"], "there is no profile 'none'"),
+        (["--profile", "degree13", "--reference", "path.csv"], "either by --reference or by --profile"),
+    ],
+)
+def test_wishes_that_make_no_sense_are_one_sentence_and_no_folder(options, sentence, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(app, ["ssp", "-o", "out", *options])
+    assert result.exit_code == 2
+    assert sentence in " ".join(result.stderr.split())
+    assert not (tmp_path / "out").exists()
