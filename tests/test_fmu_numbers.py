@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS
+from crane_fmu.run import numbered
 from crane_fmu.slave.paths import hermite, taylor
 
 CRANE = sc.scenes.rotary_crane()
@@ -44,7 +45,7 @@ def simulate(step, **settings):
         stop_time=20.0,
         output_interval=step,
         input=table(t, CRANE.reference.jet(t, 4)),
-        start_values=settings,
+        start_values=numbered(fmu_file(), settings),
         debug_logging=True,
     )
     assert len(result) == len(t)

@@ -68,8 +68,8 @@ class Kind:
 
     def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
         """Return the runs of the check for an FMU with other start values: with a path of its own only as it is."""
-        if starts.get("profile") == FROM_FILE:
-            return ({},) if self is LOAD_TRAJECTORY else self.runs
+        if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
+            return ({},)
         hold = at_rest(starts)["M_w"]
         return tuple(run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 

@@ -128,7 +128,8 @@ class Interface:
 
     def with_starts(self, starts: Mapping[str, float | str]) -> Interface:
         """Return the table with other start values, for those variables that it has."""
-        return Interface(tuple(replace(each, start=starts.get(each.name, each.start)) for each in self.variables))
+        given = {name: value for name, value in starts.items() if name not in {each.name for each in self.of("output")}}
+        return Interface(tuple(replace(each, start=given.get(each.name, each.start)) for each in self.variables))
 
     def to_json(self) -> str:
         """Serialise; equal tables give equal text."""
