@@ -32,7 +32,7 @@ from servocore.solvers.exact_inversion import Pointwise, compile_inputs
 from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.loop import Progress, step_of
 from servocore.solvers.route import Route
-from servocore.solvers.solved_again import solved_again, solved_beside
+from servocore.solvers.solved_again import solved_again, solved_beside, unknowns_beside
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.within_limits import run_within_limits, survey_between
 from servocore.stepping.arguments import require_callable, require_formulation, require_method, require_number
@@ -116,7 +116,7 @@ def solve(
         raise explained(problem, error) from None
     if checks or own:
         passed = require_one_branch(problem, solution)
-        survey_between(problem, solution)
+        survey_between(problem, solution, unknowns_beside)
         branch = _branch(problem, route, solution) + passed
         solution = replace(solution, statistics=replace(solution.statistics, branch=branch))
     estimator = solution.estimator or partial(_estimated, problem, route)

@@ -49,6 +49,15 @@ def _exact_states(problem: Problem, t: Array) -> Array:
 
 def solved_beside(problem: Problem, solution: Solution) -> Solution | None:
     """Return the exact inversion nearest to a run; None if it is not solved, or not seen to be on one branch."""
+    t, states = solution.t, unknowns_beside(problem, solution)
+    if not np.isfinite(states).all() or len(Branch.along(problem, states).jumps(t, states)):
+        return None
+    program = program_of(problem, Reduced(), BackwardEuler())
+    return solution_of(problem, [Segment(program, t, Run(states, 0, 0, 0.0))], branch=CONTINUOUS)
+
+
+def unknowns_beside(problem: Problem, solution: Solution) -> Array:
+    """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
     array, inverse, t = problem.array, problem.resolved.once(inversion), solution.t
     jets = side_by_side(problem.reference.jet(t, array.reference_order))
     p = np.tile(problem.p[:, None], len(t))
@@ -61,8 +70,4 @@ def solved_beside(problem: Problem, solution: Solution) -> Solution | None:
                 if entry in array.unknowns:
                     guess[array.places([entry])[0]] = known
                 known = np.gradient(known, t)
-    states = mapped(inverse.search, len(t))(jets, p, guess)[0].reshape(len(guess), -1, order="F")
-    if not np.isfinite(states).all() or len(Branch.along(problem, states).jumps(t, states)):
-        return None
-    program = program_of(problem, Reduced(), BackwardEuler())
-    return solution_of(problem, [Segment(program, t, Run(states, 0, 0, 0.0))], branch=CONTINUOUS)
+    return mapped(inverse.search, len(t))(jets, p, guess)[0].reshape(len(guess), -1, order="F")

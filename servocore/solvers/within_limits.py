@@ -16,13 +16,14 @@ from servocore.checks.motion_limits import (
     require_reported,
     with_watched,
 )
+from servocore.errors import IntegrationFailed
 from servocore.model.limits import Named
 from servocore.numerics.calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.following import BranchTable, prepared_table
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import inversion, system_jacobian
 
 
 def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
@@ -69,18 +70,49 @@ def exact_states(problem: Problem, table: BranchTable | None) -> States:
     return states
 
 
-def survey_between(problem: Problem, solution: Solution) -> None:
+def _require_regular(problem: Problem, solution: Solution, states: Array, suspected: list[tuple[int, int]]) -> None:
+    """Raise `IntegrationFailed` if the system Jacobian changes the sign of its determinant beside a suspect.
+
+    `states` are all unknowns (size, N) at the instants of the solution.
+    """
+    t, p, order = solution.t, problem.p, problem.array.reference_order
+    jets = problem.reference.jet(t, order)
+    (matrices,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=p)
+    size = problem.resolved.once(system_jacobian).size1_out(0)
+    signs, _ = np.linalg.slogdet(np.nan_to_num(matrices.reshape(size, len(t), size).transpose(1, 0, 2)))
+    for channel, k in suspected:
+        for first in range(max(0, k - 2), min(len(t) - 1, k + 2)):
+            if signs[first] * signs[first + 1] < 0.0:
+                quantity, values = solution.channels[channel], solution.values[first : first + 2, channel]
+                raise IntegrationFailed(
+                    f"{solution.route}: between t = {t[first]:.6g} s and {t[first + 1]:.6g} s the equations are"
+                    f" singular, the determinant of the system Jacobian changes its sign, and {quantity.name} has a"
+                    f" pole: it goes from {values[0]:.4g} to {values[1]:.4g} {quantity.unit}"
+                )
+
+
+def survey_between(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> None:
     """Look between the instants of a solution where something seems to grow beyond what it reports.
+
+    Parameters
+    ----------
+    problem, solution : Problem, Solution
+        What was solved, and how.
+    beside : callable
+        (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
 
     Raises
     ------
     IntegrationFailed
         If an input or an observable has a pole between two instants, or a sign that it must not have.
     """
-    if problem.follow_branch or not isinstance(problem.resolved.outcome, DerivativeArray) or not problem.flat:
+    if problem.follow_branch or not isinstance(problem.resolved.outcome, DerivativeArray):
         return
     suspected = suspects(problem, solution)
     if not suspected:
+        return
+    if not problem.flat:
+        _require_regular(problem, solution, beside(problem, solution), suspected)
         return
     names = tuple(dict.fromkeys(solution.channels[channel].name for channel, _ in suspected))
     watched = problem.resolved.once(compile_watched, tuple((Named(name), False) for name in names))
