@@ -20,7 +20,7 @@ from servocore.checks.refusals import SINGULAR_CONDITION, out_of_reach, singular
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Call
+from servocore.numerics.calls import Array, Call
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
@@ -186,22 +186,40 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         jets = reference.jet(times, array.reference_order)
     except InvalidReference as error:
         return np.inf, str(error), ""
-    invert, jacobian = problem.resolved.once(_survey_functions)
-    worst, found = 0.0, []
-    for time, jet in zip(times, jets, strict=True):
-        values, _, _ = invert(jet.T, problem.p)
+    _, _, jacobian = problem.resolved.once(_survey_functions)
+    worst, found = 0.0, _unknowns_along(problem, jets)
+    for time, jet, values in zip(times, jets, found, strict=True):
         matrix = jacobian(values, jet.T, problem.p)[0]
         here = condition_number(matrix)
         if not here < SINGULAR_CONDITION:
             told = "" if np.isfinite(matrix).all() else singular(problem)
             return here, out_of_reach(problem) or told or singular_in_words(problem, float(time), values, matrix), ""
         worst = max(worst, here)
-        found.append(values)
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion
     places = array.places((k, 0) for k in range(len(system.coordinates)))
     return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(found)[:, places])))
 
 
-def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:
-    return Call(resolved.once(inversion).function), Call(resolved.once(system_jacobian))
+def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
+    """Return the unknowns of the derivative array at reference jets along a path; NaN where they are not found.
+
+    What a guess that knows nothing of the path does not solve is solved from a neighbour.
+    """
+    invert, search, _ = problem.resolved.once(_survey_functions)
+    found = [invert(jet.T, problem.p)[0] for jet in jets]
+    solved = [bool(np.isfinite(values).all()) for values in found]
+    count = len(found)
+    for order in (range(1, count), range(count - 2, -1, -1)) if problem.flat else ():
+        for k in order:
+            beside = k - order.step
+            if not solved[k] and solved[beside]:
+                values, _, _ = search(jets[k].T, problem.p, found[beside])
+                if np.isfinite(values).all():
+                    found[k], solved[k] = values, True
+    return found
+
+
+def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call, Call]:
+    inverse = resolved.once(inversion)
+    return Call(inverse.function), Call(inverse.search), Call(resolved.once(system_jacobian))

@@ -60,6 +60,7 @@ def test_other_loops_are_flown_on_one_branch_too(duration, turn, lift):
 @pytest.mark.parametrize("guess", [(0.3, 1.0), (-0.5, 1.5), (0.0, 0.5), (0.5, 2.0), (0.2, 1.2)])
 def test_a_constant_guess_is_a_start_and_not_a_law(guess):
     arm = elbow_arm(guess)
+    assert sc.analyse(arm.scene).classification == "flat"
     solution = sc.solve(arm.scene)
     exact = arm.exact(solution.t)
     if np.mod(solution["b"][0], 2 * np.pi) > np.pi:
