@@ -49,6 +49,9 @@ class Scene:
         Whether every instant of the exact inversion starts from where the one before was heading instead of the
         model's guess: where several configurations belong to one output, a run then stays on the branch on which it
         started, and goes on smoothly where two branches meet.
+    tracked : str
+        One word for what follows the path where the outputs are its position: ``load``. Tables of variables then have
+        vectors ``load.position``, ``load.velocity``.
     """
 
     name: str
@@ -60,6 +63,7 @@ class Scene:
     limits: tuple[Limit, ...] = ()
     parameters: Mapping[str, float] = field(default_factory=dict)
     follow_branch: bool = False
+    tracked: str = ""
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)

@@ -97,4 +97,5 @@ def gantry_crane() -> Scene:
         reference=rest_to_rest((0.0, 0.0, -5.0), (6.0, 3.0, -2.0), 6.0),
         closed_form=closed_form,
         limits=LIMITS,
+        tracked="load",
     )

@@ -62,4 +62,5 @@ def overhead_crane() -> Scene:
         reference=rest_to_rest((0.0, -4.0), (5.0, -1.0), 3.0),
         closed_form=closed_form,
         limits=LIMITS,
+        tracked="load",
     )

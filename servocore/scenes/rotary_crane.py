@@ -230,6 +230,7 @@ def rotary_crane(*, across_axis: bool = False) -> Scene:
         reference=rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0),
         closed_form=closed_form,
         limits=LIMITS,
+        tracked="load",
     )
     if not across_axis:
         return crane
