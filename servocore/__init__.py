@@ -17,6 +17,7 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
+from servocore.export.fmu import export_fmu
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import (
     BDF,
@@ -105,6 +106,7 @@ __all__ = [
     "Trapezoidal",
     "analyse",
     "compile_plant",
+    "export_fmu",
     "figure_of_eight",
     "from_csv",
     "periodic",

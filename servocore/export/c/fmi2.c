@@ -1,0 +1,358 @@
+/* FMI 2.0 for co-simulation: a thin layer over inverse.h. A value reference is the place of a number; that of input_time
+   follows after the last one. */
+
+#include "fmi2Functions.h"
+#include "inverse.h"
+
+#define INPUT_TIME N_NUMBERS
+
+static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
+static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+static void report(const Instance *instance, Outcome outcome, const char *message)
+{
+    const fmi2CallbackLogger logger = *(fmi2CallbackLogger *)instance->logger;
+    /* Hosts that are not written in C show the format as it is. */
+    logger(instance->environment, instance->name, STATUS[outcome], CATEGORY[outcome],
+           strchr(message, '%') == NULL ? message : "%s", message);
+}
+
+/* Whether a call is allowed now; says so if not. */
+static int refused(Instance *instance, unsigned phases, const char *call)
+{
+    if (instance == NULL) return 1;
+    if (phases >> instance->state.phase & 1u) return 0;
+    say(instance, ERROR, "%s is not allowed now", call);
+    return 1;
+}
+#define BEFORE (1u << INSTANTIATED)
+#define DURING (1u << INITIALIZING)
+#define AFTER (1u << STEPPING)
+#define ENDED (1u << TERMINATED)
+#define ANY (BEFORE | DURING | AFTER | ENDED)
+#define REQUIRE(phases, call) \
+    Instance *instance = component; \
+    if (refused(instance, phases, call)) return fmi2Error
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
+{
+    Instance *instance;
+    (void)resources;
+    (void)visible;
+    (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
+    if (functions == NULL) return NULL;
+    instance = new_instance(name == NULL ? MODEL_NAME : name);
+    if (instance == NULL) return NULL;
+    instance->logger = malloc(sizeof functions->logger);
+    if (instance->logger == NULL) {
+        free_instance(instance);
+        return NULL;
+    }
+    memcpy(instance->logger, &functions->logger, sizeof functions->logger);
+    instance->environment = functions->componentEnvironment;
+    instance->report = functions->logger == NULL ? NULL : report;
+    if (type != fmi2CoSimulation || guid == NULL || strcmp(guid, INSTANTIATION_TOKEN) != 0) {
+        say(instance, ERROR, type != fmi2CoSimulation ? "%s is for co-simulation only"
+                             : "%s: the model description belongs to another build of the library", MODEL_NAME);
+        free(instance->logger);
+        free_instance(instance);
+        return NULL;
+    }
+    return instance;
+}
+
+void fmi2FreeInstance(fmi2Component component)
+{
+    if (component == NULL) return;
+    free(((Instance *)component)->logger);
+    free_instance(component);
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
+{
+    REQUIRE(ANY, "fmi2SetDebugLogging");
+    for (size_t k = 0; k < count; k++) {
+        int known = strcmp(categories[k], "logAll") == 0;
+        for (int outcome = 0; outcome < 4; outcome++)
+            if (strcmp(categories[k], "logAll") == 0 || strcmp(categories[k], CATEGORY[outcome]) == 0) {
+                instance->told[outcome] = on != fmi2False;
+                known = 1;
+            }
+        if (!known) return STATUS[say(instance, ERROR, "there is no logger category %.100s", categories[k])];
+    }
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on != fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDefined, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean stopDefined, fmi2Real stop)
+{
+    REQUIRE(BEFORE, "fmi2SetupExperiment");
+    (void)toleranceDefined;
+    (void)tolerance;
+    if (!(fabs(start) <= DBL_MAX) || (stopDefined && !(stop >= start)))
+        return STATUS[say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop)];
+    instance->state.now.time = start;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component component)
+{
+    REQUIRE(BEFORE, "fmi2EnterInitializationMode");
+    instance->state.phase = INITIALIZING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component component)
+{
+    REQUIRE(DURING, "fmi2ExitInitializationMode");
+    if (refresh(instance) != GOOD) return fmi2Error;
+    instance->state.phase = STEPPING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(fmi2Component component)
+{
+    REQUIRE(AFTER, "fmi2Terminate");
+    instance->state.phase = TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component component)
+{
+    REQUIRE(ANY, "fmi2Reset");
+    reset(instance);
+    return fmi2OK;
+}
+
+fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi2Boolean noSetPrior)
+{
+    REQUIRE(AFTER, "fmi2DoStep");
+    (void)noSetPrior;
+    return STATUS[do_step(instance, time, step)];
+}
+
+/* Variables ---------------------------------------------------------------------------------------------------------- */
+
+static fmi2Status unknown_reference(const Instance *instance, fmi2ValueReference reference, const char *type)
+{
+    return STATUS[say(instance, ERROR, "no %s variable has the value reference %u", type, reference)];
+}
+
+fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Real values[])
+{
+    REQUIRE(ANY, "fmi2GetReal");
+    for (size_t k = 0; k < count; k++) {
+        Outcome outcome;
+        if (references[k] >= N_NUMBERS) return unknown_reference(instance, references[k], "Real");
+        outcome = get_numbers(instance, references[k], 1, values + k);
+        if (outcome != GOOD) return STATUS[outcome];
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
+                       const fmi2Real values[])
+{
+    REQUIRE(BEFORE | DURING | AFTER, "fmi2SetReal");
+    for (size_t k = 0; k < count; k++) {
+        Outcome outcome;
+        if (references[k] >= N_NUMBERS) return unknown_reference(instance, references[k], "Real");
+        outcome = set_number(instance, references[k], values[k]);
+        if (outcome != GOOD) return STATUS[outcome];
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
+                          fmi2Integer values[])
+{
+    REQUIRE(ANY, "fmi2GetInteger");
+    for (size_t k = 0; k < count; k++) {
+        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Integer");
+        values[k] = (fmi2Integer)instance->state.input_time;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
+                          const fmi2Integer values[])
+{
+    REQUIRE(BEFORE | DURING | AFTER, "fmi2SetInteger");
+    for (size_t k = 0; k < count; k++) {
+        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Integer");
+        if (set_input_time(instance, values[k]) != GOOD) return fmi2Error;
+    }
+    return fmi2OK;
+}
+
+#define NO_SUCH_VARIABLES(type, what, values_type) \
+    fmi2Status fmi2##what##type(fmi2Component component, const fmi2ValueReference references[], size_t count, \
+                                values_type values[]) \
+    { \
+        REQUIRE(ANY, "fmi2" #what #type); \
+        (void)values; \
+        return count == 0 ? fmi2OK : unknown_reference(instance, references[0], #type); \
+    }
+NO_SUCH_VARIABLES(Boolean, Get, fmi2Boolean)
+NO_SUCH_VARIABLES(Boolean, Set, const fmi2Boolean)
+NO_SUCH_VARIABLES(String, Get, fmi2String)
+NO_SUCH_VARIABLES(String, Set, const fmi2String)
+
+/* States ------------------------------------------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *saved)
+{
+    REQUIRE(ANY, "fmi2GetFMUstate");
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
+    memcpy(*saved, &instance->state, sizeof(State));
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate saved)
+{
+    REQUIRE(ANY, "fmi2SetFMUstate");
+    if (saved == NULL) return STATUS[say(instance, ERROR, "there is no saved state to restore")];
+    if (require_state(instance, saved) != GOOD) return fmi2Error;
+    memcpy(&instance->state, saved, sizeof(State));
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *saved)
+{
+    (void)component;
+    if (saved != NULL) {
+        free(*saved);
+        *saved = NULL;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate saved, size_t *size)
+{
+    (void)component;
+    (void)saved;
+    *size = sizeof(State);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate saved, fmi2Byte bytes[], size_t size)
+{
+    REQUIRE(ANY, "fmi2SerializeFMUstate");
+    if (saved == NULL || size < sizeof(State))
+        return STATUS[say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State),
+                          (unsigned)size)];
+    memcpy(bytes, saved, sizeof(State));
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes[], size_t size, fmi2FMUstate *saved)
+{
+    State state;
+    REQUIRE(ANY, "fmi2DeSerializeFMUstate");
+    if (size != sizeof(State))
+        return STATUS[say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size)];
+    memcpy(&state, bytes, sizeof(State));
+    if (require_state(instance, &state) != GOOD) return fmi2Error;
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
+    memcpy(*saved, &state, sizeof(State));
+    return fmi2OK;
+}
+
+/* Derivatives and what there is not ---------------------------------------------------------------------------------- */
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2ValueReference unknowns[],
+                                        size_t unknownCount, const fmi2ValueReference knowns[], size_t knownCount,
+                                        const fmi2Real seeds[], fmi2Real derivatives[])
+{
+    size_t outputs[N_OUTPUTS] = {0}, given[N_NUMBERS] = {0};
+    Outcome outcome;
+    REQUIRE(DURING | AFTER, "fmi2GetDirectionalDerivative");
+    if (unknownCount > N_OUTPUTS || knownCount > N_NUMBERS)
+        return STATUS[say(instance, ERROR, "there are %d outputs and %d numbers, fewer than asked for", N_OUTPUTS,
+                          N_NUMBERS)];
+    for (size_t k = 0; k < unknownCount; k++) {
+        if (unknowns[k] >= N_NUMBERS) return unknown_reference(instance, unknowns[k], "Real");
+        outputs[k] = unknowns[k];
+    }
+    for (size_t k = 0; k < knownCount; k++) {
+        if (knowns[k] >= N_NUMBERS) return unknown_reference(instance, knowns[k], "Real");
+        given[k] = knowns[k];
+    }
+    outcome = directional(instance, outputs, unknownCount, given, knownCount, seeds, derivatives);
+    return STATUS[outcome];
+}
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
+                                       const fmi2Integer orders[], const fmi2Real values[])
+{
+    REQUIRE(ANY, "fmi2SetRealInputDerivatives");
+    (void)references;
+    (void)orders;
+    (void)values;
+    if (count == 0) return fmi2OK;
+    return STATUS[say(instance, ERROR, "derivatives of the path are inputs of their own")];
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
+                                        const fmi2Integer orders[], fmi2Real values[])
+{
+    REQUIRE(ANY, "fmi2GetRealOutputDerivatives");
+    (void)references;
+    (void)orders;
+    (void)values;
+    if (count == 0) return fmi2OK;
+    return STATUS[say(instance, ERROR, "derivatives of outputs by time are not computed")];
+}
+
+fmi2Status fmi2CancelStep(fmi2Component component)
+{
+    REQUIRE(ANY, "fmi2CancelStep");
+    return STATUS[say(instance, ERROR, "steps end before they return: there is none to cancel")];
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
+{
+    REQUIRE(ANY, "fmi2GetRealStatus");
+    if (kind != fmi2LastSuccessfulTime) return fmi2Discard;
+    *value = instance->state.now.time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Boolean *value)
+{
+    REQUIRE(ANY, "fmi2GetBooleanStatus");
+    if (kind != fmi2Terminated) return fmi2Discard;
+    *value = fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Status *value)
+{
+    (void)component;
+    (void)kind;
+    (void)value;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Integer *value)
+{
+    (void)component;
+    (void)kind;
+    (void)value;
+    return fmi2Discard;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind kind, fmi2String *value)
+{
+    (void)component;
+    (void)kind;
+    (void)value;
+    return fmi2Discard;
+}

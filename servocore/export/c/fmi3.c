@@ -1,0 +1,415 @@
+/* FMI 3.0 for co-simulation: a thin layer over inverse.h. A value reference is the place of a variable among ARRAYS;
+   those of input_time and time follow after the last one. */
+
+#include "fmi3Functions.h"
+#include "inverse.h"
+
+#define INPUT_TIME N_ARRAYS
+#define TIME (N_ARRAYS + 1)
+
+static const fmi3Status STATUS[] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error};
+static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+static void report(const Instance *instance, Outcome outcome, const char *message)
+{
+    const fmi3LogMessageCallback logger = *(fmi3LogMessageCallback *)instance->logger;
+    logger(instance->environment, STATUS[outcome], CATEGORY[outcome], message);
+}
+
+/* Whether a call is allowed now; says so if not. */
+static int refused(Instance *instance, unsigned phases, const char *call)
+{
+    if (instance == NULL) return 1;
+    if (phases >> instance->state.phase & 1u) return 0;
+    say(instance, ERROR, "%s is not allowed now", call);
+    return 1;
+}
+#define BEFORE (1u << INSTANTIATED)
+#define DURING (1u << INITIALIZING)
+#define AFTER (1u << STEPPING)
+#define ENDED (1u << TERMINATED)
+#define ANY (BEFORE | DURING | AFTER | ENDED)
+#define REQUIRE(phases, call) \
+    Instance *instance = component; \
+    if (refused(instance, phases, call)) return fmi3Error
+
+const char *fmi3GetVersion(void) { return fmi3Version; }
+
+fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                         fmi3Boolean logging, fmi3Boolean eventModeUsed, fmi3Boolean earlyReturnAllowed,
+                                         const fmi3ValueReference intermediate[], size_t intermediateCount,
+                                         fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger,
+                                         fmi3IntermediateUpdateCallback update)
+{
+    Instance *instance = new_instance(name == NULL ? MODEL_NAME : name);
+    (void)resources;
+    (void)visible;
+    (void)logging; /* what it switches on is more than is said here: warnings and refusals are always told */
+    (void)eventModeUsed;
+    (void)earlyReturnAllowed;
+    (void)intermediate;
+    (void)intermediateCount;
+    (void)update;
+    if (instance == NULL) return NULL;
+    instance->logger = malloc(sizeof logger);
+    if (instance->logger == NULL) {
+        free_instance(instance);
+        return NULL;
+    }
+    memcpy(instance->logger, &logger, sizeof logger);
+    instance->environment = environment;
+    instance->report = logger == NULL ? NULL : report;
+    if (token == NULL || strcmp(token, INSTANTIATION_TOKEN) != 0) {
+        say(instance, ERROR, "%s: the model description belongs to another build of the library", MODEL_NAME);
+        free(instance->logger);
+        free_instance(instance);
+        return NULL;
+    }
+    return instance;
+}
+
+void fmi3FreeInstance(fmi3Instance component)
+{
+    if (component == NULL) return;
+    free(((Instance *)component)->logger);
+    free_instance(component);
+}
+
+fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
+{
+    REQUIRE(ANY, "fmi3SetDebugLogging");
+    for (size_t k = 0; k < count; k++) {
+        int known = 0;
+        for (int outcome = 0; outcome < 4; outcome++)
+            if (strcmp(categories[k], CATEGORY[outcome]) == 0) {
+                instance->told[outcome] = on;
+                known = 1;
+            }
+        if (!known) return STATUS[say(instance, ERROR, "there is no logger category %.100s", categories[k])];
+    }
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
+    return fmi3OK;
+}
+
+fmi3Status fmi3EnterInitializationMode(fmi3Instance component, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
+                                       fmi3Float64 start, fmi3Boolean stopDefined, fmi3Float64 stop)
+{
+    REQUIRE(BEFORE, "fmi3EnterInitializationMode");
+    (void)toleranceDefined;
+    (void)tolerance;
+    if (!(fabs(start) <= DBL_MAX) || (stopDefined && !(stop >= start)))
+        return STATUS[say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop)];
+    instance->state.now.time = start;
+    instance->state.phase = INITIALIZING;
+    return fmi3OK;
+}
+
+fmi3Status fmi3ExitInitializationMode(fmi3Instance component)
+{
+    REQUIRE(DURING, "fmi3ExitInitializationMode");
+    if (refresh(instance) != GOOD) return fmi3Error;
+    instance->state.phase = STEPPING;
+    return fmi3OK;
+}
+
+fmi3Status fmi3Terminate(fmi3Instance component)
+{
+    REQUIRE(AFTER, "fmi3Terminate");
+    instance->state.phase = TERMINATED;
+    return fmi3OK;
+}
+
+fmi3Status fmi3Reset(fmi3Instance component)
+{
+    REQUIRE(ANY, "fmi3Reset");
+    reset(instance);
+    return fmi3OK;
+}
+
+fmi3Status fmi3DoStep(fmi3Instance component, fmi3Float64 time, fmi3Float64 step, fmi3Boolean noSetPrior,
+                      fmi3Boolean *eventHandlingNeeded, fmi3Boolean *terminate, fmi3Boolean *earlyReturn,
+                      fmi3Float64 *lastSuccessfulTime)
+{
+    Outcome outcome;
+    REQUIRE(AFTER, "fmi3DoStep");
+    (void)noSetPrior;
+    outcome = do_step(instance, time, step);
+    *eventHandlingNeeded = *terminate = *earlyReturn = fmi3False;
+    *lastSuccessfulTime = instance->state.now.time;
+    return STATUS[outcome];
+}
+
+/* Variables ---------------------------------------------------------------------------------------------------------- */
+
+static fmi3Status unknown_reference(const Instance *instance, fmi3ValueReference reference, const char *type)
+{
+    return STATUS[say(instance, ERROR, "no %s variable has the value reference %u", type, reference)];
+}
+
+static fmi3Status wrong_count(const Instance *instance, size_t count)
+{
+    return STATUS[say(instance, ERROR, "%u values do not fit the sizes of the variables", (unsigned)count)];
+}
+
+fmi3Status fmi3GetFloat64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
+                          fmi3Float64 values[], size_t valueCount)
+{
+    size_t done = 0;
+    REQUIRE(ANY, "fmi3GetFloat64");
+    for (size_t k = 0; k < count; k++) {
+        Outcome outcome = GOOD;
+        const int timed = references[k] == TIME;
+        size_t size = 1;
+        if (!timed && references[k] >= N_ARRAYS) return unknown_reference(instance, references[k], "Float64");
+        if (!timed) size = ARRAYS[references[k]].size;
+        if (valueCount - done < size) return wrong_count(instance, valueCount);
+        if (timed)
+            values[done] = instance->state.now.time;
+        else
+            outcome = get_numbers(instance, ARRAYS[references[k]].first, size, values + done);
+        if (outcome != GOOD) return STATUS[outcome];
+        done += size;
+    }
+    return done == valueCount ? fmi3OK : wrong_count(instance, valueCount);
+}
+
+fmi3Status fmi3SetFloat64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
+                          const fmi3Float64 values[], size_t valueCount)
+{
+    size_t done = 0;
+    REQUIRE(BEFORE | DURING | AFTER, "fmi3SetFloat64");
+    for (size_t k = 0; k < count; k++) {
+        const Array *array;
+        if (references[k] >= N_ARRAYS) return unknown_reference(instance, references[k], "settable Float64");
+        array = &ARRAYS[references[k]];
+        if (valueCount - done < array->size) return wrong_count(instance, valueCount);
+        for (size_t i = 0; i < array->size; i++) {
+            const Outcome outcome = set_number(instance, array->first + i, values[done++]);
+            if (outcome != GOOD) return STATUS[outcome];
+        }
+    }
+    return done == valueCount ? fmi3OK : wrong_count(instance, valueCount);
+}
+
+/* Enumerations are integers of 64 bits. */
+fmi3Status fmi3GetInt64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
+                        fmi3Int64 values[], size_t valueCount)
+{
+    REQUIRE(ANY, "fmi3GetInt64");
+    if (count != valueCount) return wrong_count(instance, valueCount);
+    for (size_t k = 0; k < count; k++) {
+        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Int64");
+        values[k] = instance->state.input_time;
+    }
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetInt64(fmi3Instance component, const fmi3ValueReference references[], size_t count,
+                        const fmi3Int64 values[], size_t valueCount)
+{
+    REQUIRE(BEFORE | DURING | AFTER, "fmi3SetInt64");
+    if (count != valueCount) return wrong_count(instance, valueCount);
+    for (size_t k = 0; k < count; k++) {
+        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Int64");
+        if (set_input_time(instance, values[k]) != GOOD) return fmi3Error;
+    }
+    return fmi3OK;
+}
+
+#define NO_SUCH_VARIABLES(type) \
+    fmi3Status fmi3Get##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
+                             fmi3##type values[], size_t valueCount) \
+    { \
+        REQUIRE(ANY, "fmi3Get" #type); \
+        (void)values; \
+        (void)valueCount; \
+        return count == 0 ? fmi3OK : unknown_reference(instance, references[0], #type); \
+    } \
+    fmi3Status fmi3Set##type(fmi3Instance component, const fmi3ValueReference references[], size_t count, \
+                             const fmi3##type values[], size_t valueCount) \
+    { \
+        REQUIRE(ANY, "fmi3Set" #type); \
+        (void)values; \
+        (void)valueCount; \
+        return count == 0 ? fmi3OK : unknown_reference(instance, references[0], #type); \
+    }
+NO_SUCH_VARIABLES(Float32)
+NO_SUCH_VARIABLES(Int8)
+NO_SUCH_VARIABLES(UInt8)
+NO_SUCH_VARIABLES(Int16)
+NO_SUCH_VARIABLES(UInt16)
+NO_SUCH_VARIABLES(Int32)
+NO_SUCH_VARIABLES(UInt32)
+NO_SUCH_VARIABLES(UInt64)
+NO_SUCH_VARIABLES(Boolean)
+NO_SUCH_VARIABLES(String)
+
+/* States ------------------------------------------------------------------------------------------------------------- */
+
+fmi3Status fmi3GetFMUState(fmi3Instance component, fmi3FMUState *saved)
+{
+    REQUIRE(ANY, "fmi3GetFMUState");
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
+    memcpy(*saved, &instance->state, sizeof(State));
+    return fmi3OK;
+}
+
+fmi3Status fmi3SetFMUState(fmi3Instance component, fmi3FMUState saved)
+{
+    REQUIRE(ANY, "fmi3SetFMUState");
+    if (saved == NULL) return STATUS[say(instance, ERROR, "there is no saved state to restore")];
+    if (require_state(instance, saved) != GOOD) return fmi3Error;
+    memcpy(&instance->state, saved, sizeof(State));
+    return fmi3OK;
+}
+
+fmi3Status fmi3FreeFMUState(fmi3Instance component, fmi3FMUState *saved)
+{
+    (void)component;
+    if (saved != NULL) {
+        free(*saved);
+        *saved = NULL;
+    }
+    return fmi3OK;
+}
+
+fmi3Status fmi3SerializedFMUStateSize(fmi3Instance component, fmi3FMUState saved, size_t *size)
+{
+    (void)component;
+    (void)saved;
+    *size = sizeof(State);
+    return fmi3OK;
+}
+
+fmi3Status fmi3SerializeFMUState(fmi3Instance component, fmi3FMUState saved, fmi3Byte bytes[], size_t size)
+{
+    REQUIRE(ANY, "fmi3SerializeFMUState");
+    if (saved == NULL || size < sizeof(State))
+        return STATUS[say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State),
+                          (unsigned)size)];
+    memcpy(bytes, saved, sizeof(State));
+    return fmi3OK;
+}
+
+fmi3Status fmi3DeserializeFMUState(fmi3Instance component, const fmi3Byte bytes[], size_t size, fmi3FMUState *saved)
+{
+    State state;
+    REQUIRE(ANY, "fmi3DeserializeFMUState");
+    if (size != sizeof(State))
+        return STATUS[say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size)];
+    memcpy(&state, bytes, sizeof(State));
+    if (require_state(instance, &state) != GOOD) return fmi3Error;
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
+    memcpy(*saved, &state, sizeof(State));
+    return fmi3OK;
+}
+
+/* Derivatives -------------------------------------------------------------------------------------------------------- */
+
+/* Write the places of all components of variables one after the other; returns their number, or -1 after saying why. */
+static long spread(const Instance *instance, const fmi3ValueReference references[], size_t count, size_t places[])
+{
+    size_t found = 0;
+    for (size_t k = 0; k < count; k++) {
+        const Array *array;
+        if (references[k] >= N_ARRAYS) {
+            unknown_reference(instance, references[k], "Float64");
+            return -1;
+        }
+        array = &ARRAYS[references[k]];
+        if (found + array->size > N_NUMBERS) {
+            say(instance, ERROR, "a derivative was asked for by or of more than the %d numbers there are", N_NUMBERS);
+            return -1;
+        }
+        for (size_t i = 0; i < array->size; i++) places[found++] = array->first + i;
+    }
+    return (long)found;
+}
+
+fmi3Status fmi3GetDirectionalDerivative(fmi3Instance component, const fmi3ValueReference unknowns[],
+                                        size_t unknownCount, const fmi3ValueReference knowns[], size_t knownCount,
+                                        const fmi3Float64 seeds[], size_t seedCount, fmi3Float64 derivatives[],
+                                        size_t derivativeCount)
+{
+    size_t of[N_NUMBERS] = {0}, by[N_NUMBERS] = {0};
+    long unknownPlaces, knownPlaces;
+    REQUIRE(DURING | AFTER, "fmi3GetDirectionalDerivative");
+    unknownPlaces = spread(instance, unknowns, unknownCount, of);
+    knownPlaces = unknownPlaces < 0 ? -1 : spread(instance, knowns, knownCount, by);
+    if (knownPlaces < 0) return fmi3Error;
+    if ((size_t)knownPlaces != seedCount) return wrong_count(instance, seedCount);
+    if ((size_t)unknownPlaces != derivativeCount) return wrong_count(instance, derivativeCount);
+    return STATUS[directional(instance, of, derivativeCount, by, seedCount, seeds, derivatives)];
+}
+
+/* What there is not ---------------------------------------------------------------------------------------------------- */
+
+#define NOT_OFFERED(name, ...) \
+    fmi3Status name(fmi3Instance component, __VA_ARGS__) \
+    { \
+        REQUIRE(ANY, #name); \
+        return STATUS[say(instance, ERROR, #name " is not offered: this is for co-simulation, without events or clocks")]; \
+    }
+#define NOT_OFFERED_ALONE(name) \
+    fmi3Status name(fmi3Instance component) \
+    { \
+        REQUIRE(ANY, #name); \
+        return STATUS[say(instance, ERROR, #name " is not offered: this is for co-simulation, without events or clocks")]; \
+    }
+typedef fmi3ValueReference Reference;
+
+fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+                                          fmi3Boolean logging, fmi3InstanceEnvironment environment,
+                                          fmi3LogMessageCallback logger)
+{
+    return NULL;
+}
+
+fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+                                               fmi3Boolean visible, fmi3Boolean logging,
+                                               fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger,
+                                               fmi3ClockUpdateCallback update, fmi3LockPreemptionCallback lock,
+                                               fmi3UnlockPreemptionCallback unlock)
+{
+    return NULL;
+}
+
+NOT_OFFERED(fmi3GetBinary, const Reference r[], size_t n, size_t s[], fmi3Binary v[], size_t m)
+NOT_OFFERED(fmi3SetBinary, const Reference r[], size_t n, const size_t s[], const fmi3Binary v[], size_t m)
+NOT_OFFERED(fmi3GetClock, const Reference r[], size_t n, fmi3Clock v[])
+NOT_OFFERED(fmi3SetClock, const Reference r[], size_t n, const fmi3Clock v[])
+NOT_OFFERED(fmi3GetNumberOfVariableDependencies, Reference r, size_t *n)
+NOT_OFFERED(fmi3GetVariableDependencies, Reference r, size_t a[], Reference b[], size_t c[], fmi3DependencyKind d[],
+            size_t n)
+NOT_OFFERED(fmi3GetAdjointDerivative, const Reference u[], size_t a, const Reference k[], size_t b,
+            const fmi3Float64 s[], size_t c, fmi3Float64 v[], size_t d)
+NOT_OFFERED_ALONE(fmi3EnterConfigurationMode)
+NOT_OFFERED_ALONE(fmi3ExitConfigurationMode)
+NOT_OFFERED_ALONE(fmi3EnterEventMode)
+NOT_OFFERED_ALONE(fmi3EnterContinuousTimeMode)
+NOT_OFFERED_ALONE(fmi3EnterStepMode)
+NOT_OFFERED_ALONE(fmi3EvaluateDiscreteStates)
+NOT_OFFERED(fmi3GetIntervalDecimal, const Reference r[], size_t n, fmi3Float64 v[], fmi3IntervalQualifier q[])
+NOT_OFFERED(fmi3GetIntervalFraction, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[],
+            fmi3IntervalQualifier q[])
+NOT_OFFERED(fmi3GetShiftDecimal, const Reference r[], size_t n, fmi3Float64 v[])
+NOT_OFFERED(fmi3GetShiftFraction, const Reference r[], size_t n, fmi3UInt64 c[], fmi3UInt64 v[])
+NOT_OFFERED(fmi3SetIntervalDecimal, const Reference r[], size_t n, const fmi3Float64 v[])
+NOT_OFFERED(fmi3SetIntervalFraction, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
+NOT_OFFERED(fmi3SetShiftDecimal, const Reference r[], size_t n, const fmi3Float64 v[])
+NOT_OFFERED(fmi3SetShiftFraction, const Reference r[], size_t n, const fmi3UInt64 c[], const fmi3UInt64 v[])
+NOT_OFFERED(fmi3UpdateDiscreteStates, fmi3Boolean *a, fmi3Boolean *b, fmi3Boolean *c, fmi3Boolean *d, fmi3Boolean *e,
+            fmi3Float64 *t)
+NOT_OFFERED(fmi3CompletedIntegratorStep, fmi3Boolean n, fmi3Boolean *a, fmi3Boolean *b)
+NOT_OFFERED(fmi3SetTime, fmi3Float64 t)
+NOT_OFFERED(fmi3SetContinuousStates, const fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetContinuousStateDerivatives, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetEventIndicators, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetContinuousStates, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetNominalsOfContinuousStates, fmi3Float64 x[], size_t n)
+NOT_OFFERED(fmi3GetNumberOfEventIndicators, size_t *n)
+NOT_OFFERED(fmi3GetNumberOfContinuousStates, size_t *n)
+NOT_OFFERED(fmi3GetOutputDerivatives, const Reference r[], size_t n, const fmi3Int32 o[], fmi3Float64 v[], size_t m)
+NOT_OFFERED(fmi3ActivateModelPartition, Reference r, fmi3Float64 t)

@@ -1,0 +1,222 @@
+"""The model descriptions of FMI 2 and 3, the build description, and terminals: XML made from an `InverseModel`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from xml.etree import ElementTree as ET
+
+from servocore.export.inverse_model import InverseModel
+from servocore.export.sources import compiled_files
+from servocore.export.units import base_units
+from servocore.export.variables import INPUT_TIMES, Variable
+
+_TOOL = "servocore"
+_DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
+    "m": {"mm": 1e3},
+    "rad": {"deg": 57.295779513082323},
+    "rad/s": {"deg/s": 57.295779513082323},
+    "kg": {"t": 1e-3},
+    "N": {"kN": 1e-3},
+    "N.m": {"kN.m": 1e-3},
+}
+_SHOWN = {"rad": "deg", "rad/s": "deg/s"}  # instead of the unit itself
+_INPUT_TIME = "instant of a communication step that its inputs belong to"
+_CATEGORIES = {
+    "logStatusWarning": "What may be a mistake: a path whose derivatives are not connected.",
+    "logStatusDiscard": "Steps that are refused: a path beyond the limits of the model, inputs that are not finite.",
+    "logStatusError": "Calls that make no sense: unknown variables, values outside bounds, times that do not fit.",
+}
+_FASTEST_STEPS = 1000  # of a default experiment: FMPy doubles the step of longer ones
+
+
+def fmi2_description(model: InverseModel, token: str) -> bytes:
+    """Return modelDescription.xml of FMI 2.0."""
+    root = ET.Element(
+        "fmiModelDescription", fmiVersion="2.0", modelName=model.title, guid=token, description=model.description,
+        generationTool=_TOOL, variableNamingConvention="structured", numberOfEventIndicators="0",
+    )  # fmt: skip
+    abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
+                 "providesDirectionalDerivative", "canNotUseMemoryManagementFunctions")  # fmt: skip
+    simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
+    files = _add(simulation, "SourceFiles")
+    for name in compiled_files(model, 2):
+        _add(files, "File", name=name)
+    _unit_definitions(root, model)
+    types = _add(root, "TypeDefinitions")
+    _items(_add(_add(types, "SimpleType", name="InputTime", description=_INPUT_TIME), "Enumeration"))
+    _categories(root, "LogCategories")
+    _experiment(root, model)
+    table = _add(root, "ModelVariables")
+    for variable in model.variables:
+        for k, name in enumerate(variable.scalar_names):
+            row = _add(
+                table, "ScalarVariable", name=name, valueReference=str(variable.place + k),
+                description=_component_text(variable, k), **_causality(variable, fmi=2),
+            )  # fmt: skip
+            real = _add(row, "Real", **_attributes(variable))
+            if variable.starts:
+                real.set("start", repr(variable.starts[k]))
+    count = sum(len(each.scalar_names) for each in model.variables)
+    row = _add(table, "ScalarVariable", name="input_time", valueReference=str(count), description=_INPUT_TIME,
+                        causality="parameter", variability="fixed")  # fmt: skip
+    _add(row, "Enumeration", declaredType="InputTime", start="1")
+    _fmi2_structure(root, model)
+    return document(root)
+
+
+def _fmi2_structure(root: ET.Element, model: InverseModel) -> None:
+    structure = _add(root, "ModelStructure")
+    outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
+    parameters = [k for each in model.of("parameter") if each.name != "internal_step" for k in _places(each)]
+    for row, output in enumerate(model.of("output")):
+        of_path = [k for k, used in enumerate(model.mathematics.depends[row]) if used]
+        for parent, on in ((outputs, of_path), (initial, [*of_path, *parameters])):
+            _add(parent, "Unknown", index=str(output.place + 1), **_dependencies([k + 1 for k in on]))
+
+
+def fmi3_description(model: InverseModel, token: str) -> bytes:
+    """Return modelDescription.xml of FMI 3.0."""
+    root = ET.Element(
+        "fmiModelDescription", fmiVersion="3.0", modelName=model.title, instantiationToken=token,
+        description=model.description, generationTool=_TOOL, variableNamingConvention="structured",
+    )  # fmt: skip
+    abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState",
+                 "providesDirectionalDerivatives")  # fmt: skip
+    _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
+    _unit_definitions(root, model)
+    types = _add(root, "TypeDefinitions")
+    _items(_add(types, "EnumerationType", name="InputTime", description=_INPUT_TIME))
+    _categories(root, "LogCategories")
+    _experiment(root, model)
+    table = _add(root, "ModelVariables")
+    for reference, variable in enumerate(model.variables):
+        row = _add(
+            table, "Float64", name=variable.name, valueReference=str(reference), description=variable.description,
+            **_causality(variable, fmi=3), **_attributes(variable),
+        )  # fmt: skip
+        if variable.starts:
+            row.set("start", " ".join(map(repr, variable.starts)))
+        if variable.size is not None:
+            _add(row, "Dimension", start=str(variable.size))
+    _add(
+        table, "Enumeration", name="input_time", valueReference=str(len(model.variables)), description=_INPUT_TIME,
+        causality="parameter", variability="fixed", declaredType="InputTime", start="1",
+    )  # fmt: skip
+    _add(table, "Float64", name="time", valueReference=str(len(model.variables) + 1), causality="independent",
+                  variability="continuous", unit="s")  # fmt: skip
+    _fmi3_structure(root, model)
+    return document(root)
+
+
+def _fmi3_structure(root: ET.Element, model: InverseModel) -> None:
+    structure = _add(root, "ModelStructure")
+    numbers = {id(each): k for k, each in enumerate(model.variables)}
+    inputs = [numbers[id(each)] for each in model.of("input")]
+    parameters = [numbers[id(each)] for each in model.of("parameter") if each.name != "internal_step"]
+    unknowns = []
+    for row, output in enumerate(model.of("output")):
+        used = [k for k in inputs if model.mathematics.depends[row][list(_places(model.variables[k]))].any()]
+        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(used))
+        unknowns.append((numbers[id(output)], [*used, *parameters]))
+    for number, on in unknowns:
+        _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
+
+
+def build_description(model: InverseModel) -> bytes:
+    """Return buildDescription.xml of FMI 3: how a tool builds the library for its own system."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = _add(root, "BuildConfiguration", modelIdentifier=model.identifier)
+    sources = _add(configuration, "SourceFileSet", language="C99")
+    for name in compiled_files(model, 3):
+        _add(sources, "SourceFile", name=name)
+    return document(root)
+
+
+def terminals(model: InverseModel) -> bytes:
+    """Return terminalsAndIcons.xml of FMI 3: the path as one plug, the drives as another."""
+    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
+    every = _add(root, "Terminals")
+    for name, causality, text in (
+        ("path", "input", "the path to follow with its derivatives"),
+        ("result", "output", "what the drives have to do, and the motion that results"),
+    ):
+        terminal = _add(every, "Terminal", name=name, matchingRule="bus", description=text)
+        for each in model.variables:
+            if each.causality == causality:
+                _add(terminal, "TerminalMemberVariable", variableName=each.name, memberName=each.name,
+                              variableKind="signal")  # fmt: skip
+    return document(root)
+
+
+def document(root: ET.Element) -> bytes:
+    """Return a whole XML document, indented."""
+    ET.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(root, "unicode")}\n'.encode()
+
+
+# What both versions have in common -----------------------------------------------------------------------------------
+
+
+def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, tag, attributes)
+
+
+def _unit_definitions(root: ET.Element, model: InverseModel) -> None:
+    definitions = _add(root, "UnitDefinitions")
+    for unit in sorted({each.unit for each in model.variables} | {"s"}):
+        element, exponents = _add(definitions, "Unit", name=unit), base_units(unit)
+        if exponents is not None:
+            _add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})
+        for display, factor in _DISPLAY_UNITS.get(unit, {}).items():
+            _add(element, "DisplayUnit", name=display, factor=repr(factor))
+
+
+def _items(enumeration: ET.Element) -> None:
+    for value, name in enumerate(INPUT_TIMES, start=1):
+        _add(enumeration, "Item", name=name, value=str(value), description=f"its {name}")
+
+
+def _categories(root: ET.Element, tag: str) -> None:
+    parent = _add(root, tag)
+    for name, text in _CATEGORIES.items():
+        _add(parent, "Category", name=name, description=text)
+
+
+def _experiment(root: ET.Element, model: InverseModel) -> None:
+    step = model.duration / _FASTEST_STEPS
+    _add(root, "DefaultExperiment", startTime="0.0", stopTime=repr(model.duration), stepSize=repr(step))
+
+
+def _causality(variable: Variable, fmi: int) -> dict[str, str]:
+    tunable = variable.causality == "parameter"
+    found = {"causality": variable.causality, "variability": "tunable" if tunable else "continuous"}
+    if variable.causality in ("output", "local"):
+        return {**found, "initial": "calculated"}
+    return found | ({"initial": "exact"} if fmi == 2 and tunable else {})
+
+
+def _attributes(variable: Variable) -> dict[str, str]:
+    found = {"unit": variable.unit, **{name: repr(value) for name, value in variable.bounds.items()}}
+    if variable.unit in _SHOWN:
+        found["displayUnit"] = _SHOWN[variable.unit]
+    if variable.nominal:
+        found["nominal"] = repr(float(variable.nominal))
+    return found
+
+
+def _places(variable: Variable) -> range:
+    return range(variable.place, variable.place + (variable.size or 1))
+
+
+def _dependencies(on: Sequence[int]) -> dict[str, str]:
+    return {"dependencies": _joined(on), "dependenciesKind": _joined("dependent" for _ in on)}
+
+
+def _joined(words: Iterable[object]) -> str:
+    return " ".join(map(str, words))
+
+
+def _component_text(variable: Variable, k: int) -> str:
+    return (
+        variable.description if variable.size is None else f"{variable.description}; number {k + 1} of {variable.size}"
+    )

@@ -1,0 +1,107 @@
+"""`export_fmu`: a scene's inverse model as a native FMU, complete or not at all."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+from servocore.errors import InvalidSetting
+from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
+from servocore.export.inverse_model import InverseModel, inverse_model
+from servocore.export.page import documentation
+from servocore.export.sources import compiled_files, fmu_sources, token_of
+from servocore.export.targets import Progress, chosen_targets, libraries
+from servocore.files import write_together
+from servocore.model.scene import Scene
+
+VERSIONS = (3, 2)
+"""Versions of FMI; the first is the default."""
+
+_LONG_AGO = (1980, 1, 1, 0, 0, 0)  # equal sources give equal archives
+
+
+def export_fmu(
+    scene: Scene,
+    path: str | Path,
+    *,
+    fmi: int = 3,
+    model: str | None = None,
+    targets: str | None = None,
+    tell: Progress = lambda _: None,
+) -> Path:
+    """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its parameter values become the start values of the FMU's, the start of its path that of the inputs.
+    path : str or Path
+        The file; its name says nothing to a tool.
+    fmi : int
+        Version of FMI, 2 or 3.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+    targets : str, optional
+        ``all``, ``host``, or names of platforms with commas between them, such as ``x86_64-windows``. When not given:
+        all where the package ziglang is installed, else this machine's own.
+    tell : callable
+        Told what is being done.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidModel
+        If the scene's internal dynamics are unstable, or it has no such model.
+    InvalidReference
+        If the scene's own path breaks its limits.
+    InvalidSetting
+        If there is no compiler, a platform is unknown, or the file cannot be written.
+
+    Examples
+    --------
+    >>> export_fmu(crane, "crane.fmu", fmi=2, targets="host")
+    """
+    if fmi not in VERSIONS:
+        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
+    names = chosen_targets(targets, fmi)
+    tell("analysing")
+    found = inverse_model(scene, model)
+    sources = fmu_sources(found, fmi)
+    built = libraries(sources, compiled_files(found, fmi), found.identifier, names, fmi, tell)
+    file = Path(path)
+    write_together({file: archive(contents(found, fmi, sources, built, names))})
+    return file
+
+
+def contents(
+    model: InverseModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
+) -> dict[str, bytes]:
+    """Return all files of an FMU by their path in it."""
+    describe = fmi2_description if fmi == 2 else fmi3_description
+    found = {
+        "modelDescription.xml": describe(model, token_of(model, fmi)),
+        "documentation/index.html": documentation(model, fmi, targets),
+        **{f"sources/{name}": text.encode() for name, text in sources.items()},
+        **built,
+    }
+    if fmi == 3:
+        found["sources/buildDescription.xml"] = build_description(model)
+        found["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
+    return found
+
+
+def archive(files: Mapping[str, bytes]) -> bytes:
+    """Pack files in the order of their names, the model description first: equal files give equal bytes."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as packed:
+        for name in sorted(files, key=lambda each: (each != "modelDescription.xml", each)):
+            entry = zipfile.ZipInfo(name, _LONG_AGO)
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
+            packed.writestr(entry, files[name])
+    return stream.getvalue()

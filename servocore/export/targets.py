@@ -1,0 +1,198 @@
+"""Compilers and platforms: which library a target needs, where it lies in an FMU, and how it is built."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shlex
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from servocore.errors import InvalidSetting
+from servocore.numerics.machine_code import c_compiler
+
+Progress = Callable[[str], None]
+
+# No fused operations and nothing reordered: the digits must not depend on where they are computed.
+_OPTIONS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off",
+            "-DCASADI_SYMBOL_EXPORT=", "-w")  # fmt: skip
+_SECONDS = 900.0
+_SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
+
+
+@dataclass(frozen=True)
+class Target:
+    """One platform.
+
+    Attributes
+    ----------
+    name : str
+        As FMI 3 calls it.
+    fmi2 : str
+        As FMI 2 calls it; empty where it has no name for it.
+    triple : str
+        As zig calls it.
+    ending : str
+        Of its shared libraries.
+    """
+
+    name: str
+    fmi2: str
+    triple: str
+    ending: str
+
+    def folder(self, fmi: int) -> str:
+        """Folder of the library within an FMU."""
+        return f"binaries/{self.name if fmi == 3 else self.fmi2}"
+
+
+TARGETS: Mapping[str, Target] = {
+    each.name: each
+    for each in (
+        Target("x86_64-linux", "linux64", "x86_64-linux-gnu.2.17", "so"),
+        Target("aarch64-linux", "", "aarch64-linux-gnu.2.17", "so"),
+        Target("x86_64-windows", "win64", "x86_64-windows-gnu", "dll"),
+        Target("aarch64-windows", "", "aarch64-windows-gnu", "dll"),
+        Target("x86_64-darwin", "darwin64", "x86_64-macos", "dylib"),
+        Target("aarch64-darwin", "darwin64", "aarch64-macos", "dylib"),
+    )
+}
+"""All platforms, by their name in FMI 3."""
+
+HOST = "host"
+
+
+def host() -> str:
+    """Return the name of this machine's platform."""
+    machine = platform.machine().lower().replace("amd64", "x86_64").replace("arm64", "aarch64")
+    system = {"win32": "windows"}.get(sys.platform, sys.platform)
+    return f"{machine}-{system}"
+
+
+def zig() -> list[str] | None:
+    """Return the command of the cross compiler, or None if the package ziglang is not installed."""
+    return [sys.executable, "-m", "ziglang"] if importlib.util.find_spec("ziglang") is not None else None
+
+
+def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
+    """Return the names of platforms to build for.
+
+    Parameters
+    ----------
+    wanted : str, optional
+        ``all``, ``host``, or names with commas between them. When not given: all where the package ziglang is
+        installed, else this machine's own.
+    fmi : int
+        Version of FMI: the second knows fewer.
+
+    Raises
+    ------
+    InvalidSetting
+        If a name is unknown, or needs the package ziglang where it is not installed.
+    """
+    known = [name for name, each in TARGETS.items() if fmi == 3 or each.fmi2]
+    if wanted is None:
+        wanted = "all" if zig() else HOST
+    names = known if wanted == "all" else [host() if each == HOST else each for each in wanted.split(",")]
+    for name in names:
+        if name not in known:
+            raise InvalidSetting(f"FMI {fmi} has no platform {name!r}; there are {', '.join(known)}, all and {HOST}")
+    foreign = [name for name in names if name != host()]
+    if foreign and zig() is None:
+        raise InvalidSetting(
+            f"building for {', '.join(foreign)} needs the package ziglang: install servocore[native], or use --targets"
+            f" {HOST}"
+        )
+    return tuple(dict.fromkeys(names))
+
+
+def libraries(
+    sources: Mapping[str, str],
+    files: Sequence[str],
+    identifier: str,
+    targets: Sequence[str],
+    fmi: int,
+    tell: Progress = lambda _: None,
+) -> dict[str, bytes]:
+    """Build the shared libraries of an FMU.
+
+    Parameters
+    ----------
+    sources : mapping of str to str
+        All texts by file name.
+    files : sequence of str
+        Those that are given to the compiler.
+    identifier : str
+        Name of the libraries.
+    targets : sequence of str
+        Platforms. This machine's own alone is built by its own compiler, where there is one; anything else by zig,
+        whose libraries run on older systems too.
+    fmi : int
+        Version of FMI.
+    tell : callable
+        Told what is being built.
+
+    Returns
+    -------
+    dict of str to bytes
+        Libraries by their path in the FMU.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no compiler, or it does not compile.
+    """  # fmt: skip
+    found: dict[str, list[bytes]] = {}
+    cross = None if tuple(targets) == (host(),) and _has_own_compiler() else zig()
+    with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
+        for name, text in sources.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        for name in targets:
+            target = TARGETS[name]
+            tell(f"compiling for {name}")
+            place = f"{target.folder(fmi)}/{identifier}.{target.ending}"
+            found.setdefault(place, []).append(_built(Path(folder), files, target, cross))
+    return {place: parts[0] if len(parts) == 1 else universal(parts) for place, parts in found.items()}
+
+
+def _built(folder: Path, files: Sequence[str], target: Target, zig_command: Sequence[str] | None) -> bytes:
+    result = folder / f"library.{target.ending}"
+    command = [*zig_command, "cc", "-target", target.triple, "-s"] if zig_command else c_compiler()
+    own = [] if zig_command else shlex.split(os.environ.get("CFLAGS", ""))
+    mathematics = [] if target.ending == "dll" else ["-lm"]
+    try:
+        subprocess.run(
+            [*command, *_OPTIONS, *own, *files, "-o", result.name, *mathematics],
+            cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True,
+        )  # fmt: skip
+    except subprocess.CalledProcessError as error:
+        reason = next((line for line in (error.stderr or "").splitlines() if "error" in line), "it gives no reason")
+        raise InvalidSetting(f"{command[0]} does not compile the FMU for {target.name}: {reason}") from error
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise InvalidSetting(f"{command[0]} does not compile the FMU for {target.name}: {error}") from error
+    return result.read_bytes()
+
+
+def _has_own_compiler() -> bool:
+    try:
+        return bool(c_compiler())
+    except InvalidSetting:
+        return False
+
+
+def universal(slices: Sequence[bytes]) -> bytes:
+    """Join Mach-O files of several processors into one, behind a fat header."""
+    step = 1 << _SLICE_ALIGNMENT
+    header, body, offset = struct.pack(">II", 0xCAFEBABE, len(slices)), b"", step
+    for each in slices:
+        processor, kind = struct.unpack_from("<II", each, 4)
+        header += struct.pack(">IIIII", processor, kind, offset, len(each), _SLICE_ALIGNMENT)
+        padded = each + bytes(-len(each) % step)
+        body, offset = body + padded, offset + len(padded)
+    return header + bytes(step - len(header)) + body

@@ -1,0 +1,178 @@
+"""A small master for native FMUs of both versions of FMI, and the FMUs that the tests share, each built once."""
+
+from __future__ import annotations
+
+import os
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from fmpy import read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi3 import FMU3Slave
+from fmu_host import extracted, only_one, scratch
+
+import servocore as sc
+from servocore.export.inverse_model import InverseModel, inverse_model
+
+OK, WARNING, DISCARD, ERROR = range(4)
+START, END = 1, 2
+"""Values of input_time."""
+
+HOWTO = Path(__file__).resolve().parent.parent / "docs" / "howto" / "add-a-scene.md"
+
+
+@cache
+def users_scene() -> sc.Scene:
+    """Return the scene of the page that shows how to write one."""
+    blocks = re.findall(r"^```python\n(.*?)^```", HOWTO.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    names: dict[str, object] = {"__name__": "page"}
+    for block in blocks[:3]:
+        exec(compile(block, str(HOWTO), "exec", dont_inherit=True), names)
+    return names["elastic_hoist"]()
+
+
+@cache
+def scene_called(name: str) -> sc.Scene:
+    return users_scene() if name == "elastic_hoist" else sc.scenes.REGISTRY[name]()
+
+
+@cache
+def exported(name: str) -> InverseModel:
+    return inverse_model(scene_called(name))
+
+
+@cache
+def native_file(name: str, fmi: int) -> Path:
+    """Return an FMU that the first process to ask for it has built; the others wait."""
+    folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
+    folder.mkdir(exist_ok=True)
+    file = folder / f"native-{name}-{fmi}.fmu"
+    before = os.environ.get("CFLAGS")
+    with only_one(folder / f"native-{name}-{fmi}.busy"):
+        if not file.is_file():
+            os.environ["CFLAGS"] = "-O1"  # compiles in half the time; no digit depends on it
+            try:
+                sc.export_fmu(scene_called(name), file, fmi=fmi, targets="host")
+            finally:
+                os.environ.pop("CFLAGS") if before is None else os.environ.__setitem__("CFLAGS", before)
+    return file
+
+
+class Native:
+    """One instance; `step` returns the status of doStep. Numbers are named as in FMI 2: ``load.position[1]``."""
+
+    def __init__(self, name: str, fmi: int = 3) -> None:
+        file = native_file(name, fmi)
+        self.fmi, self.messages = fmi, []
+        self.description = read_model_description(str(file), validate=False)
+        arguments = {
+            "guid": self.description.guid,
+            "unzipDirectory": extracted(file),
+            "modelIdentifier": self.description.coSimulation.modelIdentifier,
+            "instanceName": name,
+        }
+        if fmi == 2:
+            self.fmu = FMU2Slave(**arguments)
+            self.callbacks = fmi2CallbackFunctions()
+            self.callbacks.logger = fmi2CallbackLoggerTYPE(lambda *given: self.messages.append(given[4].decode()))
+            self.callbacks.allocateMemory = defaultCallbacks.allocateMemory
+            self.callbacks.freeMemory = defaultCallbacks.freeMemory
+            self.fmu.instantiate(callbacks=self.callbacks)
+        else:
+            self.fmu = FMU3Slave(**arguments)
+            self.fmu.instantiate(logMessage=lambda *given: self.messages.append(given[3].decode()))
+        self.references = {each.name: each.valueReference for each in self.description.modelVariables}
+        of = {causality: [e for e in self.description.modelVariables if e.causality == causality] for causality in
+              ("input", "output", "parameter")}  # fmt: skip
+        self.inputs, self.outputs, self.parameters = (tuple(each.name for each in of[c]) for c in of)
+
+    def __enter__(self) -> Native:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.fmu.freeInstance()
+
+    def set(self, **values: float) -> Native:
+        for name, value in values.items():
+            if name == "input_time":
+                (self.fmu.setInteger if self.fmi == 2 else self.fmu.setInt64)([self.references[name]], [value])
+            else:
+                self.numbers_set([name], [value])
+        return self
+
+    def numbers_set(self, names, values) -> None:
+        setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
+        setter([self.references[name] for name in names], [float(each) for each in values])
+
+    def get(self, *names: str) -> np.ndarray:
+        getter = self.fmu.getReal if self.fmi == 2 else self.fmu.getFloat64
+        return np.array(getter([self.references[name] for name in names]))
+
+    def tell(self, jet) -> Native:
+        """Set all inputs, for a jet of shape (orders, m)."""
+        self.numbers_set(self.inputs, np.ravel(jet))
+        return self
+
+    def values(self) -> np.ndarray:
+        return self.get(*self.outputs)
+
+    def start(self, jet=None, time: float = 0.0, **parameters: float) -> Native:
+        self.set(**parameters)
+        if self.fmi == 2:
+            self.fmu.setupExperiment(startTime=time)
+            self.fmu.enterInitializationMode()
+        else:
+            self.fmu.enterInitializationMode(startTime=time)
+        if jet is not None:
+            self.tell(jet)
+        self.fmu.exitInitializationMode()
+        return self
+
+    def step(self, time: float, h: float) -> int:
+        try:
+            self.fmu.doStep(time, h)
+        except FMICallException as error:
+            return error.status
+        return OK
+
+    def saved(self) -> bytes:
+        """Return the serialised state."""
+        prefix = "FMUstate" if self.fmi == 2 else "FMUState"
+        state = getattr(self.fmu, f"get{prefix}")()
+        found = getattr(self.fmu, f"serialize{prefix}")(state)
+        getattr(self.fmu, f"free{prefix}")(state)
+        return bytes(found)
+
+    def restore(self, saved: bytes) -> None:
+        prefix = "FMUstate" if self.fmi == 2 else "FMUState"
+        name = f"deSerialize{prefix}" if self.fmi == 2 else f"deserialize{prefix}"
+        state = getattr(self.fmu, name)(saved)
+        getattr(self.fmu, f"set{prefix}")(state)
+        getattr(self.fmu, f"free{prefix}")(state)
+
+    def derivatives(self, knowns, seeds) -> np.ndarray:
+        """Derivatives of all outputs along a direction of variables."""
+        unknowns = [self.references[name] for name in self.outputs]
+        by = [self.references[name] for name in knowns]
+        return np.array(self.fmu.getDirectionalDerivative(unknowns, by, [float(each) for each in np.ravel(seeds)]))
+
+
+def jets_of(name: str, t) -> np.ndarray:
+    """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
+    return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).mathematics.orders - 1)
+
+
+def along_path(host: Native, name: str, steps: int, **parameters: float) -> np.ndarray:
+    """Follow the scene's own path, inputs belonging to the end of each step; returns outputs (steps + 1, outputs)."""
+    reference = scene_called(name).reference
+    t = np.linspace(reference.start_time, reference.end_time, steps + 1)
+    jets, h = jets_of(name, t), t[1] - t[0]
+    host.start(jets[0], t[0], input_time=END, **parameters)
+    found = [host.values()]
+    for k in range(steps):
+        assert host.tell(jets[k + 1]).step(t[k], h) == OK, host.messages
+        found.append(host.values())
+    return np.array(found)

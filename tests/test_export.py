@@ -1,0 +1,294 @@
+"""Native FMUs compute what the library computes, to the bit or nearly, whatever calls them."""
+
+from __future__ import annotations
+
+import zipfile
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from fmpy.fmi1 import FMICallException
+from fmpy.validation import validate_fmu
+from fmu_host import fmu_file
+from native_fmu import DISCARD, END, ERROR, OK, START, Native, along_path, exported, jets_of, native_file, scene_called
+
+import servocore as sc
+
+FLAT = (("rotary_crane", 2), ("rotary_crane", 3), ("elastic_hoist", 3))
+INTERNAL = ("mass_on_car", 2)
+SOME = (*FLAT, INTERNAL)
+
+pytestmark = pytest.mark.usefixtures("a_compiler")
+
+
+@pytest.fixture
+def a_compiler():
+    try:
+        sc.c_compiler()
+    except sc.InvalidSetting as error:
+        pytest.skip(str(error))
+
+
+def input_names(name: str) -> tuple[str, ...]:
+    return tuple(each.name for each in scene_called(name).model().inputs)
+
+
+def unstepped(name: str, steps: int) -> np.ndarray:
+    reference = scene_called(name).reference
+    return np.linspace(reference.start_time, reference.end_time, steps + 1)
+
+
+# Numbers -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "fmi"), SOME)
+def test_a_checker_has_nothing_to_say(name, fmi):
+    assert validate_fmu(str(native_file(name, fmi))) == []
+
+
+@pytest.mark.parametrize(("name", "fmi"), SOME)
+def test_with_nothing_connected_it_rests(name, fmi):
+    result = simulate_fmu(str(native_file(name, fmi)), stop_time=1.0, output_interval=0.1)
+    assert len(result) == 11
+    assert result["time"][-1] == pytest.approx(1.0)
+    for channel in result.dtype.names[1:]:
+        np.testing.assert_allclose(result[channel], result[channel][0], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "fmi"), FLAT)
+def test_along_the_path_its_inputs_are_those_of_exact_inversion(name, fmi):
+    with Native(name, fmi) as host:
+        found = along_path(host, name, 200)[:, : len(input_names(name))]
+    exact = sc.ExactInversion(scene_called(name))(unstepped(name, 200))
+    assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("division", [1, 4])
+def test_with_internal_dynamics_its_inputs_are_those_of_solve(division):
+    # A path of degree five: what joins two instants with velocity and acceleration is the path itself.
+    scene = scene_called("mass_on_car").with_reference(sc.rest_to_rest((0.0,), (1.0,), 2.0, profile=sc.DEGREE5))
+    steps = 40
+    t, h = np.linspace(0.0, 2.0, steps + 1), 2.0 / steps
+    jets = scene.reference.jet(t, exported("mass_on_car").mathematics.orders - 1)
+    with Native(*INTERNAL) as host:
+        host.start(jets[0], input_time=END, internal_step=0.0 if division == 1 else h / division)
+        found = [host.get("u")[0]]
+        for k in range(steps):
+            assert host.tell(jets[k + 1]).step(t[k], h) == OK
+            found.append(host.get("u")[0])
+    solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=h / division)
+    expected = solution["u"][::division]
+    assert np.abs(np.array(found) - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu():
+    def run(file, names, t, jets):
+        columns = [("time", float), *((name, float) for name in names)]
+        signals = np.array([(time, *jet.ravel()) for time, jet in zip(t, jets, strict=True)], dtype=columns)
+        result = simulate_fmu(str(file), stop_time=20.0, output_interval=0.1, input=signals)
+        return np.column_stack([result[name] for name in ("M_b", "F", "M_w")])
+
+    t = unstepped("rotary_crane", 200)
+    names = exported("rotary_crane").of("input")
+    scalars = [scalar for each in names for scalar in each.scalar_names]
+    native = run(native_file("rotary_crane", 2), scalars, t, jets_of("rotary_crane", t))
+    python = run(fmu_file(), scalars, t, jets_of("rotary_crane", t))
+    exact = sc.ExactInversion(scene_called("rotary_crane"))(t)
+    assert native.shape == python.shape == exact.shape
+    # FMPy rounds the times at which it evaluates signals; beyond that both continue the same polynomial.
+    np.testing.assert_allclose(native, python, rtol=0.0, atol=1e-9 * np.abs(exact).max())
+    assert np.abs(native - exact).max() <= 1.0001 * np.abs(python - exact).max()
+
+
+def test_the_rotary_crane_has_the_variables_of_the_python_fmu():
+    def table(file):
+        root = ET.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
+        return {each.get("name"): (each.get("causality"), each[0].get("unit")) for each in root.iter("ScalarVariable")}
+
+    native, python = table(native_file("rotary_crane", 2)), table(fmu_file())
+    left_out = {name for name in python if name.startswith("measured.")}
+    left_out |= {"feedback", "connected", "model", "formulation", "internal_step", "input_time"}
+    assert {name: row for name, row in native.items() if name != "input_time"} == {
+        name: row for name, row in python.items() if name not in left_out
+    }
+
+
+def test_fmi_3_has_the_path_as_vectors():
+    with Native("rotary_crane", 3) as host:
+        assert host.inputs == tuple(f"load.{each}" for each in ("position", "velocity", "acceleration", "jerk", "snap"))
+        sizes = [each.dimensions[0].start for each in host.description.modelVariables if each.causality == "input"]
+    assert sizes == [3] * 5
+
+
+# Derivatives ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("input_time", [START, END])
+@pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("mass_on_car", 2), ("elastic_hoist", 3)])
+def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, fmi, input_time):
+    random = np.random.default_rng(5)
+    reference = scene_called(name).reference
+    t, h = reference.start_time + 0.4 * reference.duration, 0.01 * reference.duration
+    before, now = jets_of(name, [t, t + h if input_time == END else t])
+    with Native(name, fmi) as host:
+        host.start(before, t, input_time=input_time)
+        saved = host.saved()
+        by = tuple(each for each in host.parameters if each not in ("internal_step", "input_time"))
+        values = host.get(*by)
+
+        def outputs(jet, parameters):
+            host.restore(saved)
+            host.numbers_set(by, parameters)
+            assert host.tell(jet).step(t, h) == OK, host.messages
+            return host.values()
+
+        for _ in range(5):
+            seed = random.standard_normal(now.shape) * np.maximum(1e-2, np.abs(now))
+            change = random.standard_normal(len(by)) * values * 0.1
+            outputs(now, values)
+            found = host.derivatives((*host.inputs, *by), [*seed.ravel(), *change])
+            step = 1e-4
+            at = [outputs(now + k * step * seed, values + k * step * change) for k in (-2, -1, 1, 2)]
+            central = (at[0] - 8.0 * at[1] + 8.0 * at[2] - at[3]) / (12.0 * step)
+            np.testing.assert_allclose(found, central, rtol=1e-6, atol=1e-6 * np.abs(central).max())
+
+
+# States and statuses -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "fmi"), SOME)
+def test_a_restored_state_goes_on_to_the_bit(name, fmi):
+    reference = scene_called(name).reference
+    h = 0.01 * reference.duration
+    t = reference.start_time + 0.3 * reference.duration + h * np.arange(5)
+    jets = jets_of(name, t)
+    with Native(name, fmi) as host, Native(name, fmi) as other:
+        host.start(jets[0], t[0])
+        assert host.tell(jets[0]).step(t[0], h) == OK
+        saved = host.saved()
+
+        def two_more(instance):
+            for k in (1, 2):
+                assert instance.tell(jets[k]).step(t[k], h) == OK
+            return instance.values()
+
+        first = two_more(host)
+        host.restore(saved)
+        assert host.saved() == saved
+        again = two_more(host)
+        other.restore(saved)
+        elsewhere = two_more(other)
+    assert (first == again).all()
+    assert (first == elsewhere).all()
+
+
+def test_the_state_of_another_model_is_refused():
+    with Native("rotary_crane", 2) as crane, Native("mass_on_car", 2) as car:
+        bytes_of_car = car.saved()
+        size = len(crane.saved())
+        with pytest.raises(FMICallException):
+            crane.restore(bytes_of_car)
+        with pytest.raises(FMICallException):
+            crane.restore(bytes_of_car.ljust(size, b"\0")[:size])
+    assert "takes" in crane.messages[0]
+    assert "not one of rotary_crane" in crane.messages[1]
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"load.acceleration[3]": -9.81}, "at t = 0.1 s the rope goes slack: g + z'' is 0 m/s2, it must stay above 0 m/s2"),  # noqa: E501
+        ({"load.velocity[2]": np.nan}, "at t = 0.1 s the input load.velocity[2] is nan, not a finite number"),
+        ({"load.position[1]": np.inf}, "at t = 0.1 s the input load.position[1] is inf, not a finite number"),
+    ],
+)  # fmt: skip
+def test_a_step_beyond_the_limits_is_discarded_with_a_sentence_and_leaves_no_trace(changed, sentence):
+    with Native("rotary_crane", 2) as host:
+        host.start(input_time=END)
+        before, at_rest = host.values(), host.get(*host.inputs)
+        host.numbers_set(list(changed), list(changed.values()))
+        assert host.step(0.0, 0.1) == DISCARD
+        assert host.messages[-1].replace("-nan", "nan") == sentence
+        assert (host.values() == before).all()
+        host.numbers_set(host.inputs, at_rest)
+        assert host.step(0.0, 0.1) == OK
+
+
+@pytest.mark.parametrize(
+    ("time", "h", "sentence"),
+    [
+        (0.0, 0.0, "the communication step is 0 s, it must be above 0 s"),
+        (0.0, -0.1, "the communication step is -0.1 s"),
+        (0.0, np.nan, "the communication step is nan s"),
+        (np.nan, 0.1, "the communication point must be a finite number"),
+        (1.0, 0.1, "lies ahead of the FMU's time 0 s"),
+        (-1.0, 0.1, "lies behind the FMU's time 0 s"),
+    ],
+)
+def test_a_call_that_makes_no_sense_is_an_error(time, h, sentence):
+    with Native("rotary_crane", 3) as host:
+        host.start()
+        assert host.step(time, h) == ERROR
+        assert sentence in host.messages[-1].replace("-nan", "nan")
+        assert host.step(0.0, 0.1) == OK
+
+
+def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once():
+    with Native("rotary_crane", 2) as host:
+        host.start()
+        for k in range(4):
+            host.set(**{"load.position[1]": 5.0 + 0.01 * k})
+            assert host.step(0.1 * k, 0.1) == OK  # a warning is no exception
+    assert [message.partition(":")[0] for message in host.messages] == [
+        "at t = 0.1 s the path moves, but all its derivatives are zero (load.velocity[1] and further)"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("values", "sentence"),
+    [
+        ({"load_mass": -1.0}, "load_mass = -1 kg is outside its range [0.001, 1e+09] kg"),
+        ({"gravity": np.nan}, "gravity = nan m/s2 is outside its range"),
+        ({"M_b": 1.0}, "M_b is calculated and cannot be set"),
+        ({"input_time": 3}, "input_time = 3 is unknown; it may be 1 (start) or 2 (end)"),
+    ],
+)
+def test_a_value_that_cannot_be_is_refused_when_it_is_set(values, sentence):
+    with Native("rotary_crane", 2) as host:
+        with pytest.raises(FMICallException):
+            host.set(**values)
+        assert sentence in host.messages[-1].replace("-nan", "nan")
+
+
+def test_a_changed_parameter_acts_from_the_next_step_on():
+    scene = scene_called("rotary_crane")
+    (jet,) = jets_of("rotary_crane", [7.0])
+    with Native("rotary_crane", 3) as host:
+        host.start(jet, 7.0, input_time=END)
+        host.set(load_mass=50.0)
+        assert host.tell(jet).step(7.0, 0.1) == OK
+        found = host.get("M_b", "F", "M_w")
+    expected = sc.ExactInversion(scene.with_parameters(load_mass=50.0))(7.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_two_instances_do_not_meet():
+    t = unstepped("rotary_crane", 20)
+    jets = jets_of("rotary_crane", t)
+    with Native("rotary_crane", 3) as alone:
+        alone.start(jets[5], t[5], input_time=END)
+        expected = alone.values()
+    with Native("rotary_crane", 3) as one, Native("rotary_crane", 3) as two:
+        one.start(jets[5], t[5], input_time=END)
+        two.start(jets[9], t[9], load_mass=7.0)
+        assert (one.values() == expected).all()
+        assert (two.values() != expected).any()
+
+
+def test_reset_makes_it_as_new():
+    with Native("rotary_crane", 2) as host:
+        fresh = host.saved()
+        host.start(jets_of("rotary_crane", [7.0])[0], 7.0, load_mass=3.0)
+        host.fmu.reset()
+        assert host.saved() == fresh
