@@ -1,0 +1,125 @@
+"""`export_c`: a scene's inverse model as C source for hosts that know nothing of FMI."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from pathlib import Path
+
+from servocore.errors import InvalidSetting
+from servocore.export.inverse_model import InverseModel, inverse_model
+from servocore.export.mathematics import Mathematics
+from servocore.export.sources import SHARED, rendered, tables
+from servocore.files import write_together
+from servocore.model.scene import Scene
+from servocore.numerics.machine_code import c_compiler
+from servocore.numerics.square_systems import MAX_ITERATIONS
+
+_CALLED = ("quick", "begin", "advance")  # what there is of it; derivatives are left to the FMU
+
+
+def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> Path:
+    """Write the inverse model of a scene as C source, with an example, a CMake file and a page.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its parameter values.
+    folder : str or Path
+        A new folder, or one that files of these names may be written over in.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InvalidModel, InvalidReference
+        As `export_fmu`.
+    InvalidSetting
+        If the folder cannot be written.
+    """
+    found, place = inverse_model(scene, model), Path(folder)
+    files = c_files(found)
+    if place.exists() and not place.is_dir():
+        raise InvalidSetting(f"cannot write {place}: it is no folder")
+    try:
+        place.mkdir(exist_ok=True)
+    except OSError as error:
+        raise InvalidSetting(f"cannot make the folder {place}: {error.strerror or error}") from error
+    write_together({place / name: text for name, text in files.items()})
+    return place
+
+
+def c_files(model: InverseModel) -> dict[str, str]:
+    """Return all texts by file name."""
+    mathematics = model.mathematics.only(_CALLED)
+    source, name = mathematics.source()[1], model.identifier
+    values = tables(model) | {
+        "parameter_list": [each for each in model.of("parameter") if each.name != "internal_step"],
+        "rest": [start for each in model.of("input") for start in each.starts],
+        "functions": tuple(mathematics.functions),
+        "scratch": mathematics.scratch(),
+        "integrated": bool(model.method),
+        "path_source": _path_functions(),
+        "mathematics_source": source,
+    }
+    code = rendered("source.c.j2", **values)
+    header = rendered("source.h.j2", **values)
+    page = values | {
+        "description": model.description,
+        "method": model.method,
+        "operations": mathematics.operations,
+        "most_iterations": MAX_ITERATIONS,
+        "blocks": _blocks(source),
+        "memory_bytes": _memory_bytes(model, mathematics),
+        "stack": _stack({f"{name}.h": header, f"{name}.c": code}, f"{name}.c"),
+    }
+    return {
+        f"{name}.h": header,
+        f"{name}.c": code,
+        "main.c": rendered("main.c.j2", **values),
+        "CMakeLists.txt": rendered("CMakeLists.txt.j2", **values),
+        "README.md": rendered("README.md.j2", **page),
+    }
+
+
+def _path_functions() -> str:
+    """Return what joins two instants, without the lines that make it a header."""
+    text = (SHARED / "path.h").read_text(encoding="utf-8")
+    return text[text.index("enum { AT_START") : text.rindex("#endif")].rstrip()
+
+
+def _blocks(source: str) -> int:
+    """Count the systems that Newton's method is used for; each has a quick and a careful loop."""
+    return source.count("casadi_newton(&") // 2
+
+
+def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
+    inputs, state, scratch = (
+        model.components * mathematics.orders,
+        max(mathematics.state_size, 1),
+        mathematics.scratch(),
+    )
+    numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
+    numbers += max(len(model.limits), 1) + max(scratch["numbers"], 1)
+    return 8 * (numbers + scratch["arguments"] + scratch["results"]) + 4 * max(scratch["integers"], 1)
+
+
+def _stack(files: dict[str, str], file: str) -> str:
+    """Measure the stack: the sum over all functions is never exceeded, for none calls itself."""
+    try:
+        command = c_compiler()
+        with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
+            for name, text in files.items():
+                Path(folder, name).write_text(text, encoding="utf-8")
+            options = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fstack-usage", "-c", file, "-o", "object.o"]
+            subprocess.run([*command, *options], cwd=folder, capture_output=True, timeout=600, check=True)
+            (usage,) = Path(folder).glob("*.su")
+            sizes = [int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines()]
+    except (InvalidSetting, OSError, subprocess.SubprocessError, ValueError, IndexError):
+        return "not measured: there was no compiler that tells"
+    return f"at most {sum(sizes)} bytes, measured with `{' '.join(command)} -O2`"
