@@ -16,13 +16,15 @@ import typer
 from rich.markup import escape
 
 from servocore.analysis import analyse
+from servocore.cli.choice import chosen
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console
+from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
+from servocore.cli.export import export_scene
 from servocore.cli.level import Level
 from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
-from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
 from servocore.scenes import REGISTRY
 
@@ -35,9 +37,9 @@ app = typer.Typer(
     cls=SentenceGroup,
     help="""Servo constraint problems: the inputs that make a mechanical system's output follow a path.
 
-These commands look at the scenes that come with the library. Inputs are
-computed from Python (servocore.solvers.solve), for the rotary crane also by the
-command crane-fmu.""",
+These commands look at the scenes that come with the library, and export them
+for other tools. Inputs are computed from Python (servocore.solvers.solve), for
+the rotary crane also by the command crane-fmu.""",
     **SETTINGS,
 )
 
@@ -118,22 +120,6 @@ def analyse_scene(scene: SceneName, model: ModelName = None, parameters: Paramet
 def hanging(line: str, width: int) -> str:
     """Break a line of a printed analysis so that its second column stays one."""
     return textwrap.fill(line, max(width, 2 * _INDENT), subsequent_indent=" " * _INDENT, break_on_hyphens=False) or line
-
-
-def chosen(name: str, parameters: Path | None) -> Scene:
-    """Return the scene of that name with the parameters of a file, if one is given.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no such scene.
-    InvalidModel
-        If the file cannot be read or holds something that is no parameter of the scene.
-    """
-    if name not in REGISTRY:
-        raise InvalidSetting(f"no scene is called {name}; there are {', '.join(REGISTRY)}")
-    scene = REGISTRY[name]()
-    return scene if parameters is None else scene.with_parameters(**read_parameters(parameters, scene))
 
 
 _LEVELS_EXAMPLES = """[bold]Examples[/bold]
@@ -219,6 +205,9 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
     if instants != 1000:
         words += ["--instants", str(instants)]
     return shlex.join([*words, "--markdown", str(markdown)])
+
+
+app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 
 
 def main() -> None:

@@ -1,0 +1,63 @@
+"""Which scene a command is about: one of the library, or a function of the user's own, with the values of a file."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+
+from servocore.errors import InvalidSetting
+from servocore.model.parameter_files import read_parameters
+from servocore.model.scene import Scene
+from servocore.scenes import REGISTRY
+
+
+def chosen(name: str, parameters: Path | None) -> Scene:
+    """Return the scene of that name with the parameters of a file, if one is given.
+
+    Parameters
+    ----------
+    name : str
+        A scene of the library, or ``module:function`` for a function without arguments that returns one; modules are
+        also looked for in the present folder.
+    parameters : Path, optional
+        A TOML file.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such scene, module or function, or it returns something else.
+    InvalidModel
+        If the file cannot be read or holds something that is no parameter of the scene.
+    """
+    scene = _own(name) if ":" in name else _registered(name)
+    return scene if parameters is None else scene.with_parameters(**read_parameters(parameters, scene))
+
+
+def _registered(name: str) -> Scene:
+    if name not in REGISTRY:
+        raise InvalidSetting(f"no scene is called {name}; there are {', '.join(REGISTRY)}")
+    return REGISTRY[name]()
+
+
+def _own(name: str) -> Scene:
+    module_name, _, function_name = name.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.insert(0, here)
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        raise InvalidSetting(f"{name}: there is no module {error.name}") from None
+    except (ImportError, SyntaxError, ValueError, TypeError) as error:
+        raise InvalidSetting(f"{name}: the module cannot be imported: {error}") from error
+    function = getattr(module, function_name, None)
+    if not callable(function):
+        raise InvalidSetting(f"{name}: the module {module_name} has no function {function_name!r}")
+    try:
+        found = function()
+    except TypeError as error:
+        raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
+    if not isinstance(found, Scene):
+        raise InvalidSetting(f"{name} returns {type(found).__name__}, not a Scene")
+    return found

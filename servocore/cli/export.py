@@ -1,0 +1,82 @@
+"""The command ``servocore export``: a scene's inverse model as native FMU or as C source."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from servocore.cli.choice import chosen
+from servocore.cli.console import PatientProgress
+from servocore.errors import InvalidSetting
+from servocore.export.c_source import export_c
+from servocore.export.fmu import export_fmu
+from servocore.export.targets import HOST, TARGETS, zig
+from servocore.files import require_places
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore export rotary_crane -o crane.fmu[/cyan]
+
+[cyan]servocore export my_module:my_scene -o mine.fmu --fmi 2 --targets host[/cyan]
+
+[cyan]servocore export cars --parameters heavy.toml --c cars_source[/cyan]
+"""
+
+Scene = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
+]
+Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.fmu", help="The FMU to write.")]
+Version = Annotated[int, typer.Option("--fmi", metavar="2|3", help="Version of FMI.")]
+Model = Annotated[
+    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
+]
+Parameters = Annotated[
+    Path | None,
+    typer.Option("--parameters", metavar="FILE.toml", help="Other start values of parameters in SI units."),
+]
+Targets = Annotated[
+    str | None,
+    typer.Option(
+        "--targets", metavar="LIST",
+        help=f"all, {HOST}, or some of {', '.join(TARGETS)}, with commas. Default: all with the package ziglang, else"
+        f" {HOST}.",
+    ),
+]  # fmt: skip
+Folder = Annotated[
+    Path | None, typer.Option("--c", metavar="DIR", help="Write C source for other hosts into this new folder as well.")
+]
+
+
+def export_scene(
+    scene: Scene,
+    output: Output = None,
+    fmi: Version = 3,
+    model: Model = None,
+    parameters: Parameters = None,
+    targets: Targets = None,
+    c: Folder = None,
+) -> None:
+    """Export the inverse model of a scene for tools without Python.
+
+    The FMU is native: it needs no Python and no other library. Its inputs are
+    the path and the derivatives that the scene needs, its outputs the inputs of
+    the mechanical system and what its model observes. Scenes whose internal
+    dynamics are unstable are refused.
+    """
+    if output is None and c is None:
+        raise InvalidSetting("name the file to write with -o FILE.fmu, or a folder for C source with --c DIR")
+    subject = chosen(scene, parameters)
+    require_places({"--output": output}, [parameters])
+    with PatientProgress("exporting") as progress:
+        if output is not None:
+            export_fmu(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
+        if c is not None:
+            export_c(subject, c, model=model)
+    if output is not None:
+        note = "" if targets is not None or zig() else "; for this machine only: install servocore[native] for others"
+        print(f"{output}: {subject.name}, FMI {fmi}{note}")
+    if c is not None:
+        print(f"{c}: C source of {subject.name}")

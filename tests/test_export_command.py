@@ -1,0 +1,203 @@
+"""The command ``servocore export``, and C source that any compiler takes."""
+
+from __future__ import annotations
+
+import subprocess
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_lines import CommandLine, write
+from native_fmu import exported, scene_called
+
+import servocore as sc
+from servocore.cli.commands import app
+from servocore.export import targets
+from servocore.export.c_source import export_c
+from servocore.export.units import base_units, per_time
+
+run = CommandLine(app, "servocore")
+
+OWN = """
+import casadi as ca
+import servocore as sc
+
+def hoist():
+    x = sc.Coordinates(sc.Quantity("w", "m"))
+    p = sc.Parameters(sc.Parameter("m", 2.0, "kg", 0.1, 10.0), sc.Parameter("g", 9.81, "m/s2", 0.0))
+    def model():
+        return sc.MechanicalSystem(
+            name="bare hoist", coordinates=x, parameters=p, inputs=(sc.Quantity("F", "N"),),
+            outputs=(sc.Quantity("height", "m"),), mass=ca.SX(p["m"]), output=x.q, input_matrix=ca.SX(-1),
+            potential=p["m"] * p["g"] * x.q, gamma=(gamma := ca.SX.sym("gamma", 1, sc.MAX_REFERENCE_ORDER + 1)),
+            guess=gamma[0, 0])
+    return sc.Scene(name="bare hoist", models={"only": model}, reference=sc.rest_to_rest((1.0,), (2.0,), 1.0))
+
+def nothing():
+    return 3
+
+def demanding(what):
+    return what
+"""
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CFLAGS", "-O0")
+
+
+@pytest.fixture
+def compiler() -> list[str]:
+    try:
+        return sc.c_compiler()
+    except sc.InvalidSetting as error:
+        pytest.skip(str(error))
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene():
+    write("hoists_of_mine.py", OWN)
+    write("heavy.toml", "m = 5.0\n")
+    result = run(
+        "export", "hoists_of_mine:hoist", "-o", "any name.fmu", "--parameters", "heavy.toml", "--targets", "host"
+    )
+    assert result.exit_code == 0, result.output
+    assert result.stdout == "any name.fmu: bare hoist, FMI 3\n"
+    packed = zipfile.ZipFile("any name.fmu")
+    description = packed.read("modelDescription.xml").decode()
+    assert 'modelIdentifier="bare_hoist"' in description
+    assert 'start="5.0"' in description
+    assert packed.namelist()[0] == "modelDescription.xml"
+    assert f"binaries/{targets.host()}/bare_hoist.so" in packed.namelist()
+
+
+@pytest.mark.usefixtures("compiler")
+def test_equal_scenes_give_equal_bytes():
+    for name in ("one.fmu", "two.fmu"):
+        sc.export_fmu(scene_called("cars"), name, fmi=2, targets="host")
+    assert Path("one.fmu").read_bytes() == Path("two.fmu").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("cars",), ("-o FILE.fmu", "--c DIR")),
+        (("bars", "-o", "x.fmu"), ("no scene is called bars", "cars")),
+        (("cars", "-o", "x.fmu", "--fmi", "1"), ("no export for FMI 1", "2 and 3")),
+        (("cars", "-o", "x.fmu", "--model", "big"), ("cars has no model big", "points")),
+        (("cars", "-o", "x.fmu", "--targets", "amiga"), ("no platform 'amiga'", "x86_64-linux")),
+        (("cars", "-o", "x.fmu", "--fmi", "2", "--targets", "aarch64-linux"), ("FMI 2 has no platform",)),
+        (("cars", "-o", "no/x.fmu"), ("there is no folder",)),
+        (("cars", "-o", "."), ("it is a folder",)),
+        (("nowhere:scene", "-o", "x.fmu"), ("there is no module nowhere",)),
+        (("mine_too:scene", "-o", "x.fmu"), ("has no function 'scene'",)),
+        (("mine_too:nothing", "-o", "x.fmu"), ("returns int, not a Scene",)),
+        (("mine_too:demanding", "-o", "x.fmu"), ("cannot be called without arguments",)),
+        (("cars", "--c", "mine_too.py"), ("it is no folder",)),
+    ],
+)
+def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(arguments, words):
+    write("mine_too.py", OWN)
+    before = set(Path().iterdir())
+    run.assert_refused(run("export", *arguments), *words)
+    assert {each for each in Path().iterdir() if each.name != "__pycache__"} == before
+
+
+def test_unstable_internal_dynamics_are_refused_with_their_rate():
+    arm = scene_called("passive_joint_arm").with_parameters(tracked_distance=1.0)
+    with pytest.raises(
+        sc.InvalidModel, match=r"internal dynamics grow at .* 1/s \(non-minimum phase\).*solve computes them"
+    ):
+        sc.export_fmu(arm, "arm.fmu")
+    assert not Path("arm.fmu").exists()
+
+
+def test_without_a_compiler_it_says_so(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(targets, "zig", lambda: None)
+    run.assert_refused(run("export", "cars", "-o", "x.fmu"), "needs a C compiler")
+    run.assert_refused(
+        run("export", "cars", "-o", "x.fmu", "--targets", "all"), "needs the package ziglang", "servocore[native]"
+    )
+    assert list(Path().iterdir()) == []
+
+
+def test_a_compiler_that_fails_is_named(monkeypatch):
+    monkeypatch.setenv("CC", "false")
+    monkeypatch.setattr(targets, "zig", lambda: None)
+    run.assert_refused(run("export", "cars", "-o", "x.fmu"), "false does not compile the FMU for")
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car"])
+def test_c_source_computes_the_same(name, compiler):
+    steps = 40
+    scene = scene_called(name)
+    if name == "mass_on_car":  # joined between instants by polynomials of this degree
+        scene = scene.with_reference(sc.rest_to_rest((0.0,), (1.0,), 2.0, profile=sc.DEGREE5))
+    orders = exported(name).mathematics.orders
+    export_c(scene, "source")
+    command = [*compiler, "-std=c99", "-O1", "-Wall", "-Werror", "-Wno-unused-function", "-ffp-contract=off"]
+    subprocess.run([*command, f"{name}.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)
+    t = np.linspace(0.0, scene.reference.duration, steps + 1)
+    rows = np.column_stack([t, scene.reference.jet(t, orders - 1).reshape(steps + 1, -1)])
+    text = "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
+    printed = subprocess.run(["source/example"], input=text, capture_output=True, text=True, check=True).stdout
+    found = np.array([line.split(",") for line in printed.splitlines()], dtype=float)
+    inputs = [each.name for each in scene.model().inputs]
+    if exported(name).method:
+        solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=t[1])
+        expected = np.column_stack([solution[each] for each in inputs])
+    else:
+        expected = sc.ExactInversion(scene)(t)
+    assert (found[:, 0] == t).all()
+    assert np.abs(found[:, 1 : 1 + len(inputs)] - expected).max() <= 1e-12 * np.abs(expected).max()
+    page = Path("source/README.md").read_text(encoding="utf-8")
+    assert "at most 30 for each block" in page
+    assert "| stack | at most " in page
+
+
+def test_c_source_is_written_beside_an_fmu_and_alone_at_rest(compiler):
+    result = run("export", "cars", "--c", "source")
+    assert result.exit_code == 0, result.output
+    assert {each.name for each in Path("source").iterdir()} == {
+        "cars.h", "cars.c", "main.c", "CMakeLists.txt", "README.md"
+    }  # fmt: skip
+    subprocess.run([*compiler, "-std=c99", "cars.c", "main.c", "-o", "example", "-lm"], cwd="source", check=True)
+    alone = subprocess.run(["source/example"], input="", capture_output=True, text=True, check=True)
+    assert alone.stdout == "0,0\n"
+
+
+@pytest.mark.parametrize(
+    ("unit", "order", "expected", "exponents"),
+    [
+        ("m", 0, "m", {"m": 1}),
+        ("m", 2, "m/s2", {"m": 1, "s": -2}),
+        ("m/s", 1, "m/s2", {"m": 1, "s": -2}),
+        ("rad", 1, "rad/s", {"rad": 1, "s": -1}),
+        ("N/m", 1, "N/m.s", {"kg": 1, "s": -3}),
+        ("N.m", 3, "N.m/s3", {"kg": 1, "m": 2, "s": -5}),
+        ("furlong", 1, "furlong/s", None),
+    ],
+)
+def test_units_of_derivatives(unit, order, expected, exponents):
+    assert per_time(unit, order) == expected
+    assert base_units(expected) == exponents
+
+
+def test_a_universal_library_holds_each_slice_on_a_page_of_its_own():
+    header = b"\xcf\xfa\xed\xfe" + (0x01000007).to_bytes(4, "little") + (3).to_bytes(4, "little")
+    slices = [header + bytes(100), header.replace(b"\x07", b"\x0c") + b"x" * 20000]
+    whole = targets.universal(slices)
+    assert whole[:8] == b"\xca\xfe\xba\xbe\0\0\0\x02"
+    for k, each in enumerate(slices):
+        processor, kind, offset, size, alignment = (
+            int.from_bytes(whole[8 + 20 * k + 4 * i : 12 + 20 * k + 4 * i], "big") for i in range(5)
+        )
+        assert (processor, kind) == ((0x01000007, 0x0100000C)[k], 3)
+        assert alignment == 14
+        assert offset % (1 << 14) == 0
+        assert whole[offset : offset + size] == each
