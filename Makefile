@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop check format fmu bench chart atlas pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -45,6 +45,12 @@ load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (hours)
 	$(BIN)/python tests/loops.py
 
+native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
+	SERVOCORE_NATIVE=full $(RUN) pytest -s --durations=0 -n $(TEST_PROCESSES) tests/test_export_hosts.py
+
+platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
+	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux" tests/test_export_hosts.py
+
 check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
 	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(BIN)/lint-imports; \
@@ -62,6 +68,7 @@ bench: $(INSTALLED)  ## measure what a step costs on this machine
 		--benchmark-columns=median,iqr,rounds -q
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/fmu_cost.py
+	$(BIN)/python benchmarks/native_cost.py
 
 chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, into docs/speed-accuracy (some 20 minutes)
 	$(PEERS)/bin/python -m benchmarks.chart

@@ -1,0 +1,208 @@
+"""Native FMUs in hosts that are not Python, on other platforms, and under whatever a host may ask.
+
+`make native` asks all scenes in both versions of FMI; `make platforms` runs the libraries of other platforms, with Wine
+and QEMU where they are installed.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy import read_model_description, simulate_fmu
+from fmpy.validation import validate_fmu
+from fmu_host import extracted
+from native_fmu import Native, along_path, exported, jets_of, native_file, scene_called
+from test_masters import ECOSPY, in_master, required
+
+import servocore as sc
+from servocore.export.sources import compiled_files, fmu_sources
+from servocore.export.targets import zig
+
+HERE = Path(__file__).parent / "native"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
+PLATFORMS = os.environ.get("SERVOCORE_PLATFORMS") == "all"
+SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+WINE = next((each for each in ("wine64", "wine", "/usr/lib/wine/wine64") if shutil.which(each)), None)
+QEMU = next((each for each in ("qemu-aarch64-static", "qemu-aarch64") if shutil.which(each)), None)
+
+
+@pytest.fixture
+def compiler() -> list[str]:
+    try:
+        return sc.c_compiler()
+    except sc.InvalidSetting as error:
+        pytest.skip(str(error))
+
+
+def host_words(name: str, fmi: int, steps: int) -> tuple[list[str], str]:
+    """Return the arguments of the plain host behind the library, and what it reads."""
+    model, reference = exported(name), scene_called(name).reference
+    t = np.linspace(reference.start_time, reference.end_time, steps + 1)
+    variables = len(model.of("input"))
+    inputs = model.components * model.mathematics.orders
+    numbers = sum(each.size or 1 for each in model.variables) if fmi == 2 else len(model.variables)
+    first = inputs if fmi == 2 else variables
+    outputs = len(model.of("output"))
+    words = [variables, inputs, first, outputs, numbers, steps, repr(float(t[1] - t[0])), 1]
+    return [str(each) for each in words], " ".join(map(repr, jets_of(name, t).ravel().tolist()))
+
+
+def numbers_of(text: str) -> np.ndarray:
+    return np.array([line.split() for line in text.splitlines()], dtype=float)
+
+
+# Hosts ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi, compiler, tmp_path):
+    name, steps = "rotary_crane", 100
+    host = tmp_path / "host"
+    build = [*compiler, "-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}", HERE / "host.c", "-o", host, "-ldl"]
+    subprocess.run(build, check=True)
+    folder = Path(extracted(native_file(name, fmi)))
+    (library,) = folder.glob("binaries/*/*.so")
+    words, path = host_words(name, fmi, steps)
+    token = read_model_description(str(folder)).guid
+    done = subprocess.run([host, library, token, *words], input=path, capture_output=True, text=True, check=True)
+    with Native(name, fmi) as instance:
+        expected = along_path(instance, name, steps)
+    assert (numbers_of(done.stdout) == expected).all()
+
+
+def test_ecos_gets_what_a_host_in_python_gets(tmp_path):
+    required("ecospy")
+    file, t = native_file("rotary_crane", 2), np.arange(40, 60) * 0.1
+    jets = jets_of("rotary_crane", t)
+    with Native("rotary_crane", 2) as host:
+        host.start(jets[0])  # inputs belong to the start of a step: ecos sets no enumerations
+        expected = [host.values()]
+        for k in range(1, len(t)):
+            host.tell(jets[k]).step(0.1 * (k - 1), 0.1)
+            expected.append(host.values())
+        task = {
+            "file": str(file),
+            "step": 0.1,
+            "jets": jets.reshape(len(t), -1).tolist(),
+            "inputs": host.inputs,
+            "outputs": host.outputs,
+            "settings": {},
+        }
+    found = in_master(ECOSPY, task, tmp_path / "task.json")
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-12 * np.abs(expected).max())
+
+
+# What a host may do --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "mass_on_car", "elastic_hoist"] if FULL else ["cars"])
+def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
+    model = exported(name)
+    for file, text in fmu_sources(model, 2).items():
+        (tmp_path / file).write_text(text, encoding="utf-8")
+    options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
+    build = [*compiler, *options, HERE / "hostile.c", *compiled_files(model, 2), "-o", "hostile", "-lm"]
+    built = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True, check=False)
+    if built.returncode and "sanitize" in built.stderr + "libasan":
+        pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")
+    amount = ("10000", "1000000") if FULL else ("300", "10000")
+    done = subprocess.run(["./hostile", *amount, "3"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}{done.stderr}"
+    assert done.stderr == ""
+
+
+# All scenes, all platforms -------------------------------------------------------------------------------------------
+
+ALL = [(name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist") for fmi in (2, 3)]
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+@pytest.mark.parametrize(("name", "fmi"), ALL)
+def test_every_scene_is_exported_and_computes_the_same(name, fmi):
+    file, steps = native_file(name, fmi), 100
+    assert validate_fmu(str(file)) == []
+    alone = simulate_fmu(str(file), stop_time=1.0, output_interval=0.1)
+    assert len(alone) == 11
+    scene = scene_called(name)
+    inputs = [each.name for each in scene.model().inputs]
+    if exported(name).method:  # a path that is what joins its instants
+        ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
+        path = sc.rest_to_rest(tuple(ends[0]), tuple(ends[1]), scene.reference.duration, profile=sc.DEGREE5)
+        scene = scene.with_reference(path)
+        t = np.linspace(0.0, path.duration, steps + 1)
+        jets = path.jet(t, exported(name).mathematics.orders - 1)
+        solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=t[1])
+        expected = np.column_stack([solution[each] for each in inputs])
+        with Native(name, fmi) as host:
+            host.start(jets[0], input_time=2)
+            found = [host.get(*inputs)]
+            for k in range(steps):
+                host.tell(jets[k + 1]).step(t[k], t[1])
+                found.append(host.get(*inputs))
+    else:
+        t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)
+        expected = sc.ExactInversion(scene)(t)
+        with Native(name, fmi) as host:
+            found = along_path(host, name, steps)[:, : len(inputs)]
+    assert np.abs(np.array(found) - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+RUNNERS = {
+    "x86_64-linux": (),
+    "x86_64-windows": (WINE,),
+    "aarch64-linux": (QEMU,),
+}
+
+
+@pytest.mark.skipif(not PLATFORMS, reason="make platforms")
+@pytest.mark.parametrize("target", RUNNERS)
+def test_libraries_of_other_platforms_give_the_same_digits(target, tmp_path):
+    if zig() is None or None in RUNNERS[target]:
+        pytest.skip("needs ziglang, and Wine or QEMU")
+    name, steps = "rotary_crane", 100
+    file = sc.export_fmu(scene_called(name), tmp_path / "crane.fmu", targets=target)
+    if target == "x86_64-linux":  # even where the compiler of this machine could build it
+        file = sc.export_fmu(scene_called(name), file, targets="x86_64-linux,aarch64-linux")
+    folder = Path(str(fmpy.extract(str(file), str(tmp_path / "crane"))))
+    (library,) = folder.glob(f"binaries/{target}/*")
+    ending, triple = (".exe", "x86_64-windows-gnu") if "windows" in target else ("", target + "-musl")
+    triple = "x86_64-linux-gnu" if target == "x86_64-linux" else "aarch64-linux-gnu" if "aarch64" in target else triple
+    host = tmp_path / f"host{ending}"
+    extra = () if ending else ("-ldl",)
+    build = [*zig(), "cc", "-target", triple, "-O1", "-w", "-DFMI=3", f"-I{HEADERS}", HERE / "host.c", "-o", host]
+    subprocess.run([*map(str, build), *extra], check=True, timeout=900)
+    words, path = host_words(name, 3, steps)
+    token = read_model_description(str(folder)).guid
+    command = [*RUNNERS[target], *(["-L", "/usr/aarch64-linux-gnu"] if "qemu" in str(RUNNERS[target]) else ()), host]
+    environment = os.environ | {"WINEDEBUG": "-all", "WINEPREFIX": str(tmp_path / "wine")}
+    done = subprocess.run(
+        [*map(str, command), str(library), token, *words],
+        input=path, capture_output=True, text=True, check=False, env=environment, timeout=600,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    with Native(name, 3) as instance:
+        expected = along_path(instance, name, steps)
+    assert (numbers_of(done.stdout) == expected).all()
+
+
+@pytest.mark.skipif(not PLATFORMS, reason="make platforms")
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_libraries_for_linux_run_on_old_systems_and_need_nothing_but_c(fmi, tmp_path):
+    if zig() is None or shutil.which("readelf") is None:
+        pytest.skip("needs ziglang and readelf")
+    targets = "x86_64-linux,aarch64-linux" if fmi == 3 else "x86_64-linux,x86_64-windows"
+    file = sc.export_fmu(scene_called("cars"), tmp_path / "cars.fmu", fmi=fmi, targets=targets)
+    folder = Path(str(fmpy.extract(str(file), str(tmp_path / "cars"))))
+    for library in folder.glob("binaries/*/*.so"):
+        text = subprocess.run(["readelf", "-dV", library], capture_output=True, text=True, check=True).stdout
+        needed = {line.split("[")[1].rstrip("]") for line in text.splitlines() if "(NEEDED)" in line}
+        assert needed <= {"libc.so.6", "libm.so.6"}
+        versions = {tuple(map(int, word[6:].split("."))) for word in text.split() if word.startswith("GLIBC_2")}
+        assert max(versions) <= (2, 17)
