@@ -17,7 +17,8 @@ from fmu_cost import Driven, microseconds, path
 
 import servocore as sc
 from crane_fmu.build import build_fmu
-from servocore.export.inverse_model import InverseModel, inverse_model
+from servocore.export.building import inverse_model
+from servocore.export.inverse_model import InverseModel
 from servocore.numerics.machine_code import c_compiler
 
 ROUNDS, STEPS = 200, 500

@@ -15,7 +15,8 @@ from fmpy.fmi3 import FMU3Slave
 from fmu_host import extracted, only_one, scratch
 
 import servocore as sc
-from servocore.export.inverse_model import InverseModel, inverse_model
+from servocore.export.building import inverse_model
+from servocore.export.inverse_model import InverseModel
 
 OK, WARNING, DISCARD, ERROR = range(4)
 START, END = 1, 2

@@ -7,8 +7,8 @@ import tempfile
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
-from servocore.export.inverse_model import InverseModel, inverse_model
-from servocore.export.mathematics import Mathematics
+from servocore.export.building import inverse_model
+from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.files import write_together
 from servocore.model.scene import Scene

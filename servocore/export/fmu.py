@@ -8,8 +8,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
+from servocore.export.building import inverse_model
 from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
-from servocore.export.inverse_model import InverseModel, inverse_model
+from servocore.export.inverse_model import InverseModel
 from servocore.export.page import documentation
 from servocore.export.sources import compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries

@@ -1,92 +1,140 @@
-"""The mathematics of an inverse model as CasADi functions, and as C that needs nothing but <math.h>.
-
-Which functions there are depends on what remains to be integrated; see `Mathematics`. All are pure: no memory between
-calls, no globals, no allocation, a bounded number of iterations.
-"""
+"""From a scene to its `InverseModel`: analysed, compiled, with all variables named."""
 
 from __future__ import annotations
 
-import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+import keyword
+import re
+from collections.abc import Sequence
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
+from servocore.checks.limits import require_feasible
+from servocore.errors import InvalidModel, InvalidReference
+from servocore.export import variables
+from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.variables import Variable
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import instantaneous
 from servocore.methods.collocation import RadauIIA
 from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.numerics.calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
+from servocore.solvers.following import BranchTable, prepared_table
 from servocore.stepping.compilation import discretised, program_of
-from servocore.stepping.margins import compile_margins, limits_order
+from servocore.stepping.margins import compile_margins, limit_texts, limits_order
 from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
 METHOD = RadauIIA(3)
 """What steps the internal dynamics, on the reduced form."""
 
+_LONGEST_IDENTIFIER = 40
 
-@dataclass(frozen=True, eq=False)
-class Mathematics:
-    """Functions of flat arguments; a path is (m, orders), column after column, parameters p.
 
-    Attributes
+def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
+    """Analyse and compile a scene for export.
+
+    Parameters
     ----------
-    identifier : str
-        What the names of the functions begin with in C.
-    functions : mapping of str to casadi.Function
-        ``begin`` (path, p) -> (state, outputs, margins, residual); ``begin_tangent`` (path, p, d path, d p) ->
-        (d state, d outputs). Without a state ``quick`` (path, p) -> (outputs, margins), NaN where ``begin`` has to be
-        asked. With a state ``advance`` (state, paths at the nodes, h, p) -> (state, outputs, margins, residual), and
-        its ``advance_tangent`` (..., d state, d paths, d p) -> (d state, d outputs).
-    outputs : tuple of Quantity
-        What they compute.
-    orders : int
-        How many derivatives of the path they take, the path itself included.
-    state_size : int
-        Numbers that a step hands to the next; 0 where every instant stands alone.
-    nodes : tuple of float
-        Fractions of a step at which the path is needed.
-    depends : ndarray of bool, shape (outputs, m * orders)
-        Which outputs depend on which numbers of the path.
+    scene : Scene
+        With its parameter values; its own path gives start values and default experiment only.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+
+    Raises
+    ------
+    InvalidModel
+        If the inputs do not follow from past and present of the path: internal dynamics that are unstable.
+    InvalidReference
+        If the scene's own path breaks its limits.
     """
+    problem = _followed(Problem.of(scene, model))
+    kind = internal_dynamics(problem)
+    if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
+        grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
+        raise InvalidModel(
+            f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
+            f" depend on the whole path, its future included; solve computes them"
+        )
+    require_feasible(problem)
+    identifier = identifier_of(scene.name)
+    compiled, system = mathematics(problem, identifier), problem.system
+    home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
+    return InverseModel(
+        identifier=identifier,
+        title=scene.name,
+        model=model or scene.default_model,
+        description=f"Inverse dynamics of {scene.name.replace('_', ' ')}: the inputs"
+        f" {', '.join(each.name for each in system.inputs)} that make {', '.join(each.name for each in system.outputs)}"
+        " follow a path",
+        mathematics=compiled,
+        variables=tuple(_variables(problem, compiled, scene.tracked, home)),
+        components=len(system.outputs),
+        limits=limit_texts(problem.limits),
+        method="" if problem.flat else METHOD.name,
+        duration=scene.reference.duration,
+    )
 
-    identifier: str
-    functions: Mapping[str, ca.Function]
-    outputs: tuple[Quantity, ...]
-    orders: int
-    state_size: int
-    nodes: tuple[float, ...]
-    depends: npt.NDArray[np.bool_]
 
-    @property
-    def operations(self) -> int:
-        """Instructions of the quick function, or of a step without its iterations."""
-        return int(next(iter(self.functions.values())).n_instructions())
+def identifier_of(name: str) -> str:
+    """Return a name as an identifier of C, as short as functions' names have to be."""
+    found = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER]
+    return f"model_{found}" if not found[:1].isalpha() or keyword.iskeyword(found) else found
 
-    def source(self) -> tuple[str, str]:
-        """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
-        name = f"{self.identifier}_mathematics"
-        generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
-        for function in self.functions.values():
-            generator.add(function)
-        with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
-            generator.generate(f"{folder}/")
-            header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
-        return header, source
 
-    def only(self, names: Sequence[str]) -> Mathematics:
-        """Return the same with those functions only that are named."""
-        return replace(self, functions={name: each for name, each in self.functions.items() if name in names})
+def _followed(problem: Problem) -> Problem:
+    """Return the problem, set to follow a branch where the guess of the model does not keep to one along its path."""
+    if not problem.flat or problem.follow_branch:
+        return problem
+    if problem.reference.max_order < problem.array.reference_order:
+        raise InvalidReference(
+            f"the path has derivatives up to order {problem.reference.max_order}, the inputs of {problem.name} need"
+            f" order {problem.array.reference_order}"
+        )
+    return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
 
-    def scratch(self) -> dict[str, int]:
-        """Return how much working memory the functions take, by kind."""
-        sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
-        return {kind: max(getattr(f, size)() for f in self.functions.values()) for kind, size in sizes.items()}
+
+def _variables(problem: Problem, compiled: Mathematics, tracked: str, home: Array) -> Sequence[Variable]:
+    system, array = problem.system, problem.array
+    found = variables.path_variables(system.outputs, tracked, compiled.orders, home)
+    place = len(system.outputs) * compiled.orders
+    found += variables.output_variables(compiled.outputs, place)
+    place += len(compiled.outputs)
+    found += variables.parameter_variables(system.parameters.declared, problem.p, place)
+    place += len(system.parameters)
+    if not problem.flat:
+        found.append(variables.internal_step(place))
+        units = dict(
+            zip((f"q.{each}" for each in system.coordinates.names), system.coordinates.quantities, strict=True)
+        )
+        named = array.named_states
+        found += variables.state_variables(
+            named, [units[name].unit if name in units else "1" for name, _ in named], place + 1
+        )
+    _require_different(problem, found)
+    return found
+
+
+def _require_different(problem: Problem, found: Sequence[Variable]) -> None:
+    names = [name for each in found for name in each.scalar_names] + ["input_time", "time"]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise InvalidModel(f"{problem.name} cannot be exported: variables named twice: {', '.join(repeated)}")
+    broken = [name for name in names if not re.fullmatch(r"[^\W\d]\w*(\.\w+)*(\[\d+\])?", name)]
+    if broken:
+        raise InvalidModel(
+            f"{problem.name} cannot be exported: FMI has no variable called {broken[0]!r}; names are letters, digits"
+            f" and underscores"
+        )
+
+
+# The mathematics --------------------------------------------------------------------------------------------------
 
 
 def mathematics(problem: Problem, identifier: str) -> Mathematics:
