@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
+from fmpy import simulate_fmu
 from native_fmu import exported, scene_called
 
 import servocore as sc
@@ -71,6 +72,21 @@ def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene():
     assert 'start="5.0"' in description
     assert packed.namelist()[0] == "modelDescription.xml"
     assert f"binaries/{targets.host()}/bare_hoist.so" in packed.namelist()
+
+
+@pytest.mark.usefixtures("compiler")
+def test_a_run_with_the_cross_check_files_gives_their_results():
+    result = run("export", "cars", "-o", "cars.fmu", "--fmi", "2", "--targets", "host", "--cross-check")
+    assert result.exit_code == 0, result.output
+    signals, wanted = (
+        np.genfromtxt(f"cars_{kind}.csv", delimiter=",", names=True, deletechars="") for kind in ("in", "ref")
+    )
+    options = dict(line.split(",") for line in Path("cars_ref.opt").read_text(encoding="utf-8").splitlines())
+    stop, step = float(options["StopTime"]), float(options["StepSize"])
+    found = simulate_fmu("cars.fmu", stop_time=stop, output_interval=step, input=signals)
+    assert len(found) == len(wanted) == 1001
+    # The highest derivative is held over a step: a thousandth of the duration, in which u changes by about as much.
+    assert np.abs(found["u"] - wanted["u"]).max() < 2e-3 * np.abs(wanted["u"]).max()
 
 
 @pytest.mark.usefixtures("compiler")

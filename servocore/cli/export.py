@@ -10,10 +10,14 @@ import typer
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress
 from servocore.errors import InvalidSetting
+from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c
+from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import export_fmu
 from servocore.export.targets import HOST, TARGETS, zig
-from servocore.files import require_places
+from servocore.files import require_places, write_together
+from servocore.formulations.reduced import Reduced
+from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
 
@@ -45,6 +49,10 @@ Targets = Annotated[
         f" {HOST}.",
     ),
 ]  # fmt: skip
+CrossCheck = Annotated[
+    bool,
+    typer.Option("--cross-check", help="Write a run along the scene's own path beside it: _in.csv, _ref.csv."),
+]
 Folder = Annotated[
     Path | None, typer.Option("--c", metavar="DIR", help="Write C source for other hosts into this new folder as well.")
 ]
@@ -57,6 +65,7 @@ def export_scene(
     model: Model = None,
     parameters: Parameters = None,
     targets: Targets = None,
+    cross_check: CrossCheck = False,
     c: Folder = None,
 ) -> None:
     """Export the inverse model of a scene for tools without Python.
@@ -71,8 +80,18 @@ def export_scene(
     subject = chosen(scene, parameters)
     require_places({"--output": output}, [parameters])
     with PatientProgress("exporting") as progress:
+        checked = {}
+        if output is not None and cross_check:
+            progress.describe("solving")
+            solution = solve(subject, Reduced(), METHOD, step=subject.reference.duration / STEPS, model=model)
+            texts = cross_check_files(subject, inverse_model(subject, model), solution, output.stem)
+            checked = {output.parent / name: text for name, text in texts.items()}
         if output is not None:
-            export_fmu(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
+            export_fmu(
+                subject, output,
+                fmi=fmi, model=model, targets=targets, tell=progress.describe,
+            )  # fmt: skip
+            write_together(checked)
         if c is not None:
             export_c(subject, c, model=model)
     if output is not None:

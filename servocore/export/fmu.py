@@ -12,7 +12,7 @@ from servocore.export.building import inverse_model
 from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
 from servocore.export.inverse_model import InverseModel
 from servocore.export.page import documentation
-from servocore.export.sources import compiled_files, fmu_sources, token_of
+from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.files import write_together
 from servocore.model.scene import Scene
@@ -91,6 +91,8 @@ def contents(
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **built,
     }
+    icon = (SHARED / "icon.png").read_bytes()
+    found["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
     if fmi == 3:
         found["sources/buildDescription.xml"] = build_description(model)
         found["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
