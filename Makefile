@@ -49,7 +49,7 @@ native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all
 	SERVOCORE_NATIVE=full $(RUN) pytest -s --durations=0 -n $(TEST_PROCESSES) tests/test_export_hosts.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
-	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux" tests/test_export_hosts.py
+	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py
 
 check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
