@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -35,8 +36,16 @@ def users_scene() -> sc.Scene:
     return names["elastic_hoist"]()
 
 
+def crossing() -> sc.Scene:
+    """Return the crane whose trolley passes through the slewing axis: it follows a branch from step to step."""
+    path = sc.rest_to_rest((3.0, 0.0, -5.0), (-2.0, 0.0, -5.0), 15.0)
+    return replace(sc.scenes.rotary_crane(across_axis=True).with_reference(path), name="crossing")
+
+
 @cache
 def scene_called(name: str) -> sc.Scene:
+    if name == "crossing":
+        return crossing()
     return users_scene() if name == "elastic_hoist" else sc.scenes.REGISTRY[name]()
 
 

@@ -73,13 +73,15 @@ def test_with_internal_dynamics_its_inputs_are_those_of_solve(division):
     jets = scene.reference.jet(t, exported("mass_on_car").mathematics.orders - 1)
     with Native(*INTERNAL) as host:
         host.start(jets[0], input_time=END, internal_step=0.0 if division == 1 else h / division)
-        found = [host.get("u")[0]]
+        found, spring = [host.get("u")[0]], [host.get("internal.s.position")[0]]
         for k in range(steps):
             assert host.tell(jets[k + 1]).step(t[k], h) == OK
             found.append(host.get("u")[0])
+            spring.append(host.get("internal.s.position")[0])
     solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=h / division)
-    expected = solution["u"][::division]
-    assert np.abs(np.array(found) - expected).max() <= 1e-12 * np.abs(expected).max()
+    for values, name in ((found, "u"), (spring, "s")):
+        expected = solution[name][::division]
+        assert np.abs(np.array(values) - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
 def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu():

@@ -105,7 +105,7 @@ def test_ecos_gets_what_a_host_in_python_gets(tmp_path):
 # What a host may do --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["rotary_crane", "mass_on_car", "elastic_hoist"] if FULL else ["cars"])
+@pytest.mark.parametrize("name", ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing"] if FULL else ["cars"])
 def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
     model = exported(name)
     for file, text in fmu_sources(model, 2).items():
@@ -155,6 +155,19 @@ def test_every_scene_is_exported_and_computes_the_same(name, fmi):
         with Native(name, fmi) as host:
             found = along_path(host, name, steps)[:, : len(inputs)]
     assert np.abs(np.array(found) - expected).max() <= 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+def test_a_branch_that_is_followed_is_followed_in_an_fmu_too():
+    scene, steps = scene_called("crossing"), 300
+    inputs = [each.name for each in scene.model().inputs]
+    solution = sc.solve(scene, step=scene.reference.duration / steps)
+    expected = np.column_stack([solution[each] for each in inputs])
+    with Native("crossing", 3) as host:
+        outputs = along_path(host, "crossing", steps)
+        found, trolley = outputs[:, : len(inputs)], outputs[:, host.outputs.index("s")]
+    assert trolley.min() < -1.0
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
 RUNNERS = {

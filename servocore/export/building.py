@@ -108,14 +108,16 @@ def _variables(problem: Problem, compiled: Mathematics, tracked: str, home: Arra
     place += len(compiled.outputs)
     found += variables.parameter_variables(system.parameters.declared, problem.p, place)
     place += len(system.parameters)
-    if not problem.flat:
+    if compiled.state_size:
         found.append(variables.internal_step(place))
+        place += 1
+    if not problem.flat:
         units = dict(
             zip((f"q.{each}" for each in system.coordinates.names), system.coordinates.quantities, strict=True)
         )
         named = array.named_states
         found += variables.state_variables(
-            named, [units[name].unit if name in units else "1" for name, _ in named], place + 1
+            named, [units[name].unit if name in units else "1" for name, _ in named], place
         )
     _require_different(problem, found)
     return found
