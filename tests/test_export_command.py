@@ -6,6 +6,7 @@ import subprocess
 import zipfile
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
@@ -128,6 +129,22 @@ def test_unstable_internal_dynamics_are_refused_with_their_rate():
     ):
         sc.export_fmu(arm, "arm.fmu")
     assert not Path("arm.fmu").exists()
+
+
+def test_equations_that_hold_the_time_are_refused():
+    x, t = sc.Coordinates(sc.Quantity("w", "m")), ca.SX.sym("t")
+
+    def ship():
+        return sc.MechanicalSystem(
+            name="hoist on a ship", coordinates=x, parameters=sc.Parameters(), inputs=(sc.Quantity("F", "N"),),
+            outputs=(sc.Quantity("y", "m"),), mass=ca.SX(2.0), output=x.q, input_matrix=ca.SX(-1),
+            potential=2.0 * ca.sin(t) * x.q, time=t,
+        )  # fmt: skip
+
+    scene = sc.Scene(name="ship", models={"only": ship}, reference=sc.rest_to_rest((1.0,), (2.0,), 1.0))
+    with pytest.raises(sc.InvalidModel, match="ship cannot be exported: its equations hold the time"):
+        sc.export_fmu(scene, "ship.fmu", targets="host")
+    assert not Path("ship.fmu").exists()
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):

@@ -50,10 +50,16 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
     Raises
     ------
     InvalidModel
-        If the inputs do not follow from past and present of the path: internal dynamics that are unstable.
+        If the inputs do not follow from past and present of the path: internal dynamics that are unstable, equations
+        that hold the time.
     InvalidReference
         If the scene's own path breaks its limits.
     """
+    if scene.model(model).time.numel():
+        raise InvalidModel(
+            f"{scene.name} cannot be exported: its equations hold the time, which an FMU would have to be told with the"
+            f" path; make what moves by itself a part of the path, or a parameter"
+        )
     problem = _followed(Problem.of(scene, model))
     kind = internal_dynamics(problem)
     if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
