@@ -26,6 +26,7 @@ FOLLOWED = "one: followed from instant to instant"
 
 _APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
+_STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _SINGULAR_CONDITION = 1e12
@@ -135,7 +136,7 @@ class Branch:
         finite = np.isfinite(q)
         lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
         ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
-        return cls(problem, taylor, search, jacobian, np.maximum(ranges, 1e-9 * np.array(_nominal(problem))))
+        return cls(problem, taylor, search, jacobian, np.maximum(ranges, _STILL * np.array(_nominal(problem))))
 
     def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""

@@ -116,7 +116,11 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
         return
     names = tuple(dict.fromkeys(solution.channels[channel].name for channel, _ in suspected))
     watched = problem.resolved.once(compile_watched, tuple((Named(name), False) for name in names))
-    states = exact_states(problem, prepared_table(problem))
+    try:
+        table = prepared_table(problem)
+    except IntegrationFailed:  # that close to a singular point a branch cannot be followed; the guess may still do
+        table = None
+    states = exact_states(problem, table)
 
     def values(channel: int, t: Array) -> Array:
         jets = problem.reference.jet(t, watched.order)
