@@ -18,7 +18,7 @@ from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.limits import Expression, Limit, Named, reported
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, at_instants
-from servocore.numerics.expressions import highest_derivative
+from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Solution
 from servocore.structure.derivative_array import DerivativeArray
@@ -102,7 +102,9 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     values = ca.substitute(
         [each.on(system) for each, _ in limits], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])]
     )
-    values = [_rate(each, y, system.gamma) if rate else each for each, (_, rate) in zip(values, limits, strict=True)]
+    values = [
+        time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in zip(values, limits, strict=True)
+    ]
     needs, used = [], set[tuple[int, int]]()
     top = dict(array.unknowns)  # the highest of each comes last
     for each in values:
@@ -116,12 +118,6 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     order = max([*needs, array.reference_order + bool(beyond)])
     wraps = tuple(isinstance(e, Named) and not rate and reported(system)[e.name][0].wraps for e, rate in wanted)
     return Watched(_watching(array, y, ca.vertcat(*values), beyond, order), order, tuple(needs), wraps)
-
-
-def _rate(expression: ca.SX, y: ca.SX, gamma: ca.SX) -> ca.SX:
-    return ca.jtimes(expression, ca.vec(y[:, :-1]), ca.vec(y[:, 1:])) + ca.jtimes(
-        expression, ca.vec(gamma[:, :-1]), ca.vec(gamma[:, 1:])
-    )
 
 
 def _watching(
@@ -138,8 +134,7 @@ def _watching(
     state, G, p = (ca.MX.sym("x", *each.shape) for each in (column, gamma, system.p))
     known = ca.MX(0, 1)
     if beyond:
-        count = array.reference_order + 1
-        moved = ca.jtimes(array.residual, ca.vec(system.gamma[:, :count]), ca.vec(system.gamma[:, 1 : count + 1]))
+        moved = time_derivative(array.residual, system.gamma)
         linear = ca.Function("sc_next", [column, gamma, system.p], [ca.jacobian(array.residual, column), moved])
         J, right = linear(state, G, p)
         # Derivative of every unknown; those of the last ones are not unknowns themselves.
@@ -299,9 +294,7 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
         if rate and ca.depends_on(value, forces):
             suffix = " differenced"
         elif rate:
-            value = ca.jtimes(value, system.q, system.v) + ca.jtimes(
-                value, ca.vec(system.gamma[:, :-1]), ca.vec(system.gamma[:, 1:])
-            )
+            value = time_derivative(value, ca.horzcat(system.q, system.v), system.gamma)
         hidden[Quantity(f"{_HIDDEN}{k}{suffix}")] = value
     system = replace(system, observables={**system.observables, **hidden})
     return resolve(system, system.home_parameters)
