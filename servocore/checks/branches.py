@@ -131,7 +131,7 @@ class _Motion:
         return np.array(self.problem.system.coordinates.nominal)
 
     def _rows(self, time: float) -> Rows:
-        jet, evaluate = self.problem.reference.jet(time, 0).T, self.problem.resolved.once(_compiled_rows)[1]
+        jet, evaluate = self.problem.reference.jet(time, 0).T, self.problem.resolved.once(constraint_rows)[1]
 
         def rows(x: Array) -> tuple[Array, Array]:
             residual, jacobian = evaluate(x * self.nominal, jet, self.problem.p)
@@ -169,14 +169,17 @@ def _condition(jacobian: Array) -> float:
 def _jacobians(problem: Problem, t: Array, q: Array) -> Array:
     """Return S at every configuration, its columns scaled by the nominal magnitudes, shape (N, m_h + m, n)."""
     count, n = q.shape
-    function, jets = problem.resolved.once(_compiled_rows)[0], problem.reference.jet(t, 0)
+    function, jets = problem.resolved.once(constraint_rows)[0], problem.reference.jet(t, 0)
     (flat,) = at_instants(function, q.T, jets=jets, p=problem.p)
     found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(problem.system.coordinates.nominal)
     return found
 
 
-def _compiled_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
-    """Compile (q, gamma, p) -> S = [G; C], for many instants, and -> residual of all constraints, S, for one."""
+def constraint_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
+    """Compile (q, gamma, p) -> S = [G; C], for many instants, and -> residual of all constraints, S, for one.
+
+    gamma is the path at an instant, shape (m,), with the time if the system holds it.
+    """
     system, gamma = resolved.system, resolved.system.gamma[:, 0]
     residual = ca.densify(ca.vertcat(system.constraints, system.output - system.path[:, 0]))
     S = ca.densify(ca.vertcat(system.G, system.C))

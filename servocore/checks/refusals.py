@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from servocore.checks.branches import constraint_rows
 from servocore.errors import InvalidReference, ServocoreError
 from servocore.numerics.calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
@@ -52,12 +53,12 @@ class _Reach:
     def of(cls, problem: Problem) -> _Reach:
         reference = problem.reference
         times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
-        largest = np.abs(reference.jet(times, 0)[:, 0]).max(axis=0)
         # Outputs of one unit are of one size, so that near is what it is in space.
         units = np.array([each.unit for each in problem.system.outputs])
+        largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        return cls(problem, problem.resolved.once(_compiled_rows), size)
+        return cls(problem, problem.resolved.once(constraint_rows)[1], size)
 
     def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
         """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
@@ -83,14 +84,6 @@ class _Reach:
         weights = np.concatenate([np.full(held, _HELD), 1.0 / self.size])
         jacobian = jacobian.reshape(len(residual), -1) * nominal
         return residual * weights, jacobian * weights[:, None]
-
-
-def _compiled_rows(resolved: ResolvedSystem) -> Call:
-    """Compile (q, gamma, p) -> residual of holonomic and servo constraints, and its Jacobian."""
-    system, gamma = resolved.system, resolved.system.gamma[:, 0]
-    rows = ca.vertcat(system.constraints, system.output - gamma)
-    jacobian = ca.jacobian(rows, system.q)
-    return Call(ca.Function("sc_reach", [system.q, gamma, system.p], [ca.densify(rows), ca.densify(jacobian)]))
 
 
 def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> Array:
