@@ -14,7 +14,7 @@ initial values are exact. Three forms:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 
 import casadi as ca
 import numpy as np
@@ -26,8 +26,7 @@ from servocore import RadauIIA
 from servocore.formulations import Projected, Reduced
 from servocore.model.system import MechanicalSystem
 from servocore.solvers.loop import run
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import given_start_of, program_of
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
 
@@ -321,7 +320,7 @@ def exact_unknowns(problem: Problem, model: str) -> dict[Key, Array]:
     scene, system, method = problem.scene, _system(problem, model), RadauIIA(5)
     t = problem.grid()
     resolved = sc.Problem.of(scene, model)
-    first = partial(started, (compile_restart_of, Reduced(), method))
+    first = given_start_of(Reduced(), method)
     states = run(resolved, program_of(resolved, Reduced(), method), t, first).states
     dae = Reduced().dae(system)
     found = {(each.variable, each.order): states[k] for k, each in enumerate(dae.unknowns)}

@@ -9,7 +9,6 @@ not fall with the step. There whole runs at constant step are repeated with half
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -21,8 +20,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.loop import First, Progress, Run, begin, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import given_start_of, program_of
 from servocore.stepping.program import Program
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -92,7 +90,7 @@ class ToTolerance:
         IntegrationFailed
             If the tolerance cannot be met, with what was reached and why.
         """
-        first = partial(started, (compile_restart_of, self.formulation, self.method))
+        first = given_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native)
         order = self.method.orders(program.index).forces
         if program.index <= 1:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -25,8 +24,7 @@ from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, pr
 from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import given_start_of, program_of
 from servocore.stepping.observation import compile_observation
 from servocore.stepping.program import Program
 from servocore.structure.inversion import inversion
@@ -56,9 +54,7 @@ class Pointwise:
         """
         program = program_of(problem, self.formulation, self.method, self.native)
         if problem.follow_branch:
-            done = run(
-                problem, program, times, partial(started, (compile_restart_of, self.formulation, self.method)), progress
-            )
+            done = run(problem, program, times, given_start_of(self.formulation, self.method), progress)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
         done = _at_every_instant(problem, program, times, progress)
         try:

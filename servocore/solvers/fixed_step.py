@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
@@ -12,8 +11,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.loop import Progress, run
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import given_start_of, program_of
 
 
 @dataclass(frozen=True)
@@ -34,6 +32,6 @@ class FixedStep:
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
-        first = partial(started, (compile_restart_of, self.formulation, self.method))
+        first = given_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native)
         return solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])

@@ -6,8 +6,6 @@ branch, without following one, if what is found goes on from instant to instant.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from servocore.formulations.reduced import Reduced
@@ -18,8 +16,7 @@ from servocore.solution import Solution
 from servocore.solvers.following import CONTINUOUS, Branch, on_one_branch
 from servocore.solvers.loop import Run, run
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import given_start_of, program_of
 from servocore.structure.inversion import inversion
 
 _ASIDE = 1e-7  # relative
@@ -40,7 +37,7 @@ def solved_again(problem: Problem, times: Array) -> Solution:
 def _exact_states(problem: Problem, t: Array) -> Array:
     """Return all unknowns of the derivative array (size, N) at instants, on one branch."""
     if problem.follow_branch:
-        first = partial(started, (compile_restart_of, Reduced(), BackwardEuler()))
+        first = given_start_of(Reduced(), BackwardEuler())
         return run(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
     jets = problem.reference.jet(t, problem.array.reference_order)
     states, _, residual = at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)

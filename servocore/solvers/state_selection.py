@@ -8,7 +8,6 @@ there, and continued with other states from the same values.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -19,8 +18,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.loop import Progress, advance, begin, chunk_length, failure, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import compile_restart_of, program_of
-from servocore.stepping.given_starts import started
+from servocore.stepping.compilation import compile_restart_of, given_start_of, program_of
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
@@ -58,7 +56,7 @@ class StateSelection:
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native)
-        state, _ = begin(problem, program, step, partial(started, (compile_restart_of, formulation, self.method)))
+        state, _ = begin(problem, program, step, given_start_of(formulation, self.method))
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
         while at < count:

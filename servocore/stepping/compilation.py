@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 
@@ -12,10 +13,11 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretisation, Method, instantaneous
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Call
+from servocore.numerics.calls import Array, Call
 from servocore.numerics.machine_code import compiled
 from servocore.numerics.square_systems import compile_solver
 from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.given_starts import started
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
 from servocore.stepping.margins import compile_margins, limit_texts, limits_order
 from servocore.stepping.observation import compile_observation, observed
@@ -121,6 +123,13 @@ def compile_restart_of(resolved: ResolvedSystem, formulation: Formulation, metho
     array, inverse, reduced = _inverse(resolved, formulation)
     dae = resolved.dae(formulation)
     return Call(compile_restart(array, inverse, dae, reduced, discretised(dae, method), order))
+
+
+def given_start_of(
+    formulation: Formulation, method: Method
+) -> Callable[[Problem, Array, float, int], tuple[Array, float]]:
+    """Return what makes the first state of a run of a form from a start that its user gives; see `started`."""
+    return partial(started, (compile_restart_of, formulation, method))
 
 
 def _compile_step(step: Discretisation) -> ca.Function:
