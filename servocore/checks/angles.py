@@ -153,8 +153,11 @@ def require_less_than_half_a_turn(program: Program, channel: int, t: Array, angl
     turns = np.abs(np.diff(angle))
     if not (turns < np.pi).all():
         k = int((~(turns < np.pi)).argmax())
-        # On forms of high index errors grow with shorter steps.
-        cure = "a smaller step is needed" if program.index <= 3 else "another form is needed, such as Reduced()"
+        cure = (
+            "a smaller step is needed"
+            if program.smaller_steps_help or program.index == 0
+            else "another form is needed, such as Reduced()"
+        )
         raise IntegrationFailed(
             f"{program.name}: {program.channels[channel].name} turns by {turns[k]:.4g} rad in the step from"
             f" t = {t[k]:.6g} s to {t[k + 1]:.6g} s, a step tells turns of less than pi from those the other way round;"

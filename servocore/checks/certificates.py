@@ -18,7 +18,6 @@ import numpy.typing as npt
 from servocore.checks.wrong_inputs import (
     LARGEST_UNWARNED,
     Comparison,
-    damps,
     steps_that_stand_out,
     warn_of_wrong_inputs,
 )
@@ -26,6 +25,7 @@ from servocore.errors import ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
+from servocore.methods.damping import damps
 from servocore.numerics.calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution

@@ -17,9 +17,8 @@ from servocore.errors import ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.formulations.original import Original
 from servocore.methods.base import Method
-from servocore.methods.collocation import Gauss, RadauIIA
-from servocore.methods.generalized_alpha import GeneralizedAlpha
-from servocore.methods.trapezoidal import Trapezoidal
+from servocore.methods.collocation import RadauIIA
+from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
@@ -140,16 +139,10 @@ def _advice(problem: Problem, formulation: Formulation, method: Method | None) -
         default = "the default route, solve without a form and a method, has no step"
     elif index > 1 or method != RadauIIA(3):
         default = "the default route, solve without a form and a method, errs less"
-    converges = method.orders(index).forces >= 1 and index <= 3 and (index <= 1 or damps(method))
+    converges = method.orders(index).forces >= 1 and errs_less_with_smaller_steps(method, index)
     if converges and not isinstance(formulation, Original):
         return f"{default}; a smaller step errs less" if default else "a smaller step errs less"
     return default
-
-
-def damps(method: Method) -> bool:
-    """Whether a method damps errors of the inputs from step to step, as far as its kind is known."""
-    undamped = isinstance(method, GeneralizedAlpha) and method.rho >= 1.0
-    return not undamped and not isinstance(method, Gauss | Trapezoidal)
 
 
 def _fastest_turn(solution: Solution, k: int, factor: float) -> str:

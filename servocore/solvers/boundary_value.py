@@ -20,7 +20,7 @@ from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
-from servocore.numerics.calls import Array, mapped, side_by_side
+from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 from servocore.solvers.loop import Progress, Run, step_of
@@ -298,12 +298,10 @@ def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
 def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     """Solve for everything that the states (N, len x) and the reference determine: [x; z], shape (size, N)."""
     problem, array = bounded.problem, bounded.problem.array
-    inverse, count = problem.resolved.once(inversion), len(t)
-    gamma = side_by_side(problem.reference.jet(t, array.reference_order))
-    p = np.tile(problem.p[:, None], count)
-    (start,) = mapped(inverse.guess, count)(gamma, p)
+    inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, array.reference_order)
+    start = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     start[array.places(array.states)] = states.T
-    found, _, _ = mapped(inverse.search, count)(gamma, p, start)
+    found = inverse.searched(side_by_side(jets), problem.p, start)
     values: Array = found[array.places((*array.states, *array.determined))]
     return values
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array, Call, at_instants, mapped, side_by_side
+from servocore.numerics.calls import Array, Call, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
@@ -23,6 +23,7 @@ from servocore.structure.signature import condition_number
 
 CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
 FOLLOWED = "one: followed from instant to instant"
+CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
 _APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
 _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
@@ -30,8 +31,8 @@ _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be 
 _MOST_BISECTIONS = 45
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _SINGULAR_CONDITION = 1e12
+_EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
 _SURVEYED = 400  # instants at least, to tell whether guesses keep to one branch
-_TURN = 2.0 * np.pi
 _NONE = np.zeros(0, dtype=np.intp)
 
 Powers = tuple[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]], ...]
@@ -78,13 +79,17 @@ class Taylor:
         n, wraps = len(self.q), self.wraps.any()
         miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
         for each in miss if wraps else ():
-            each[self.wraps] = (each[self.wraps] + _TURN / 2) % _TURN - _TURN / 2
+            each[self.wraps] = _shortest_turn(each[self.wraps])
         moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
         moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
         worst = np.maximum(*np.abs(miss))
         # Not <=, so that NaN counts as apart.
         found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, _SLIGHT * scale[:, None])).all(axis=0)
         return found
+
+
+def _shortest_turn(angle: Array) -> Array:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
@@ -136,7 +141,9 @@ class Branch:
         finite = np.isfinite(q)
         lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
         ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
-        return cls(problem, taylor, search, jacobian, np.maximum(ranges, _STILL * np.array(_nominal(problem))))
+        return cls(
+            problem, taylor, search, jacobian, np.maximum(ranges, _STILL * np.array(problem.system.coordinates.nominal))
+        )
 
     def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
@@ -171,13 +178,32 @@ class Branch:
         """Raise `IntegrationFailed` if the equations determine no answer at one of some instants."""
         problem = self.problem
         for k in instants:
-            jet = side_by_side(problem.reference.jet(t[k : k + 1], problem.array.reference_order))
-            condition = condition_number(self.jacobian(states[:, k], jet, problem.p)[0])
+            condition = condition_number(self._jacobian_at(float(t[k]), states[:, k]))
             if not condition < _SINGULAR_CONDITION:
                 raise IntegrationFailed(
                     f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
                     f" {condition:.2g}"
                 )
+
+    def is_closed_form(self, t: Array, states: Array) -> bool:
+        """Whether answers (size, N) are the guess of the model itself, and none of them is singular or seems to jump.
+
+        A drum that unwinds kilometres of rope turns thousands of times between two instants: nothing follows that, and
+        nothing has to where the model gives its motion in closed form. The sign of the determinant is the alarm for a
+        guess that changes over to another branch.
+        """
+        q = self.taylor.q
+        guess = at_instants(
+            self.problem.resolved.once(inversion).guess,
+            jets=self.problem.reference.jet(t, self.problem.array.reference_order),
+            p=self.problem.p,
+        )[0]
+        off = np.abs(guess[q] - states[q])
+        if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
+            return False
+        jacobians = [self._jacobian_at(float(t[k]), states[:, k]) for k in range(len(t))]
+        signs = {float(np.linalg.slogdet(each)[0]) for each in jacobians}
+        return len(signs) == 1 and all(condition_number(each) < _SINGULAR_CONDITION for each in jacobians)
 
     def connects(self, t: Array, states: Array) -> bool:
         """Whether following the branch of the first of two answers (size, 2) leads to the second."""
@@ -186,7 +212,7 @@ class Branch:
         except IntegrationFailed:
             return False
         off = found[self.taylor.q] - states[self.taylor.q, 1]
-        off[self.taylor.wraps] = (off[self.taylor.wraps] + _TURN / 2) % _TURN - _TURN / 2
+        off[self.taylor.wraps] = _shortest_turn(off[self.taylor.wraps])
         return bool((np.abs(off) <= _SLIGHT * self.scale).all())
 
     def along_all(self, t: Array, states: Array) -> Array:
@@ -208,6 +234,11 @@ class Branch:
             found[:, k] = self.follow(found[:, k - 1], float(t[k - 1]), float(t[k]))
         return found
 
+    def _jacobian_at(self, time: float, state: Array) -> Array:
+        problem = self.problem
+        jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
+        return self.jacobian(state, jet, problem.p)[0]
+
     def _continued(self, state: Array, begin: float, end: float) -> Array | None:
         found = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
         if found is None:
@@ -225,10 +256,6 @@ class Branch:
 def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call, Call]:
     search = Call(resolved.once(inversion).search)
     return Taylor.of(resolved.array), search, Call(resolved.once(system_jacobian))
-
-
-def _nominal(problem: Problem) -> tuple[float, ...]:
-    return problem.system.coordinates.nominal
 
 
 def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str]:
@@ -254,7 +281,12 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
     seeming = branch.jumps(t, states)
     for k in seeming:  # instants far apart seem to jump: look in between
         if not np.isfinite(states[:, k : k + 2]).all() or not branch.connects(t[k : k + 2], states[:, k : k + 2]):
-            found = branch.along_all(t, states)
+            try:
+                found = branch.along_all(t, states)
+            except IntegrationFailed:
+                if branch.is_closed_form(t, states):
+                    return states, CLOSED_FORM
+                raise
             branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
             return found, FOLLOWED
     return states, CONTINUOUS
@@ -286,9 +318,7 @@ class BranchTable:
         near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
         first, h = self.states[:, near], t - self.t[near]
         problem, taylor = self.branch.problem, self.branch.taylor
-        search = mapped(problem.resolved.once(inversion).search, len(t))
-        found = search(jets, np.tile(problem.p[:, None], len(t)), taylor.ahead(first, h))[0]
-        found = found.reshape(len(first), -1, order="F").copy()
+        found = problem.resolved.once(inversion).searched(jets, problem.p, taylor.ahead(first, h)).copy()
         for k in np.flatnonzero(taylor.apart(first, found, h, self.branch.scale)):
             found[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
         return found
@@ -302,7 +332,7 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     jets = problem.reference.jet(t, problem.array.reference_order)
     states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
-    if how == CONTINUOUS and inverse.expression is not None:
+    if how != FOLLOWED and inverse.expression is not None:
         exact = at_instants(inverse.expression, jets=jets, p=problem.p)[0]
         if np.isfinite(exact).all():
             return None

@@ -172,4 +172,9 @@ def _likely_causes(program: Program) -> str:
             f"errors that this form of index {program.index} amplifies from step to step, more so the smaller the step,"
             " or a configuration close to a singular one"
         )
+    if not program.smaller_steps_help:
+        return (
+            f"errors that this method does not damp on a form of index {program.index}, or a configuration close to a"
+            " singular one"
+        )
     return "a step too large for the path, or a configuration close to a singular one"

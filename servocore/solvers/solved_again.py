@@ -10,7 +10,7 @@ import numpy as np
 
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.following import CONTINUOUS, Branch, on_one_branch
@@ -24,11 +24,10 @@ _ASIDE = 1e-7  # relative
 
 def solved_again(problem: Problem, times: Array) -> Solution:
     """Return the inputs alone, at instants of a problem without internal dynamics."""
-    states, array, count = _exact_states(problem, times), problem.array, len(times)
+    states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
     jets = side_by_side(problem.reference.jet(times, array.reference_order))
-    search = mapped(problem.resolved.once(inversion).search, count)
-    found = search(jets, np.tile(problem.p[:, None], count), aside)[0].reshape(len(states), -1, order="F")
+    found = problem.resolved.once(inversion).searched(jets, problem.p, aside)
     inputs = problem.system.inputs
     places = [array.position(f"u.{each.name}", 0) for each in inputs]
     return Solution(times, inputs, found[places].T, "the exact inversion, solved again")
@@ -56,9 +55,8 @@ def solved_beside(problem: Problem, solution: Solution) -> Solution | None:
 def unknowns_beside(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
     array, inverse, t = problem.array, problem.resolved.once(inversion), solution.t
-    jets = side_by_side(problem.reference.jet(t, array.reference_order))
-    p = np.tile(problem.p[:, None], len(t))
-    guess = mapped(inverse.guess, len(t))(jets, p)[0].reshape(len(array.unknowns), -1, order="F").copy()
+    jets = problem.reference.jet(t, array.reference_order)
+    guess = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
         for each in (quantity for quantity in quantities if quantity.name in solution):
             known = solution[each.name]
@@ -67,4 +65,4 @@ def unknowns_beside(problem: Problem, solution: Solution) -> Array:
                 if entry in array.unknowns:
                     guess[array.places([entry])[0]] = known
                 known = np.gradient(known, t)
-    return mapped(inverse.search, len(t))(jets, p, guess)[0].reshape(len(guess), -1, order="F")
+    return inverse.searched(side_by_side(jets), problem.p, guess)

@@ -12,6 +12,7 @@ from servocore.dae import Dae
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretisation, Method, instantaneous
+from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.limits import Limit
 from servocore.numerics.calls import Array, Call
 from servocore.numerics.machine_code import compiled
@@ -93,6 +94,7 @@ def compile_program(
             [ca.densify(discretisation.between)],
         ),
         index=dae.index,
+        smaller_steps_help=not pointwise and errs_less_with_smaller_steps(method, dae.index),
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
         nodes=discretisation.nodes,

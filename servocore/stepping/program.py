@@ -73,6 +73,8 @@ class Program:
         (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
     between : casadi.Function
         (state, fraction, h) -> the state with its own instant moved to a fraction of the last step.
+    smaller_steps_help : bool
+        False for forms without a step, and where errors grow from step to step, more so the smaller the step.
     """
 
     name: str
@@ -84,6 +86,7 @@ class Program:
     rescale: ca.Function
     between: ca.Function
     index: int
+    smaller_steps_help: bool
     order: int
     start_order: int
     nodes: tuple[float, ...]
@@ -145,8 +148,7 @@ class Program:
         """Raise `IntegrationFailed` if observed values belong to another branch of the equations."""
         for channel, value in zip(self.channels, values, strict=True):
             if channel.positive and not value > 0.0:
-                # Forms without a step have none to shorten; on those of high index errors grow with shorter ones.
-                helps = channel.unit != "N" and 0 < self.index <= 3
+                helps = channel.unit != "N" and self.smaller_steps_help
                 cure = "; a smaller step keeps to its own" if helps else ""
                 raise IntegrationFailed(
                     f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit},"

@@ -8,6 +8,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
+from servocore.numerics.calls import Array, mapped
 from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 
@@ -41,6 +42,11 @@ class Inversion:
     search: ca.Function
     expression: ca.Function | None
     function: ca.Function
+
+    def searched(self, gamma: Array, p: Array, guess: Array) -> Array:
+        """Return the unknowns (size, N) by Newton's method from guesses (size, N); `gamma` has jets side by side."""
+        size, count = guess.shape
+        return mapped(self.search, count)(gamma, np.tile(p[:, None], count), guess)[0].reshape(size, -1, order="F")
 
 
 class Analysed(Protocol):
