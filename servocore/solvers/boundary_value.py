@@ -159,7 +159,21 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
             )
     linear = problem.resolved.once(linearisation, problem.resolved.once(inversion))
     left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
-    return _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
+    bounded = _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
+    _require_as_many_conditions_as_states(bounded)
+    return bounded
+
+
+def _require_as_many_conditions_as_states(bounded: _Bounded) -> None:
+    """Raise `IntegrationFailed` if stability changes along the path so that no or many motions stay bounded."""
+    size, stable, unstable = bounded.dae.x.numel(), len(bounded.left.stable), len(bounded.right.unstable)
+    if not bounded.periodic and stable + unstable != size:
+        count = "no motion stays" if stable + unstable > size else "a whole family of motions stays"
+        raise IntegrationFailed(
+            f"{bounded.problem.system.name}: of {size} internal states {size - stable} grow at the start of the path"
+            f" and {unstable} at its end, so that {count} bounded; Reduced() with a method computes the one that starts"
+            " at rest"
+        )
 
 
 def _repeats(ends: Array, duration: float) -> bool:
@@ -176,8 +190,10 @@ def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
         path = bounded.problem.reference
         return np.linspace(path.start_time, path.end_time, max(1, round(path.duration / step)) + 1)
     needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
-    rates = np.array([value.real for value in bounded.left.eigenvalues])
-    growing, decaying = rates[rates > 0.0], -rates[rates < 0.0]
+    before_it, after_it = (
+        np.array([value.real for value in each.eigenvalues]) for each in (bounded.left, bounded.right)
+    )
+    growing, decaying = before_it[before_it > 0.0], -after_it[after_it < 0.0]
     pre = route.pre if route.pre is not None else (needed / growing.min() if growing.size else 0.0)
     post = route.post if route.post is not None else (needed / decaying.min() if decaying.size else 0.0)
     before, inside, after = np.ceil(pre / step), round(reference.duration / step), np.ceil(post / step)
