@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -105,22 +105,30 @@ def solve(
         require_start(problem)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
     own = route is method  # such a route brings no checks of its own, and chooses its instants
-    if checks or own:
+    checked = checks or own
+    if checked:
         require_feasible(problem, None if own else times)
+    run = run_within_limits if checked else _run
     try:
-        if checks or own:
-            solution = run_within_limits(problem, lambda each: route.run(each, times, progress))
-        else:
-            solution = route.run(problem, times, progress)
+        solution = run(problem, lambda each: route.run(each, times, progress))
     except (InconsistentStart, IntegrationFailed) as error:
         raise explained(problem, error) from None
-    if checks or own:
-        passed = require_one_branch(problem, solution)
-        survey_between(problem, solution, unknowns_beside)
-        branch = _branch(problem, route, solution) + passed
-        solution = replace(solution, statistics=replace(solution.statistics, branch=branch))
+    if checked:
+        solution = _looked_at(problem, route, solution)
     estimator = solution.estimator or partial(_estimated, problem, route)
     return replace(solution, advice=advice, estimator=estimator)
+
+
+def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
+    return run(problem)
+
+
+def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
+    """Look at a solution (one branch, no poles between instants, right inputs); return it with what was seen."""
+    passed = require_one_branch(problem, solution)
+    survey_between(problem, solution, unknowns_beside)
+    branch = _branch(problem, route, solution) + passed
+    return replace(solution, statistics=replace(solution.statistics, branch=branch))
 
 
 def _require_arguments(
