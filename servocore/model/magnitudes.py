@@ -20,6 +20,7 @@ from servocore.references.base import Reference
 _INSTANTS = 9  # of a path, to see how far it goes
 _FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
 _ROUND_OFF = 1e-9  # of the largest change of a unit: less is none
+_NOTHING = 1e-13  # of the largest change of all: round-off of a matrix that is inverted
 _SMALLEST = 1e-4  # of a coordinate itself: changes below it do not show in its magnitude
 
 
@@ -43,6 +44,7 @@ def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> Mechanica
         return system
     home, _ = system.home_configuration()
     magnitudes = _changes(system, np.array([10.0**each for each in decades]))
+    magnitudes[magnitudes <= _NOTHING * magnitudes.max(initial=0.0)] = 0.0
     for unit in {each.unit for each in quantities}:
         alike = [k for k, each in enumerate(quantities) if each.unit == unit]
         largest = magnitudes[alike].max()

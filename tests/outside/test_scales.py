@@ -13,6 +13,7 @@ from outside.systems import named, symbols
 
 import servocore as sc
 from servocore.numerics.square_systems import QUICK_ITERATIONS
+from servocore.rotationless import Assembly, RigidBody
 from servocore.scenes import jets
 
 
@@ -196,3 +197,18 @@ def test_newtons_method_stops_where_corrections_are_round_off():
     scene = sc.Scene("crank", {"elastic": lambda: system}, sc.rest_to_rest((home,), (home - 0.02,), 1.0))
     statistics = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=0.002).statistics
     assert statistics.newton_iterations <= (QUICK_ITERATIONS + 1) * statistics.steps
+
+
+def test_a_director_that_the_path_does_not_turn_is_as_large_as_one():
+    """How far the path turns it comes out as the round-off of a matrix that is inverted: that is no magnitude."""
+    body = Assembly(parts=(RigidBody("body", 3.0, (0.2, 0.5, 0.6)),), parameters=sc.Parameters(), gravity=(0, 0, 0))
+    place = body.body("body").origin[0]
+    system = body.system(
+        "body",
+        constraints={},
+        inputs={sc.Quantity("f", "N"): place},
+        outputs={sc.Quantity("X", "m"): place},
+        guess=lambda y: {"body": ((y[0], 0, 0), ca.SX.eye(3))},
+    )
+    scene = sc.Scene("body", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 10.0))
+    assert sc.Problem.of(scene).system.coordinates.nominal == (1.0,) * 12
