@@ -34,6 +34,7 @@ from servocore.methods import (
 from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters
+from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
@@ -59,7 +60,7 @@ from servocore.references import (
     waypoints_from_csv,
 )
 from servocore.solution import Solution, Statistics
-from servocore.solvers import Adaptive, BoundaryValue, ExactInversion, Route, simulate, solve
+from servocore.solvers import Adaptive, BoundaryValue, EnergyMomentum, ExactInversion, Route, simulate, solve
 from servocore.stepping.forward_dynamics import compile_plant
 from servocore.stepping.plant import Plant
 from servocore.stepping.program import Program, StepReport
@@ -78,6 +79,7 @@ __all__ = [
     "Adaptive",
     "BackwardEuler",
     "BoundaryValue",
+    "EnergyMomentum",
     "ExactInversion",
     "Gauss",
     "GeneralizedAlpha",
@@ -89,6 +91,7 @@ __all__ = [
     "Limit",
     "Original",
     "Plant",
+    "Potential",
     "Profile",
     "Program",
     "Projected",

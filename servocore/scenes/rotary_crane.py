@@ -24,6 +24,7 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
+from servocore.errors import InvalidSetting
 from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
@@ -61,17 +62,20 @@ SMALLEST_RADIUS = 1e-3
 SIGNED_TROLLEY = Quantity("s", "m", "trolley position along the bridge, negative beyond the slewing axis")
 
 
-def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
+def points(trolley: Quantity = TROLLEY, *, invariant: bool = False) -> MechanicalSystem:
     """Nine coordinates, four constraints: M constant, g quadratic, M_b acting on d through q-dependent B.
 
     q = (d, p, s, l, r): bridge direction d (mass J_b), trolley point p (mass m_t), trolley distance s (massless),
-    rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2.
+    rope length l (mass J_w/r_w^2), load r; constraints |d|^2 = 1, p = s d, |r - p|^2 = l^2. With `invariant`, d . p = s
+    and d x p = 0 stand for p = s d: what rotations about the axis leave as it is, on the constraints and beside them.
     """
     names = ("d_x", "d_y", "p_x", "p_y", "s", "l", "x", "y", "z")
     coordinates = Coordinates(*(Quantity(name, "1" if name.startswith("d") else "m") for name in names))
     q, p = coordinates.q, PARAMETERS
     direction, place, s, rope_length, load = q[0:2], q[2:4], q[4], q[5], q[6:9]
     rope = load - ca.vertcat(place, 0)
+    along, across = ca.dot(direction, place) - s, direction[0] * place[1] - direction[1] * place[0]
+    on_bridge = ca.vertcat(along, across) if invariant else place - s * direction
     lam = ca.SX.sym("lam", 4)
     gamma = reference_symbols(3)
     above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
@@ -93,7 +97,7 @@ def points(trolley: Quantity = TROLLEY) -> MechanicalSystem:
         outputs=OUTPUTS,
         mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * coordinates["z"],
-        constraints=ca.vertcat(ca.sumsqr(direction) - 1, place - s * direction, ca.sumsqr(rope) - rope_length**2),
+        constraints=ca.vertcat(ca.sumsqr(direction) - 1, on_bridge, ca.sumsqr(rope) - rope_length**2),
         input_matrix=-ca.vertcat(turning, driven),
         output=load,
         multipliers=lam,
@@ -214,7 +218,11 @@ SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": parti
 """Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""
 
 
-def rotary_crane(*, across_axis: bool = False) -> Scene:
+INVARIANT_MODELS = {"points": partial(points, invariant=True)}
+"""Factories of the model for integration that conserves angular momentum."""
+
+
+def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene:
     """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
 
     Parameters
@@ -223,7 +231,17 @@ def rotary_crane(*, across_axis: bool = False) -> Scene:
         Whether the trolley may pass through the slewing axis to negative s, on a girder that reaches beyond it. The
         path then decides only between the instants: on the axis itself phi is undefined, and an instant that falls
         there is refused.
+    invariant : bool
+        Whether rotations about the axis shall leave every constraint as it is, also where it does not vanish: what
+        `EnergyMomentum` needs. The nine coordinates are the same.
+
+    Raises
+    ------
+    InvalidSetting
+        If both are asked for.
     """
+    if across_axis and invariant:
+        raise InvalidSetting("the rotary crane is written for the crossing of its axis, or invariant, not both")
     crane = Scene(
         name="rotary_crane",
         models={"points": points, "generalized": generalized, "bodies": bodies},
@@ -233,6 +251,6 @@ def rotary_crane(*, across_axis: bool = False) -> Scene:
         tracked="load",
     )
     if not across_axis:
-        return crane
+        return replace(crane, models=INVARIANT_MODELS) if invariant else crane
     limits = (*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True))
     return replace(crane, models=SIGNED_MODELS, closed_form=through_axis, limits=limits, follow_branch=True)

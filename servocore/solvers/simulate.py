@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InconsistentStart, InvalidSetting
+from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
+from servocore.solvers.conserving import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward import Tolerance, integrated
 from servocore.solvers.given_inputs import Inputs, counted, interpolated, rising_times
 from servocore.stepping.arguments import require_callable, require_number
@@ -35,11 +36,14 @@ def simulate(
     rtol: float = 1e-9,
     atol: float = 1e-9,
     time_limit: float | None = None,
+    method: EnergyMomentum | None = None,
+    step: float | None = None,
 ) -> Solution:
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
     The holonomic constraints are differentiated twice and stabilised, see `servocore.stepping.forward_dynamics`; the
-    resulting ordinary differential equation goes to SciPy's DOP853 with error control.
+    resulting ordinary differential equation goes to SciPy's DOP853 with error control. With a method of constant step
+    nothing is differentiated.
 
     Parameters
     ----------
@@ -59,12 +63,17 @@ def simulate(
         Tolerances of the integrator on positions and velocities.
     time_limit : float, optional
         Seconds after which the integration is given up.
+    method : EnergyMomentum, optional
+        What integrates with a constant step, instead of DOP853 with error control.
+    step : float, optional
+        Its step in s; the times at which to report are whole steps after the first.
 
     Returns
     -------
     Solution
         Observables, outputs and coordinates, with `tracking_error`; the statistics count integrator steps, and
-        evaluations of the accelerations as factorisations.
+        evaluations of the accelerations as factorisations. With `EnergyMomentum` also ``energy``, the ``work`` of
+        inputs and forces since the start, and ``angular_momentum_x``, ``_y``, ``_z`` about the origin.
 
     Raises
     ------
@@ -75,7 +84,9 @@ def simulate(
         changes sides without end.
     InvalidSetting
         If neither times nor a solution are given, times do not rise or leave those of the inputs, or there are not as
-        many inputs as the scene has, or `start` names no coordinate.
+        many inputs as the scene has, or `start` names no coordinate, or a step goes without a method.
+    InvalidModel
+        If the system has no energy that `EnergyMomentum` conserves.
     """
     require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
@@ -93,7 +104,36 @@ def simulate(
         if t is None:
             raise InvalidSetting("inputs given as a function need the times at which to report")
         instants, evaluate = rising_times(t), counted(inputs, problem.system)
-    return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
+    if method is None and step is None:
+        return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
+    return _conserved(problem, evaluate, instants, method, step)
+
+
+def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step: float | None) -> Solution:
+    """Return the motion by the energy-momentum scheme, with its balance of energy."""
+    if not isinstance(method, EnergyMomentum):
+        raise InvalidSetting(
+            f"a forward simulation with a step of its own goes by EnergyMomentum(), not by {described(method)}"
+        )
+    require_number(step, "the step of the energy-momentum scheme", "a time in s")
+    scheme_of(problem)  # first of all: what cannot be conserved needs no start
+    start = _initial_state(problem, float(t[0]))
+    found = conserved_motion(problem, start, inputs, t, float(step or 0.0))
+    u = np.array([inputs(time) for time in t]).reshape(len(t), -1)
+    known = _report(problem, _Motion(t, found.states, found.multipliers, u), found.steps, found.iterations)
+    statistics = replace(
+        known.statistics,
+        newton_iterations=found.iterations,
+        factorisations=found.iterations,
+        worst_residual=found.worst,
+    )
+    return replace(
+        known,
+        channels=(*known.channels, *BALANCE),
+        values=np.column_stack([known.values, found.balance]),
+        route=f"{problem.system.name}, {method.name}",
+        statistics=statistics,
+    )
 
 
 def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance) -> tuple[_Motion, int, int]:

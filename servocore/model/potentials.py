@@ -1,0 +1,96 @@
+"""Potentials that know what they are made of, for integration that conserves energy exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import casadi as ca
+
+from servocore.errors import InvalidModel, described
+from servocore.numerics.expressions import as_expression
+
+Energy: TypeAlias = Callable[[ca.SX], ca.SX]
+"""W(pi): a smooth function of one number."""
+
+
+_CLOSE = 1e-4  # relative change of an invariant below which the series is better than the quotient
+
+
+@dataclass(frozen=True, eq=False)
+class Stored:
+    """The energy W(pi(q)) of a part of the potential.
+
+    Parameters
+    ----------
+    energy : callable
+        W, from a CasADi expression to another; in J.
+    invariant : casadi.SX
+        pi(q, p), scalar, at most quadratic in q and the same after every motion that leaves the energy as it is: the
+        square of a length, the product of two directors.
+    """
+
+    energy: Energy
+    invariant: ca.SX
+
+    def slope(self, before: ca.SX, after: ca.SX) -> ca.SX:
+        """Return the difference quotient of W between two values of the invariant, J per its unit.
+
+        Where they are close, its series about the middle with the third derivative: round-off would spoil the
+        quotient.
+        """
+        x, middle, change = ca.SX.sym("x"), (before + after) / 2, after - before
+        first = ca.gradient(self._at(x), x)
+        third = ca.gradient(ca.gradient(first, x), x)
+        slope_there, bend_there = ca.substitute([first, third], [x], [middle])
+        near = slope_there + bend_there * change**2 / 24
+        close = ca.fabs(change) < _CLOSE * (1 + ca.fabs(middle))
+        quotient = (self._at(after) - self._at(before)) / ca.if_else(close, 1, change)
+        return ca.if_else(close, near, quotient)
+
+    def _at(self, value: ca.SX) -> ca.SX:
+        return as_expression(self.energy(value), "a stored energy")
+
+
+class Potential(ca.SX):  # type: ignore[misc]  # CasADi has no types
+    """A potential V(q) = V2(q) + sum of W_a(pi_a(q)) that keeps its summands.
+
+    As an expression it is their sum, so that it goes wherever a potential goes; `EnergyMomentum` asks for the summands.
+
+    Parameters
+    ----------
+    quadratic : casadi.SX
+        V2, at most quadratic in q: weight, linear springs between coordinates.
+    stored : sequence of (callable, casadi.SX)
+        Pairs (W, pi); pi at most quadratic in q and invariant: for a spring between two points the square of their
+        distance.
+
+    Examples
+    --------
+    A spring of stiffness c and free length l0 between two points a and b:
+
+    >>> Potential(weight, [(lambda x: c / 2 * (ca.sqrt(x) - l0) ** 2, ca.sumsqr(b - a))])
+    """
+
+    def __init__(self, quadratic: ca.SX | float, stored: Sequence[tuple[Energy, ca.SX]] = ()) -> None:
+        self.quadratic = as_expression(quadratic, "the quadratic part of a potential")
+        for each in stored:
+            if not (isinstance(each, tuple) and len(each) == 2 and callable(each[0])):
+                raise InvalidModel(
+                    f"a stored energy is a pair (W, pi) of a function and an expression, not {described(each)}"
+                )
+        self.stored = tuple(Stored(W, as_expression(pi, "an invariant")) for W, pi in stored)
+        total = self.quadratic
+        for part in self.stored:
+            if part.invariant.numel() != 1:
+                raise InvalidModel(f"an invariant is one expression, not one of shape {part.invariant.shape}")
+            total = total + as_expression(part.energy(part.invariant), "a stored energy")
+        super().__init__(total)
+
+
+def summands(potential: ca.SX) -> tuple[ca.SX, tuple[Stored, ...]]:
+    """Return V2 and the stored energies of a potential; of a plain expression itself and none."""
+    if isinstance(potential, Potential):
+        return potential.quadratic, potential.stored
+    return potential, ()

@@ -1,0 +1,230 @@
+"""One step of the energy-momentum scheme, compiled: energy, momentum and constraints to round-off at any step size.
+
+With q_h = (q0 + q1)/2, constant M, constraints at most quadratic and V = V2 + sum W_a(pi_a), V2 and pi_a at most
+quadratic (Gonzalez 1996, Betsch and Steinmann 2001):
+
+    q1 - q0     = (h/2) (v0 + v1)
+    M (v1 - v0) = -h [grad V2(q_h) + sum W_a'(pi_a0, pi_a1) grad pi_a(q_h)] - h G(q_h)^T lam + h f - h B(q_h)^T u
+    g(q1)       = 0
+
+where W'(x0, x1) is the difference quotient. The unknowns are q1 and L = h^2 lam, the momentum rows are multiplied by
+h/2: so the condition of Newton's matrix does not depend on h.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidModel
+from servocore.model.potentials import summands
+from servocore.model.symbols import Coordinates
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, Call
+from servocore.numerics.square_systems import SquareSystem, compile_solver
+
+_AXES = "xyz"
+_ROUND_OFF = 1e-9  # relative: what is left of a constraint's moment
+
+
+@dataclass(frozen=True, eq=False)
+class ConservingStep:
+    """Compiled functions of the scheme for one system.
+
+    Attributes
+    ----------
+    step : casadi.Function
+        (state (q, v, L), u, h, p) -> (state, counts (2,), residual, work): the work of inputs and forces in J.
+    energy : casadi.Function
+        (q, v, p) -> kinetic and potential energy together, J, and the angular momentum about the origin (3,), N m s.
+    """
+
+    step: ca.Function
+    energy: ca.Function
+
+
+def compile_conserving_step(system: MechanicalSystem) -> ConservingStep:
+    """Compile the scheme for a system.
+
+    Raises
+    ------
+    InvalidModel
+        If M depends on q, the equations hold the time, or a constraint, V2 or an invariant is more than quadratic.
+    """
+    _require_conservable(system)
+    n, m_h, q, v = len(system.coordinates), system.lam.numel(), system.q, system.v
+    equations, push = conserving_equations(system)
+    q0, v0, h = equations.givens[:n], equations.givens[n : 2 * n], equations.givens[-1 - system.p.numel()]
+    q1, L1 = equations.unknowns[:n], equations.unknowns[n:]
+    after = ca.vertcat(q1, 2 * (q1 - q0) / h - v0, L1)
+    solver = compile_solver("sc_conserving", equations, [after, ca.dot(push, q1 - q0)])
+    sizes = (2 * n + m_h, len(system.inputs), 1, system.p.numel())
+    arguments = [ca.MX.sym(name, size) for name, size in zip(("state", "u", "h", "p"), sizes, strict=True)]
+    state, work, counts, residual = solver(ca.vertcat(*arguments))
+    step = ca.Function("sc_conserving_step", arguments, [state, counts, residual, work])
+    energy = ca.dot(v, ca.mtimes(system.mass, v)) / 2 + ca.SX(system.potential)
+    told = ca.Function("sc_energy", [q, v, system.p], [energy, angular_momentum(system)], {"cse": True})
+    return ConservingStep(step, told)
+
+
+def conserving_equations(system: MechanicalSystem) -> tuple[SquareSystem, ca.SX]:
+    """Return the equations of a step for (q1, L), given (q0, v0, L0, u, h, p), and the forces that do work, (n,)."""
+    n, m_h, nominal = len(system.coordinates), system.lam.numel(), ca.DM(system.coordinates.nominal)
+    sizes = {"q0": n, "v0": n, "L0": m_h, "q1": n, "L1": m_h}
+    q0, v0, L0, q1, L1 = (ca.SX.sym(name, size) for name, size in sizes.items())
+    h = ca.SX.sym("h")
+    middle, rate = (q0 + q1) / 2, (q1 - q0) / h
+    terms = [system.G, system.input_matrix, system.force]
+    G, B, force = ca.substitute(terms, [system.q, system.v], [middle, rate])
+    push = force - ca.mtimes(B.T, system.u)
+    momentum = ca.mtimes(system.mass, q1 - q0 - h * v0) + ca.mtimes(G.T, L1) / 2
+    momentum += h**2 / 2 * (_conservative(system, q0, q1) - push)
+    inertia = ca.fabs(ca.diag(system.mass)) * nominal
+    heaviest = ca.mmax(inertia)
+    equations = SquareSystem(
+        unknowns=ca.vertcat(q1, L1),
+        givens=ca.vertcat(q0, v0, L0, system.u, h, system.p),
+        residual=ca.vertcat(momentum, ca.substitute(system.constraints, system.q, q1)),
+        guess=ca.vertcat(q0 + h * v0, L0),
+        unknown_scale=ca.vertcat(ca.SX(nominal), heaviest * ca.SX.ones(m_h)),
+        residual_scale=ca.vertcat(ca.if_else(inertia > 0, inertia, heaviest), ca.SX.ones(m_h)),
+    )
+    return equations, push
+
+
+def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
+    """Return the discrete gradient of the potential between two configurations, shape (n,)."""
+    q, middle = system.q, (q0 + q1) / 2
+    quadratic, stored = summands(system.potential)
+    found = ca.substitute(ca.gradient(quadratic, q), q, middle)
+    for each in stored:
+        before, after = (ca.substitute(each.invariant, q, place) for place in (q0, q1))
+        found += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
+    return found
+
+
+def _require_conservable(system: MechanicalSystem) -> None:
+    """Raise `InvalidModel` if the scheme cannot conserve the energy of a system, and say why."""
+    name, q = system.name, system.q
+    if system.time.numel():
+        raise InvalidModel(f"{name}: its equations hold the time, so that its energy is not conserved")
+    if ca.depends_on(system.mass, q):
+        raise InvalidModel(f"{name}: its mass depends on the configuration, energy-momentum needs a constant one")
+    crooked = [k for k in range(system.lam.numel()) if not _at_most_quadratic(system.constraints[k], q)]
+    if crooked:
+        raise InvalidModel(
+            f"{name}: energy-momentum needs constraints that are at most quadratic, but these are not:"
+            f" {system.listed_constraints(crooked)}"
+        )
+    quadratic, stored = summands(system.potential)
+    if not _at_most_quadratic(quadratic, q):
+        raise InvalidModel(
+            f"{name}: its potential is more than quadratic; energy-momentum needs it as a Potential of a quadratic part"
+            " and of energies of quadratic invariants"
+        )
+    for k, each in enumerate(stored):
+        if not _at_most_quadratic(each.invariant, q):
+            raise InvalidModel(f"{name}: the invariant of its stored energy {k + 1} is more than quadratic")
+
+
+def _at_most_quadratic(expression: ca.SX, q: ca.SX) -> bool:
+    return not ca.depends_on(ca.jacobian(ca.gradient(expression, q), q), q)
+
+
+# Rotations ------------------------------------------------------------------------------------------------------------
+
+
+def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
+    """Return where the vectors of a configuration are: places of their components along x, y and z.
+
+    Names tell: coordinates whose names differ in a last x, y, z only are the components of one vector, as
+    ``load.x``, ``load.y``, ``load.z``. Without a z the vector is one of the plane.
+    """
+    places: dict[str, dict[str, int]] = {}
+    for k, name in enumerate(coordinates.names):
+        stem, axis = name[:-1], name[-1:]
+        if axis in _AXES and stem[-1:] in ("", "_", "."):
+            places.setdefault(stem, {})[axis] = k
+    found = [tuple(each.get(axis) for axis in _AXES) for each in places.values()]
+    return tuple(each for each in found if each[0] is not None and each[1] is not None)
+
+
+def angular_momentum(system: MechanicalSystem) -> ca.SX:
+    """Return the angular momentum about the origin, shape (3,): of the vectors that the coordinates are."""
+    momentum, found = ca.mtimes(system.mass, system.v), ca.SX.zeros(3)
+    for places in vectors(system.coordinates):
+        arm, share = (
+            ca.vertcat(*[ca.SX(0) if k is None else each[k] for k in places]) for each in (system.q, momentum)
+        )
+        found += ca.cross(arm, share)
+    return found
+
+
+def _turned(coordinates: Coordinates, axis: int, q: Array) -> Array:
+    """Return the rate of a configuration that turns about an axis through the origin by one radian a second."""
+    rate, one, two = np.zeros(len(q)), (axis + 1) % 3, (axis + 2) % 3
+    for places in vectors(coordinates):
+        first, second = places[one], places[two]
+        if first is not None and second is not None:
+            rate[first], rate[second] = -q[second], q[first]
+    return rate
+
+
+def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) -> None:
+    """Raise `InvalidModel` for constraints that turn with the system only where they vanish.
+
+    Such a constraint, as p - s d = 0, holds after every rotation, but at the middle of a step it does not vanish, and
+    its force has a moment there: the angular momentum would drift. Written as d . p = s and d x p = 0 it has none.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        With constraints that are at most quadratic.
+    q : ndarray, shape (n,)
+        A configuration in which they hold.
+    p : ndarray
+        Parameters.
+    """
+    gradient = ca.gradient(ca.SX(system.potential), system.q)
+    look = Call(ca.Function("sc_rows", [system.q, system.p], [ca.densify(system.G), ca.densify(gradient)]))
+    other = _assembled_elsewhere(system, q, p)
+    if other is None:
+        return
+    flat = any(None in each for each in vectors(system.coordinates))
+    for axis in (2,) if flat else range(3):
+        ends = [_moments(look, system.coordinates, axis, each, p) for each in (q, other)]
+        if any(each.any() for each in ends):
+            continue  # rotations about this axis are no symmetry
+        guilty = np.flatnonzero(_moments(look, system.coordinates, axis, (q + other) / 2, p)[:-1])
+        if len(guilty):
+            raise InvalidModel(
+                f"{system.name}: rotations about the {_AXES[axis]} axis leave these constraints as they are only where"
+                f" they vanish, so that the angular momentum would drift: {system.listed_constraints(guilty.tolist())};"
+                " for p = s d write d . p = s and d x p = 0"
+            )
+
+
+def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array) -> npt.NDArray[np.bool_]:
+    """Return which constraints, and whether the potential last of all, change when everything turns about an axis."""
+    rate = _turned(coordinates, axis, q)
+    G, slope = look(q, p)
+    rows = np.vstack([G, slope.reshape(1, -1)])
+    changes: npt.NDArray[np.bool_] = np.abs(rows @ rate) > _ROUND_OFF * (
+        np.abs(rows) @ np.abs(rate) + np.finfo(np.float64).tiny
+    )
+    return changes
+
+
+def _assembled_elsewhere(system: MechanicalSystem, q: Array, p: Array) -> Array | None:
+    """Return another configuration in which the constraints hold, away from `q`; None if none is found."""
+    look = Call(ca.Function("sc_g", [system.q, system.p], [ca.densify(system.constraints), ca.densify(system.G)]))
+    other: Array = q + 0.3 * np.array(system.coordinates.nominal) * np.sin(1.0 + 7.0 * np.arange(len(q)))
+    for _ in range(50):
+        g, G = look(other, p)
+        if not g.size or np.abs(g).max() < 1e-13 * (1.0 + np.abs(other).max()):
+            return other
+        other = other - np.linalg.lstsq(G, g.ravel(), rcond=None)[0]
+    return None

@@ -1,0 +1,135 @@
+"""The energy-momentum scheme: what it conserves, at which order it errs, what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import conserved
+import numpy as np
+import pytest
+from problems import scene
+
+import servocore as sc
+from servocore.stepping.energy_momentum import conserving_equations
+
+STEPS = {
+    conserved.free_body: (0.1, 0.03, 0.01),
+    conserved.heavy_top: (0.01, 0.002),
+    conserved.crane: (0.1, 0.01),
+    conserved.braked_crane: (0.1, 0.01),
+    conserved.four_bar: (0.03, 0.01),
+    conserved.floating_loop: (0.1, 0.01),
+}
+"""Mechanisms, and steps in s."""
+
+RUNS = [(make, step) for make, steps in STEPS.items() for step in steps]
+
+
+def named(value):
+    return value.__name__ if callable(value) else str(value)
+
+
+@pytest.mark.parametrize(("make", "step"), RUNS, ids=named)
+def test_energy_momentum_and_constraints_stay_for_ten_thousand_steps(make, step):
+    motion = make()
+    found = motion.run(step, 10_000 if make is not conserved.braked_crane else 3000, every=10)
+    energy, momentum = motion.drift(found)
+    assert energy < 1e-10
+    assert momentum < 1e-10
+    assert found.statistics.constraint_violation < 1e-12
+
+
+@pytest.mark.parametrize("make", STEPS, ids=named)
+def test_errors_fall_with_the_square_of_the_step(make):
+    """At 0.2 s, against integration with error control of the equations differentiated twice."""
+    motion, count = make(), 25 if make is not conserved.heavy_top else 200
+    exact = motion.run(0.2 / count, count, every=count, rtol=1e-12, atol=1e-13)
+    names = motion.system.coordinates.names
+    errors = []
+    for finer in (1, 2, 4):
+        found = motion.run(0.2 / count / finer, count * finer, every=count * finer)
+        errors.append(max(abs(found[name][-1] - exact[name][-1]) for name in names))
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    np.testing.assert_allclose(orders, 2.0, atol=0.15)
+
+
+def test_the_energy_changes_by_the_work_of_the_inputs():
+    motion = conserved.crane()
+    found = motion.run(0.05, 2000, inputs=lambda t: np.array([20 * np.sin(t), 5 * np.cos(0.7 * t), 3 * np.sin(2 * t)]))
+    change = found["energy"] - found["energy"][0]
+    assert np.ptp(found["work"]) > 10.0
+    assert np.abs(change - found["work"]).max() < 1e-8 * np.abs(found["energy"]).max()
+
+
+@pytest.mark.parametrize("make", STEPS, ids=named)
+def test_the_condition_of_a_step_does_not_depend_on_its_size(make):
+    motion = make()
+    system = motion.system
+    equations, _ = conserving_equations(system)
+    J = ca.jacobian(equations.residual, equations.unknowns)
+    scaled = ca.mtimes([ca.diag(1 / equations.residual_scale), J, ca.diag(equations.unknown_scale)])
+    matrix = ca.Function("J", [equations.unknowns, equations.givens], [ca.densify(scaled)])
+    names, p = system.coordinates.names, system.parameters.values()
+    q = np.array([motion.start[each] for each in names])
+    lam, u = np.zeros(system.lam.numel()), np.zeros(len(system.inputs))
+    conditions = [
+        np.linalg.cond(np.asarray(matrix(np.r_[q, lam], np.r_[q, 0 * q, lam, u, h, p]))) for h in (1e-2, 1e-4, 1e-6)
+    ]
+    np.testing.assert_allclose(conditions, conditions[0], rtol=0.05)
+
+
+def test_rates_of_constraints_tell_how_far_off_a_coarse_step_is():
+    """Velocities keep them in the mean of a step only: 100 times off for ten times the step."""
+    motion = conserved.free_body()
+    coarse, fine = (motion.run(h, round(1 / h)).statistics.constraint_rate_violation for h in (0.1, 0.01))
+    assert 50 < coarse / fine < 200
+
+
+# Refusals -------------------------------------------------------------------------------------------------------------
+
+
+def simulated(found: sc.Scene, model=None, step=0.1, **how):
+    return sc.simulate(found, lambda _: np.zeros(3), t=np.array([0.0, 1.0]), model=model, **{
+        "method": sc.EnergyMomentum(), "step": step, **how})  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ("points", "rotations about the z axis leave these constraints .* only where they vanish.*: g_2, g_3"),
+        ("generalized", "its mass depends on the configuration"),
+        ("bodies", "at most quadratic, but these are not: phi, beta"),
+    ],
+)
+def test_models_that_the_scheme_cannot_conserve_are_refused_by_name(model, said):
+    with pytest.raises(sc.InvalidModel, match=said):
+        simulated(scene("rotary_crane"), model)
+
+
+def test_a_potential_that_is_more_than_quadratic_must_be_given_in_summands():
+    base = conserved.crane()
+    with pytest.raises(sc.InvalidModel, match="its potential is more than quadratic"):
+        simulated(
+            replace(base.scene, models={"only": lambda: replace(base.system, potential=ca.SX(base.system.potential))})
+        )
+
+
+def test_a_step_that_turns_too_far_is_refused_with_the_time():
+    with pytest.raises(sc.IntegrationFailed, match=r"step from t = \d.* s was not solved: something turns or swings"):
+        conserved.four_bar().run(0.3, 1000)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"step": 0.3}, "reports whole steps, but t = 1 s is 3.33333 steps of 0.3 s"),
+        ({"step": -0.1}, "the step must be positive and finite, not -0.1 s"),
+        ({"step": None}, "the step of the energy-momentum scheme"),
+        ({"method": None}, "goes by EnergyMomentum.*, not by None"),
+        ({"method": sc.BackwardEuler()}, "goes by EnergyMomentum"),
+    ],
+)
+def test_steps_and_methods_that_do_not_fit_are_refused(how, said):
+    with pytest.raises(sc.InvalidSetting, match=said):
+        simulated(sc.scenes.rotary_crane(invariant=True), **how)
