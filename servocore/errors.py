@@ -61,6 +61,6 @@ def require_kind(
 
 def require_real(value: object, what: str, wanted: str, error: type[ServocoreError]) -> None:
     """Raise `error`, saying what was wanted and what was found, unless `value` is a real number."""
-    sized = getattr(value, "size", 1) == 1
+    sized = getattr(value, "ndim", 0) == 0
     if isinstance(value, bool | str | type) or not hasattr(value, "__float__") or not sized:
         raise error(f"{what} must be {wanted}, not {described(value)}")

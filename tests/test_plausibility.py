@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -90,7 +91,11 @@ def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well():
 def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(distance):
     crane = near_axis(distance)
     for sign, scene in ((1.0, crane), (-1.0, near_axis(-distance))):
-        found = sc.solve(scene, sc.Reduced(), step=crane.reference.duration / 3)
+        near = (
+            pytest.warns(sc.ServocoreWarning, match="close to a pole: .* M_b is") if distance < 0.1 else nullcontext()
+        )
+        with near:
+            found = sc.solve(scene, sc.Reduced(), step=crane.reference.duration / 3)
         fine = scene.exact(np.linspace(0.0, crane.reference.duration, 30_001))["phi"]
         np.testing.assert_allclose(found["phi"], fine[::10_000], atol=1e-9)
         assert np.sign(found["phi"][-1] - found["phi"][0]) == sign

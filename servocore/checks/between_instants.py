@@ -26,6 +26,7 @@ _TIMES = 10.0  # the largest value at the instants: a peak that a run hides
 _HUGE = 1e9  # times its typical magnitude: a peak that needs a word though an instant shows it
 _POLE = 1e6  # times the largest value at the instants: it grows without bound
 _SECTIONS, _ROUNDS = 17, 11
+_NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; nearer a singularity round-off may be all
 
 
 def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
@@ -33,14 +34,16 @@ def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
     t = solution.t
     if len(t) < 4 * _MARGIN or len(solution.channels) < len(problem.system.inputs):
         return []
-    columns, positive = problem.resolved.once(_watched, solution.channels)
-    values = solution.values.T[columns]
+    columns, positive, coordinates = problem.resolved.once(_watched, solution.channels)
+    values = solution.values.T[[*columns, *coordinates]]
     bend = np.abs(values[:, :-2] - 2.0 * values[:, 1:-1] + values[:, 2:])
     peaks = np.maximum(values.max(axis=1), -values.min(axis=1))
     # Seldom does one stand out of its own row: most runs are done with here.
     standing_out = bend > np.maximum(_STANDS_OUT * _beside(bend), _ROUND_OFF * peaks[:, None])
     standing_out[positive] |= values[positive, 1:-1] <= bend[positive]
-    return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out)]
+    inputs = [row for row, k in enumerate(columns) if solution.channels[k] in problem.system.inputs]
+    standing_out[inputs] |= standing_out[len(columns) :].any(axis=0)  # a coordinate turns back short of a pole
+    return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
 
 
 def _beside(bend: Array) -> Array:
@@ -53,12 +56,13 @@ def _beside(bend: Array) -> Array:
     return found
 
 
-def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int]]:
-    """Return which channels are inputs or observables, angles apart, and which of these must be positive."""
+def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:
+    """Return which channels are inputs or observables but angles, which of these must be positive, and coordinates."""
     system = resolved.system
     known = {*system.inputs, *system.observables}
     columns = [k for k, each in enumerate(channels) if each in known and each.unit != "rad"]
-    return columns, [row for row, k in enumerate(columns) if channels[k].positive]
+    coordinates = [k for k, each in enumerate(channels) if each in system.coordinates.quantities and k not in columns]
+    return columns, [row for row, k in enumerate(columns) if channels[k].positive], coordinates
 
 
 def look_between(solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]) -> None:
@@ -89,17 +93,20 @@ def look_between(solution: Solution, suspected: list[tuple[int, int]], values: C
         sizes = np.abs(solution.values[:, channel])
         peak = float(sizes.max())
         begin, end = float(t[max(k - 1, 0)]), float(t[min(k + 1, len(t) - 1)])
-        for time, value in _extremes(partial(values, channel), begin, end, quantity.positive):
+        for time, value, nearby in _extremes(partial(values, channel), begin, end, quantity.positive):
             at = f"at t = {time:.9g} s {quantity.name} is {value:.4g} {quantity.unit}"
             if quantity.positive and not value > 0.0:
                 raise IntegrationFailed(f"{solution.route}: between two instants, {at}, {quantity.wrong_sign}")
+            if not nearby > peak and not quantity.positive:
+                continue  # round-off, where the equations are singular and this value is not
             if not abs(value) < _POLE * peak:
                 raise IntegrationFailed(
                     f"{solution.route}: {quantity.name} has a pole between two instants: {at}, and no more than"
                     f" {peak:.4g} {quantity.unit} at all instants"
                 )
-            if abs(value) > min(_TIMES * peak, _HUGE * quantity.magnitude):
-                usual = float(np.median(sizes))
+            usual = float(np.median(sizes))
+            huge = abs(value) > _HUGE * quantity.magnitude and abs(value) > _TIMES * usual
+            if huge or abs(value) > _TIMES * peak:
                 said = f"{at}, at the instants at most {peak:.4g} and mostly {usual:.4g} {quantity.unit}"
                 hidden[quantity.name] = max(hidden.get(quantity.name, (0.0, "")), (abs(value) / peak, said))
     if hidden:
@@ -115,14 +122,20 @@ def look_between(solution: Solution, suspected: list[tuple[int, int]], values: C
 
 def _extremes(
     evaluate: Callable[[Array], Array], begin: float, end: float, downwards: bool
-) -> Iterator[tuple[float, float]]:
-    """Yield where a function is largest in magnitude between two times, and where it is smallest if that is asked."""
+) -> Iterator[tuple[float, float, float]]:
+    """Yield where a function is largest in magnitude between two times, and where it is smallest if that is asked.
+
+    With the time and the value comes the largest magnitude that is seen before the last rounds, some millionths of the
+    interval away.
+    """
     for measure in (np.abs, np.negative) if downwards else (np.abs,):
-        first, last = begin, end
-        for _ in range(_ROUNDS):
+        first, last, nearby = begin, end, 0.0
+        for round_ in range(_ROUNDS):
             t = np.linspace(first, last, _SECTIONS)
             values = evaluate(t)
             known = np.nan_to_num(measure(values), nan=np.inf, posinf=np.inf)
             k = int(known.argmax())
+            if round_ == _NEARBY:
+                nearby = float(np.abs(np.nan_to_num(values, nan=np.inf)).min())
             first, last = t[max(k - 1, 0)], t[min(k + 1, _SECTIONS - 1)]
-        yield float(t[k]), float(values[k])
+        yield float(t[k]), float(values[k]), nearby

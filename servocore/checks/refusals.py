@@ -48,6 +48,7 @@ class _Reach:
     problem: Problem
     rows: Call
     size: Array
+    held: Array
 
     @classmethod
     def of(cls, problem: Problem) -> _Reach:
@@ -58,7 +59,13 @@ class _Reach:
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        return cls(problem, problem.resolved.once(constraint_rows)[1], size)
+        rows, x = problem.resolved.once(constraint_rows)[1], _guess(problem, float(times[0]))
+        nominal = np.array(problem.system.coordinates.nominal)
+        residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
+        # Constraints hold to a part of what their rows change by when a coordinate goes as far as it does.
+        scale = np.abs(np.nan_to_num(jacobian.reshape(len(residual), -1)) * nominal).max(axis=1)
+        scale = np.where(scale > 0.0, scale, 1.0)[: len(residual) - len(size)]
+        return cls(problem, rows, size, _HELD / scale)
 
     def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
         """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
@@ -80,8 +87,7 @@ class _Reach:
     def _weighed(self, x: Array, time: float) -> tuple[Array, Array]:
         problem, nominal = self.problem, np.array(self.problem.system.coordinates.nominal)
         residual, jacobian = self.rows(x * nominal, problem.reference.jet(time, 0)[0], problem.p)
-        held = len(residual) - len(self.size)
-        weights = np.concatenate([np.full(held, _HELD), 1.0 / self.size])
+        weights = np.concatenate([self.held, 1.0 / self.size])
         jacobian = jacobian.reshape(len(residual), -1) * nominal
         return residual * weights, jacobian * weights[:, None]
 

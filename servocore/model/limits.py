@@ -15,6 +15,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.model.units import in_unit
+from servocore.numerics.expressions import as_expression
 
 RATE = ".rate"
 """How the name of a rate of change ends."""
@@ -62,6 +63,10 @@ class Limit:
     rate: bool = False
 
     def __post_init__(self) -> None:
+        if not callable(self.expression):
+            raise InvalidSetting(
+                f"the limit of {self.quantity} needs a function that returns an expression, not {self.expression!r}"
+            )
         if not self.bound < self.upper:
             raise InvalidSetting(
                 f"the limit of {self.quantity} must run from a lower to an upper bound, not from {self.bound:g} to"
@@ -77,7 +82,10 @@ class Limit:
         """Return the expression for a system."""
         evaluate: Callable[..., ca.SX] = self.expression
         given = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
-        return ca.SX(evaluate(*given))
+        found = as_expression(evaluate(*given), f"{system.name}: the limit of {self.quantity}")
+        if found.shape != (1, 1):
+            raise InvalidModel(f"{system.name}: the limit of {self.quantity} has shape {found.shape}, not (1, 1)")
+        return found
 
 
 def _arguments(function: Callable[..., Any]) -> int:

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel, described, require_kind
+from servocore.errors import InvalidModel, described, require_kind, require_real
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
 
@@ -49,6 +49,7 @@ class Parameter:
         if not isinstance(self.name, str) or not self.name:
             raise InvalidModel(f"the name of a parameter must be a text, not {described(self.name)}")
         require_kind(self.unit, str, f"the unit of parameter {self.name}", "a text such as 'kg'", InvalidModel)
+        require_real(self.default, f"the default of parameter {self.name}", "a number", InvalidModel)
         for bound in (self.lower, self.upper):
             require_kind(bound, (int, float), f"a bound of parameter {self.name}", "a number", InvalidModel)
         if not self.lower <= self.upper:

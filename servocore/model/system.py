@@ -213,9 +213,10 @@ class MechanicalSystem:
 
     def _set_clock(self, m: int) -> None:
         """Make the time, if there is one, the last row of gamma and the last entry of home."""
-        if not self.time.numel():
+        if isinstance(self.time, ca.SX) and not self.time.numel():
             return
-        if self.time.shape != (1, 1) or not self.time.is_symbolic():
+        require_kind(self.time, ca.SX, f"{self.name}: the time", "a symbol of casadi.SX.sym", InvalidModel)
+        if not self.time.is_symbolic():
             raise InvalidModel(f"{self.name}: the time must be one symbol, not {self.time}")
         if self.gamma.size1() == m:  # a system made from another has that row already
             rates = ca.SX.sym("time", 1, MAX_REFERENCE_ORDER)

@@ -60,10 +60,12 @@ class Pointwise:
         try:
             states, how = on_one_branch(problem, times, done.states)
         except IntegrationFailed as error:
-            unsolved = np.flatnonzero(~np.isfinite(done.states[:, 1:]).all(axis=0))
-            if not len(unsolved):
+            solved = np.isfinite(done.states).all(axis=0)
+            if solved.all():
+                solution_of(problem, [Segment(program, times, done)])  # a sign that is wrong is a better reason
+            if solved.any():
                 raise
-            k = int(unsolved[0])
+            k = 0
             raise failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
         return solution_of(problem, [Segment(program, times, replace(done, states=states))], branch=how)
 
@@ -181,9 +183,11 @@ class ExactInversion:
             found = self._evaluated(2, jets, self._table.states_at(flat, jets))
         else:
             found = self._from_guesses(jets)
-        self._require_answers(found, flat)
         if isinstance(self._table, IntegrationFailed):
+            if np.isfinite(found).all():
+                self._require_answers(found, flat)  # a wrong sign is a better reason
             raise self._table
+        self._require_answers(found, flat)
         return found[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
     def _from_guesses(self, jets: Array) -> Array:

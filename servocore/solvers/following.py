@@ -31,6 +31,7 @@ _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be 
 _MOST_BISECTIONS = 45
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _SINGULAR_CONDITION = 1e12
+_MUCH_WORSE = 1e6  # than beside it: Newton's method comes no nearer to a singular answer
 _EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
 _SURVEYED = 400  # instants at least, to tell whether guesses keep to one branch
 _NONE = np.zeros(0, dtype=np.intp)
@@ -121,8 +122,8 @@ class Branch:
         Without internal dynamics.
     taylor : Taylor
         Of its derivative array.
-    search, jacobian : Call
-        Newton's method from a guess, and the system Jacobian.
+    search : Call
+        Newton's method from a guess.
     scale : ndarray, shape (n,)
         Ranges of the coordinates.
     """
@@ -130,20 +131,18 @@ class Branch:
     problem: Problem
     taylor: Taylor
     search: Call
-    jacobian: Call
     scale: Array
 
     @classmethod
     def along(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        taylor, search, jacobian = problem.resolved.once(_compiled)
+        taylor, search = problem.resolved.once(_compiled)
         q = states[taylor.q]
         finite = np.isfinite(q)
         lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
         ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
-        return cls(
-            problem, taylor, search, jacobian, np.maximum(ranges, _STILL * np.array(problem.system.coordinates.nominal))
-        )
+        still = _STILL * np.array(problem.system.coordinates.nominal)
+        return cls(problem, taylor, search, np.maximum(ranges, still))
 
     def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
@@ -174,16 +173,30 @@ class Branch:
             waiting.append(middle)
         return state
 
-    def require_regular(self, t: Array, states: Array, instants: npt.NDArray[np.intp]) -> None:
-        """Raise `IntegrationFailed` if the equations determine no answer at one of some instants."""
-        problem = self.problem
-        for k in instants:
-            condition = condition_number(self._jacobian_at(float(t[k]), states[:, k]))
-            if not condition < _SINGULAR_CONDITION:
+    def require_regular(self, t: Array, states: Array, instants: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+        """Return the intervals in which the determinant of the system Jacobian changes its sign: singular, and passed.
+
+        Raises
+        ------
+        IntegrationFailed
+            If the equations determine no answer at one of some `instants`, or beside a sign that changes.
+        """
+        matrices = self._jacobians_at(t, states)
+        # Scaled by the whole path: at a single instant scaling hides an equation that loses all its terms there.
+        for axes in ((0, 2), (0, 1)):
+            largest = np.abs(matrices).max(axis=axes, keepdims=True)
+            matrices = matrices / np.where(largest > 0.0, largest, 1.0)
+        signs, _ = np.linalg.slogdet(matrices)
+        passed = np.flatnonzero(signs[:-1] * signs[1:] <= 0.0)
+        for k in np.unique(np.concatenate([instants, passed, passed + 1])):
+            beside = k - 1 if k else k + 1
+            condition, usual = np.linalg.cond(matrices[[k, beside]])
+            if not condition < min(_SINGULAR_CONDITION, _MUCH_WORSE * usual):
                 raise IntegrationFailed(
-                    f"{problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
+                    f"{self.problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
                     f" {condition:.2g}"
                 )
+        return passed
 
     def is_closed_form(self, t: Array, states: Array) -> bool:
         """Whether answers (size, N) are the guess of the model itself, and none of them is singular or seems to jump.
@@ -201,9 +214,11 @@ class Branch:
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
-        jacobians = [self._jacobian_at(float(t[k]), states[:, k]) for k in range(len(t))]
-        signs = {float(np.linalg.slogdet(each)[0]) for each in jacobians}
-        return len(signs) == 1 and all(condition_number(each) < _SINGULAR_CONDITION for each in jacobians)
+        matrices = self._jacobians_at(t, states)
+        signs, _ = np.linalg.slogdet(matrices)
+        return bool((signs == signs[0]).all()) and all(
+            condition_number(each) < _SINGULAR_CONDITION for each in matrices
+        )
 
     def connects(self, t: Array, states: Array) -> bool:
         """Whether following the branch of the first of two answers (size, 2) leads to the second."""
@@ -234,10 +249,13 @@ class Branch:
             found[:, k] = self.follow(found[:, k - 1], float(t[k - 1]), float(t[k]))
         return found
 
-    def _jacobian_at(self, time: float, state: Array) -> Array:
+    def _jacobians_at(self, t: Array, states: Array) -> Array:
+        """Return the system Jacobians, shape (N, size, size), zeros for what is not finite."""
         problem = self.problem
-        jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
-        return self.jacobian(state, jet, problem.p)[0]
+        jets = problem.reference.jet(t, problem.array.reference_order)
+        (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
+        matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
+        return matrices
 
     def _continued(self, state: Array, begin: float, end: float) -> Array | None:
         found = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
@@ -253,9 +271,8 @@ class Branch:
         return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
 
 
-def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call, Call]:
-    search = Call(resolved.once(inversion).search)
-    return Taylor.of(resolved.array), search, Call(resolved.once(system_jacobian))
+def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:
+    return Taylor.of(resolved.array), Call(resolved.once(inversion).search)
 
 
 def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str]:
@@ -287,8 +304,12 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
                 if branch.is_closed_form(t, states):
                     return states, CLOSED_FORM
                 raise
-            branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
-            return found, FOLLOWED
+            passed = branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
+            where = "".join(
+                f"; between t = {t[k]:.6g} s and {t[k + 1]:.6g} s the equations are singular, this one goes on smoothly"
+                for k in passed
+            )
+            return found, FOLLOWED + where
     return states, CONTINUOUS
 
 
@@ -332,7 +353,7 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     jets = problem.reference.jet(t, problem.array.reference_order)
     states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
-    if how != FOLLOWED and inverse.expression is not None:
+    if not how.startswith(FOLLOWED) and inverse.expression is not None:
         exact = at_instants(inverse.expression, jets=jets, p=problem.p)[0]
         if np.isfinite(exact).all():
             return None

@@ -18,8 +18,8 @@ Inputs = Callable[[float], Array]
 _ROUND_OFF = 1e-9  # of the duration
 
 
-def rising_times(t: Any) -> Array:
-    """Return times (N,) as an array.
+def rising_times(t: Any, what: str = "the times at which to report") -> Array:
+    """Return times (N,) as an array; `what` they are is for messages.
 
     Raises
     ------
@@ -29,16 +29,16 @@ def rising_times(t: Any) -> Array:
     try:
         times = np.atleast_1d(np.asarray(t, dtype=np.float64))
     except (TypeError, ValueError):
-        raise InvalidSetting(f"the times at which to report must be numbers in s, not {described(t)}") from None
+        raise InvalidSetting(f"{what} must be numbers in s, not {described(t)}") from None
     if times.ndim != 1 or not len(times) or not np.isfinite(times).all():
         raise InvalidSetting(
-            f"the times at which to report must be one row of finite numbers in s, not an array of shape {times.shape}"
+            f"{what} must be one row of finite numbers in s, not an array of shape {times.shape}"
             + ("" if np.isfinite(times).all() else f" that holds {times[~np.isfinite(times)][0]}")
         )
     falls = np.flatnonzero(np.diff(times) < 0.0)
     if len(falls):
         k = int(falls[0])
-        raise InvalidSetting(f"the times at which to report must rise, but {times[k + 1]:g} s follows {times[k]:g} s")
+        raise InvalidSetting(f"{what} must rise, but {times[k + 1]:g} s follows {times[k]:g} s")
     return times
 
 
@@ -67,7 +67,10 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
         raise InvalidSetting(
             f"the solution lacks the inputs {', '.join(missing)} of {system.name}; it has {', '.join(solution.names)}"
         )
-    first, last = float(solution.t[0]), float(solution.t[-1])
+    known = rising_times(solution.t, "the times of the inputs")
+    if (np.diff(known) <= 0.0).any():
+        raise InvalidSetting(f"the inputs are given twice at t = {known[int((np.diff(known) <= 0.0).argmax())]:g} s")
+    first, last = float(known[0]), float(known[-1])
     slack = _ROUND_OFF * (last - first)
     if t[0] < first - slack or t[-1] > last + slack:
         raise InvalidSetting(

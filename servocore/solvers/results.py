@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
+from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
@@ -77,6 +78,7 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
     jets = problem.reference.jet(t, program.start_order)
     observed, violations = at_instants(program.observe, states, jets=jets, p=problem.p)
     table = observed.T
+    _require_numbers(problem, program, t, table)
     for k in ambiguous_angles(problem, program) if refuse_turns else ():
         require_less_than_half_a_turn(program, k, t, table[:, k])
     for k, channel in enumerate(program.channels):
@@ -87,6 +89,17 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
             program.require_branch(table[first], float(t[first]))
     follow_angles(problem, program, t, states, table)
     return table, violations
+
+
+def _require_numbers(problem: Problem, program: Program, t: Array, table: Array) -> None:
+    """Raise `IntegrationFailed` if an input is not finite: no equation of the derivative array may show that."""
+    bad = np.argwhere(~np.isfinite(table[:, : len(problem.system.inputs)]))
+    if len(bad):
+        k, j = bad[0]
+        raise IntegrationFailed(
+            f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
+            " no finite number there, as v/|v| is none at rest"
+        )
 
 
 def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Statistics:

@@ -14,6 +14,7 @@ from servocore.checks.branches import require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
+from servocore.checks.masses import require_positive_mass
 from servocore.checks.refusals import explained
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
 from servocore.formulations.base import Formulation
@@ -41,6 +42,8 @@ from servocore.structure.inversion import inversion
 
 _DEFAULT_STEPS = 200
 _MOST_STEPS = 10**8
+_MORE = 212  # a prime number of steps: none ends in the middle or at a third, where paths are special
+_FEW = 150  # instants: where nothing that happens between them shows
 _BETTER = RadauIIA(5)
 _ROUGH = 0.01  # a tolerance that does not say by itself that inputs are good
 Stepped = FixedStep | StateSelection | ToTolerance
@@ -126,9 +129,21 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
 def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Look at a solution (one branch, no poles between instants, right inputs); return it with what was seen."""
     passed = require_one_branch(problem, solution)
+    require_positive_mass(problem, solution)
     survey_between(problem, solution, unknowns_beside)
+    if len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
+        survey_between(problem, _at_more_instants(problem), unknowns_beside)
     branch = _branch(problem, route, solution) + passed
     return replace(solution, statistics=replace(solution.statistics, branch=branch))
+
+
+def _at_more_instants(problem: Problem) -> Solution:
+    """Return the exact inversion at many instants, for a run that has few: they hide what is between them."""
+    finer = np.linspace(problem.reference.start_time, problem.reference.end_time, _MORE)
+    try:
+        return Pointwise(Reduced(), BackwardEuler()).run(problem, finer)
+    except IntegrationFailed as error:
+        raise explained(problem, error) from None
 
 
 def _require_arguments(

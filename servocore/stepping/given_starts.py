@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting
+from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting, require_kind, require_real
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
@@ -103,8 +103,10 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
 
 
 def _require_numbers(start: Start, name: str) -> None:
+    require_kind(start, Mapping, f"{name}: a start", "values by name, such as {'theta': 0.1}", InvalidSetting)
     for each, value in start.items():
-        if not isinstance(value, (int, float)) or not np.isfinite(value):
+        require_real(value, f"{name}: the start of {each}", "a finite number", InvalidSetting)
+        if not np.isfinite(value):
             raise InvalidSetting(f"{name}: the start of {each} must be a finite number, not {value!r}")
 
 

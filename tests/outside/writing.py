@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import pytest
 
 import servocore as sc
 from servocore.scenes.jets import Jet
@@ -31,6 +33,8 @@ class Case:
         Largest error, relative to the peak of each quantity.
     options : mapping
         Of `solve`.
+    warned : str
+        What its solution is warned of; nothing if empty.
     """
 
     scene: sc.Scene
@@ -40,8 +44,14 @@ class Case:
     steps: int = 100
     tolerance: float = 1e-10
     options: Mapping[str, object] | None = None
+    warned: str = ""
 
     def solution(self) -> sc.Solution:
+        said = pytest.warns(sc.ServocoreWarning, match=self.warned) if self.warned else nullcontext()
+        with said:
+            return self._solved()
+
+    def _solved(self) -> sc.Solution:
         return sc.solve(self.scene, step=self.scene.reference.duration / self.steps, **(self.options or {}))
 
 

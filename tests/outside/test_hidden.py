@@ -1,0 +1,122 @@
+"""Silent and wrong: answers hold every equation at every instant asked for, and are wrong."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import casadi as ca
+import numpy as np
+import pytest
+from outside.writing import coordinates, lagrange, square
+
+import servocore as sc
+
+REACH = 1.8
+
+
+@cache
+def arm(scale: float = 1.0) -> sc.MechanicalSystem:
+    """Two links of 1 m and 0.8 m in the plane, torques at both joints, from a guess that is the same everywhere."""
+    q = coordinates("", "a b")
+    a, b = ca.vertsplit(q.q)
+    elbow = scale * ca.vertcat(ca.cos(a), ca.sin(a))
+    hand = elbow + 0.8 * scale * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
+    speeds = [ca.jtimes(each, q.q, q.v) for each in (elbow, hand)]
+    return lagrange(
+        "arm", q, sum(square(each) for each in speeds) + ca.sumsqr(q.v) / 20, {"X": hand[0], "Y": hand[1]},
+        {"T1": a, "T2": b}, guess=lambda _: [0.3, 1.0], home=(1.2 * scale, 0.6 * scale),
+    )  # fmt: skip
+
+
+def out_and_back(reach: float, scale: float = 1.0) -> sc.Scene:
+    """The hand goes out along x from 0.9 m to a reach, at t = 1 s, and back."""
+    middle, way = (reach + 0.9) / 2, (reach - 0.9) / 2
+    path = sc.periodic((scale * middle, 0.0), [[-scale * way, 0.0]], [[0.0, 0.0]], 2.0)
+    return sc.Scene("arm", {"arm": partial(arm, scale)}, path)
+
+
+@pytest.mark.parametrize(("rows", "beyond"), [(3, 0.2), (5, 0.02), (7, 4e-3), (9, 3e-3), (11, 1e-3), (15, 5e-4)])
+def test_a_path_that_is_out_of_reach_between_few_instants_only_is_refused(rows, beyond):
+    with pytest.raises(sc.InvalidReference, match="out of reach"):
+        sc.solve(out_and_back(REACH + beyond), step=2.0 / rows)
+
+
+@pytest.mark.parametrize("beyond", [1e-6, 1e-9])
+def test_the_branch_ends_where_it_ends_and_not_where_the_guess_is_far(beyond):
+    for ask in (sc.solve, lambda scene: sc.ExactInversion(scene)(np.linspace(0.0, 2.0, 38))):
+        with pytest.raises(sc.ServocoreError) as caught:
+            ask(out_and_back(REACH + beyond))
+        assert "0.999" in str(caught.value)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-2, 1e-5])
+def test_how_far_the_reach_is_missed_is_told_at_every_size(scale):
+    with pytest.raises(sc.InvalidReference, match="out of reach") as caught:
+        sc.solve(out_and_back(REACH + 0.2, scale))
+    missed = str(caught.value).partition("misses X = ")[2].split(" by ")[1].split()[0]
+    assert float(missed) == pytest.approx(0.2 * scale, rel=0.02)
+
+
+def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused():
+    """Stretched at t = 1 s exactly, the elbow goes through: the torques have a limit there, and no value."""
+    found = sc.solve(out_and_back(REACH), step=2.0 / 37)
+    assert "between t = 0.972973 s and 1.02703 s the equations are singular" in found.statistics.branch
+    assert np.abs(found["T1"]).max() < 100.0
+    with pytest.raises(sc.IntegrationFailed, match="singular at t = 1 s"):
+        sc.solve(out_and_back(REACH), step=0.01)
+
+
+@pytest.mark.parametrize("steps", [37, 201, 333])
+def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps):
+    """A billionth of a metre short of its reach T1 is 182 kN m for some microseconds."""
+    with pytest.warns(sc.ServocoreWarning, match="close to a pole"):
+        sc.solve(out_and_back(REACH - 1e-9), step=2.0 / steps)
+
+
+def mass_on_a_rail(mass, force) -> sc.Scene:
+    q = coordinates("x")
+    x, v = q.q[0], q.v[0]
+    system = sc.MechanicalSystem(
+        name="mass", coordinates=q, parameters=sc.Parameters(), inputs=(sc.Quantity("F", "N"),),
+        outputs=(sc.Quantity("Y", "m"),), mass=mass(x), output=x, input_matrix=ca.SX(-1), force=force(v), home=(0.1,),
+    )  # fmt: skip
+    return sc.Scene("mass", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
+
+
+@pytest.mark.parametrize("method", [None, sc.RadauIIA(2)])
+@pytest.mark.parametrize("friction", [lambda v: -8 * v / ca.fabs(v), lambda v: -v * ca.log(ca.fabs(v))])
+def test_inputs_that_are_no_numbers_are_refused_with_the_time(friction, method):
+    with pytest.raises(sc.IntegrationFailed, match=r"at t = 0 s"):
+        sc.solve(mass_on_a_rail(lambda _: ca.SX(2), friction), None if method is None else sc.Reduced(), method)
+
+
+def test_a_mass_that_becomes_negative_on_the_way_is_refused_with_the_time():
+    scene = mass_on_a_rail(lambda x: 3 - 6 * x, lambda _: ca.SX(0))
+    with pytest.raises(sc.InvalidModel, match=r"at t = \S+ s the mass matrix has the negative eigenvalue -"):
+        sc.solve(scene)
+
+
+def test_a_large_force_that_is_no_peak_is_left_alone():
+    scene = mass_on_a_rail(lambda _: ca.SX(2), lambda _: ca.SX(0))
+    far = scene.with_reference(sc.rest_to_rest((0.0,), (1e9,), 2.0))
+    for how in ((), (sc.Projected(), sc.BDF(2))):
+        assert np.abs(sc.solve(far, *how, step=0.01)["F"]).max() > 1e9
+
+
+def test_arguments_that_are_of_the_wrong_kind_are_refused_in_our_words():
+    scene = mass_on_a_rail(lambda _: ca.SX(2), lambda _: ca.SX(0))
+    found = sc.solve(scene)
+    shuffled = type(found)(found.t[::-1].copy(), found.channels, found.values, found.route)
+    twice = type(found)(np.r_[0.0, found.t[:-1]], found.channels, found.values, found.route)
+    cases = [
+        (lambda: sc.simulate(scene, shuffled), "must rise, but 1.99 s follows 2 s"),
+        (lambda: sc.simulate(scene, twice), "the inputs are given twice at t = 0 s"),
+        (lambda: sc.solve(scene, start=[0.1]), "a start must be values by name"),
+        (lambda: sc.simulate(scene, found, start=[0.1]), "a start must be values by name"),
+        (lambda: sc.solve(scene, step=np.array([0.1])), "the step must be a time in s"),
+        (lambda: sc.Limit("x", "m", 0.0, "", "x"), "needs a function that returns an expression"),
+        (lambda: sc.Parameter("m", "3", "kg"), "the default of parameter m must be a number"),
+    ]
+    for call, said in cases:
+        with pytest.raises(sc.ServocoreError, match=said):
+            call()
