@@ -7,6 +7,7 @@ docs/howto/assemble-a-mechanism.md.
 """
 
 from servocore.model.rotationless.assembly import Assembly
+from servocore.model.rotationless.flexible import Beam, ElasticRope, Section
 from servocore.model.rotationless.joints import (
     angle,
     cylindrical,
@@ -25,10 +26,13 @@ from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, 
 __all__ = [
     "GROUND",
     "Assembly",
+    "Beam",
+    "ElasticRope",
     "Frame",
     "Place",
     "PointMass",
     "RigidBody",
+    "Section",
     "angle",
     "cylindrical",
     "displacement",

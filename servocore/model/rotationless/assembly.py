@@ -11,20 +11,22 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, described, require_kind
+from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
+from servocore.model.rotationless.flexible import Beam, ElasticRope, Flexible
 from servocore.model.rotationless.joints import Distance
 from servocore.model.rotationless.parts import GROUND, Frame, Place, PointMass, RigidBody, Scalar, frame_of
 from servocore.model.symbols import Coordinates, Parameters, require_unique
 from servocore.model.system import MechanicalSystem, reference_symbols
 from servocore.numerics.expressions import as_expression
 
-Part: TypeAlias = RigidBody | PointMass | Quantity
+Part: TypeAlias = RigidBody | PointMass | Flexible | Quantity
 """A `Quantity` stands for an augmented coordinate: massless, defined by a constraint."""
 
 Named = TypeVar("Named")
 
 Configuration: TypeAlias = Mapping[str, Any]
-"""By name of the part: (position, directors) of a body, position of a point, augmented value."""
+"""By name of the part: (position, directors) of a body or of every node, positions of points, augmented value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +35,7 @@ class Assembly:
 
     Parameters
     ----------
-    parts : sequence of RigidBody, PointMass or Quantity
+    parts : sequence of RigidBody, PointMass, Beam, ElasticRope or Quantity
         A `Quantity` adds an augmented coordinate: a massless angle, displacement or rope length.
     parameters : Parameters
         Constants that mass properties and places may use.
@@ -52,9 +54,9 @@ class Assembly:
     mass : casadi.SX
         Constant mass matrix, shape (n, n); zero for augmented coordinates.
     potential : casadi.SX
-        Potential of gravity, J.
+        Potential of gravity and of what flexible parts store, J.
     orthonormality : casadi.SX
-        Six constraints of every rigid body, in the order of the parts.
+        Six constraints of every rigid body and node, in the order of the parts.
     """
 
     parts: Sequence[Part]
@@ -67,9 +69,9 @@ class Assembly:
 
     def __post_init__(self) -> None:
         require_kind(self.parts, (list, tuple), "the parts of an assembly", "a sequence of them", InvalidModel)
-        kinds = (RigidBody, PointMass, Quantity)
+        kinds = (RigidBody, PointMass, Beam, ElasticRope, Quantity)
         for part in self.parts:
-            require_kind(part, kinds, "a part", "a RigidBody, PointMass or Quantity", InvalidModel)
+            require_kind(part, kinds, "a part", "a RigidBody, PointMass, Beam, ElasticRope or Quantity", InvalidModel)
         require_kind(self.parameters, Parameters, "the parameters of an assembly", "Parameters(...)", InvalidModel)
         require_unique(self._names, "parts")
         for part in self.parts:
@@ -84,12 +86,14 @@ class Assembly:
         constants = [float(each) for each in ca.vertsplit(ca.densify(gravity)) if each.is_constant()]
         if gravity.shape != (3, 1) or not np.isfinite(constants).all():
             raise InvalidModel(f"gravity must be three finite numbers, not {self.gravity}")
-        potential, rows = ca.SX(0), ca.SX(0, 1)
+        potential, rows, stored = ca.SX(0), ca.SX(0, 1), []
         for part, q in zip(self.parts, self._slices, strict=True):
             if not isinstance(part, Quantity):
                 potential -= part.mass * ca.dot(gravity, part.weight_centre(q))
                 rows = ca.vertcat(rows, part.internal_constraints(q))
-        object.__setattr__(self, "potential", potential)
+            if isinstance(part, Flexible):
+                stored += part.stored(q)
+        object.__setattr__(self, "potential", Potential(potential, stored) if stored else potential)
         object.__setattr__(self, "orthonormality", rows)
 
     def body(self, name: str) -> Frame:
@@ -99,6 +103,20 @@ class Assembly:
     def point(self, name: str) -> Place:
         """Return the place of a point mass; its triad is that of the ground."""
         return Frame(self._coordinates_of(name, PointMass, "point mass"), GROUND.directors).at()
+
+    def node(self, name: str, node: int) -> Frame:
+        """Return the frame of a node of a beam, or of a point of a rope (its directors the ground's); -1 is the last.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such beam or rope, or no such node.
+        """
+        q = self._coordinates_of(name, Flexible, "beam or rope")
+        (part,) = (each for each in self.parts if each.name == name)
+        if not isinstance(part, Flexible) or not -part.elements - 1 <= node <= part.elements:
+            raise InvalidModel(f"{name} has no node {node}")
+        return part.frame(q, node) if isinstance(part, Beam) else Frame(part.points(q)[node], GROUND.directors)
 
     def augmented(self, name: str) -> ca.SX:
         """Return the symbol of an augmented coordinate."""
@@ -120,8 +138,10 @@ class Assembly:
         columns = []
         for part in self.parts:
             value = values[part.name]
-            pieces = value if isinstance(part, RigidBody) else (value,)
             what = f"the configuration of {part.name}"
+            if isinstance(part, Flexible):
+                require_kind(value, (list, tuple), what, "a list of its nodes", InvalidModel)
+            pieces = (value,) if isinstance(part, Quantity) else part.pieces(value)
             require_kind(pieces, (list, tuple), what, "(position, directors)", InvalidModel)
             column = ca.vertcat(*[ca.vec(as_expression(piece, what)) for piece in pieces])
             if column.numel() != len(_quantities(part)):
@@ -229,7 +249,7 @@ class Assembly:
 
     def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:
         """Name every row by its joint, with a number where that has several."""
-        bodies = [part.name for part in self.parts if isinstance(part, RigidBody)]
+        bodies = [name for part in self.parts if not isinstance(part, Quantity) for name in part.nodes]
         directors = ("d1.d1", "d2.d2", "d3.d3", "d2.d3", "d3.d1", "d1.d2")
         joints = [
             name if rows.numel() == 1 else f"{name} {k + 1}"
@@ -248,7 +268,7 @@ class Assembly:
         ends = itertools.accumulate((len(_quantities(part)) for part in self.parts), initial=0)
         return [self.coordinates.q[a:b] for a, b in itertools.pairwise(ends)]
 
-    def _coordinates_of(self, name: str, kind: type, what: str) -> ca.SX:
+    def _coordinates_of(self, name: str, kind: Any, what: str) -> ca.SX:
         for part, q in zip(self.parts, self._slices, strict=True):
             if part.name == name and isinstance(part, kind):
                 return q

@@ -52,7 +52,7 @@ class RigidBody:
     def quantities(self) -> tuple[Quantity, ...]:
         """The twelve coordinates."""
         return (
-            *_position_quantities(self.name),
+            *position_quantities(self.name),
             *(Quantity(f"{self.name}.d{k}_{axis}") for k in (1, 2, 3) for axis in _AXES),
         )
 
@@ -79,6 +79,15 @@ class RigidBody:
             raise InvalidModel(f"body {self.name}: inertia needs three principal values or three rows of three numbers")
         return ca.diag(found) if found.size2() == 1 else found
 
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Its name, once: what has directors."""
+        return (self.name,)
+
+    def pieces(self, value: Any) -> Any:
+        """Return what a configuration gives: (position, directors)."""
+        return value
+
     def weight_centre(self, q: ca.SX) -> ca.SX:
         """Return the position of the centre of mass, shape (3,), for the twelve coordinates `q`."""
         return frame_of(q).point(self.centre)
@@ -96,7 +105,7 @@ class RigidBody:
         require_kind(self.name, str, "the name of a body", "a text", InvalidModel)
         what = f"body {self.name}"
         _check_mass(what, self.mass, parameters)
-        inertia, centre = _number(self.inertia_tensor, parameters), _number(_vector(self.centre), parameters)
+        inertia, centre = number(self.inertia_tensor, parameters), number(_vector(self.centre), parameters)
         for each, name in ((inertia, "inertia"), (centre, "centre of mass")):
             if not np.isfinite(each).all():
                 raise InvalidModel(f"{what}: its {name} holds {each[~np.isfinite(each)][0]}, which is no finite number")
@@ -123,12 +132,21 @@ class PointMass:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """The three coordinates."""
-        return _position_quantities(self.name)
+        return position_quantities(self.name)
 
     @property
     def mass_matrix(self) -> ca.SX:
         """Constant mass matrix, shape (3, 3)."""
         return self.mass * ca.SX.eye(3)
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """None: it has no directors."""
+        return ()
+
+    def pieces(self, value: Any) -> Any:
+        """Return what a configuration gives: a position."""
+        return (value,)
 
     def weight_centre(self, q: ca.SX) -> ca.SX:
         """Return `q`, its position."""
@@ -250,11 +268,12 @@ def _vector(components: Sequence[Scalar]) -> ca.SX:
     return ca.sparsify(column)
 
 
-def _position_quantities(name: str) -> tuple[Quantity, ...]:
+def position_quantities(name: str) -> tuple[Quantity, ...]:
+    """Return the three coordinates of a position."""
     return tuple(Quantity(f"{name}.{axis}", "m") for axis in _AXES)
 
 
-def _number(expression: Any, parameters: Parameters) -> Array:
+def number(expression: Any, parameters: Parameters) -> Array:
     """Evaluate an expression of parameters at their default values."""
     found = as_expression(expression, "a mass property")
     function = ca.Function("number", [parameters.p], [found], {"allow_free": True})
@@ -264,6 +283,6 @@ def _number(expression: Any, parameters: Parameters) -> Array:
 
 
 def _check_mass(what: str, mass: Scalar, parameters: Parameters) -> None:
-    value = float(_number(mass, parameters)[0, 0])
+    value = float(number(mass, parameters)[0, 0])
     if not 0.0 <= value < np.inf:
         raise InvalidModel(f"{what}: its mass is {value:g} kg, it must be finite and must not be negative")

@@ -1,0 +1,271 @@
+"""Flexible parts: geometrically exact beams with directors at their nodes, and ropes of points.
+
+Strains are products of positions and directors, so that rotations leave them as they are, discretised too (Betsch and
+Steinmann 2002), and their energies are those of quadratic invariants, which `EnergyMomentum` conserves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel, require_kind
+from servocore.model.potentials import Energy
+from servocore.model.quantity import Quantity
+from servocore.model.rotationless.parts import Frame, RigidBody, Scalar, frame_of, number, position_quantities, turned
+from servocore.model.symbols import Parameters
+
+_NODE = 12  # coordinates of a node with directors
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """Stiffnesses and inertias of a beam's cross section, constant along it.
+
+    Parameters
+    ----------
+    axial : number or casadi.SX
+        E A, N.
+    shear : pair
+        G A along d1 and d2, N.
+    bending : pair
+        E I about d1 and d2, N m^2.
+    torsion : number or casadi.SX
+        G J, N m^2.
+    line_mass : number or casadi.SX
+        rho A, kg/m.
+    inertias : pair
+        Integrals of rho xi^2 over the section, along d1 and d2, kg m.
+    """
+
+    axial: Scalar
+    shear: tuple[Scalar, Scalar]
+    bending: tuple[Scalar, Scalar]
+    torsion: Scalar
+    line_mass: Scalar
+    inertias: tuple[Scalar, Scalar] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Beam:
+    """A beam after Simo and Reissner, along its third directors.
+
+    Node k has twelve coordinates, position and directors, as a rigid body has: ``name.k.x``, ..., ``name.k.d3_z``.
+    Between two nodes positions and directors are interpolated linearly, and strains are taken in the middle:
+
+        Gamma_i = d_i . r' - delta_i3        K_i: half of d_k . d_j' - d_j . d_k' less the free curvature
+
+    Parameters
+    ----------
+    name : str
+        Of the beam.
+    length : number or casadi.SX
+        In m.
+    elements : int
+        Number of elements N; there are N + 1 nodes.
+    section : Section
+        Stiffnesses and inertias.
+    curvature : sequence of three
+        That of the beam without forces about d1, d2 and d3, numbers in 1/m; straight when not given.
+    """
+
+    name: str
+    length: Scalar
+    elements: int
+    section: Section
+    curvature: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the nodes."""
+        return tuple(f"{self.name}.{k}" for k in range(self.elements + 1))
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All coordinates, node by node."""
+        return tuple(each for node in self.nodes for each in RigidBody(node, 0.0, (0.0, 0.0, 0.0)).quantities)
+
+    @property
+    def mass(self) -> Scalar:
+        """In kg."""
+        return self.section.line_mass * self.length
+
+    @property
+    def mass_matrix(self) -> ca.SX:
+        """Constant mass matrix: of positions and of the first two directors; the third have none."""
+        weights = ca.diag(ca.vertcat(ca.SX(self.section.line_mass), *self.section.inertias, 0))
+        return ca.sparsify(ca.kron(_shared(self.elements, self.length), ca.kron(weights, ca.SX.eye(3))))
+
+    def frame(self, q: ca.SX, node: int) -> Frame:
+        """Return the frame of a node; -1 is the last one."""
+        first = _NODE * range(self.elements + 1)[node]
+        return frame_of(q[first : first + _NODE])
+
+    def weight_centre(self, q: ca.SX) -> ca.SX:
+        """Return the centre of mass, shape (3,)."""
+        return _centre([self.frame(q, k).origin for k in range(self.elements + 1)])
+
+    def internal_constraints(self, q: ca.SX) -> ca.SX:
+        """Return the orthonormality of the directors of all nodes, shape (6 (N + 1),)."""
+        body, count = RigidBody(self.name, 0.0, (0.0, 0.0, 0.0)), self.elements + 1
+        return ca.vertcat(*[body.internal_constraints(q[_NODE * k : _NODE * (k + 1)]) for k in range(count)])
+
+    def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
+        """Return the energies of all strains: six an element."""
+        frames = [self.frame(q, k) for k in range(self.elements + 1)]
+        size = self.length / self.elements
+        section, found = self.section, list[tuple[Energy, ca.SX]]()
+        for a, b in pairwise(frames):
+            stretch = (b.origin - a.origin) / size
+            first, last = ca.horzsplit(a.directors), ca.horzsplit(b.directors)
+            for k, stiffness in enumerate((*section.shear, section.axial)):
+                strain = ca.dot((first[k] + last[k]) / 2, stretch)
+                found.append((_quadratic(stiffness * size, float(k == 2)), strain))
+            for k, stiffness in enumerate((*section.bending, section.torsion)):
+                i, j = (k + 1) % 3, (k + 2) % 3
+                turn = (ca.dot(first[j], last[i]) - ca.dot(first[i], last[j])) / (2 * size)
+                found.append((_quadratic(stiffness * size, self.curvature[k]), turn))
+        return found
+
+    def pieces(self, value: Any) -> list[Any]:
+        """Return what a configuration gives, (position, directors) of every node, one after the other."""
+        return [piece for node in value for piece in node]
+
+    def unstrained(self, place: Frame) -> list[tuple[ca.SX, ca.SX]]:
+        """Return the configuration without strains that begins at a frame: (position, directors) of every node."""
+        step, curved = self.length / self.elements, float(np.linalg.norm(self.curvature))
+        turn: Any = turned(self.curvature, ca.asin(curved * step)) if curved else ca.SX.eye(3)
+        nodes = [(place.origin, place.directors)]
+        for _ in range(self.elements):
+            origin, directors = nodes[-1]
+            after = ca.mtimes(directors, turn)
+            middle = (directors + after) / 2
+            nodes.append((origin + step * ca.solve(middle.T, ca.SX([0, 0, 1])), after))
+        return nodes
+
+    def check(self, parameters: Parameters) -> None:
+        """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
+        section = self.section
+        _check(f"beam {self.name}", self.length, self.elements, parameters)
+        require_kind(section, Section, f"beam {self.name}: its section", "a Section", InvalidModel)
+        for what, value in (
+            ("axial stiffness", section.axial), ("torsional stiffness", section.torsion),
+            *(("shear stiffness", each) for each in section.shear),
+            *(("bending stiffness", each) for each in section.bending),
+        ):  # fmt: skip
+            _positive(f"beam {self.name}: its {what}", value, parameters)
+        for what, value in (("line mass", section.line_mass), *(("inertia", each) for each in section.inertias)):
+            _positive(f"beam {self.name}: its {what}", value, parameters, or_zero=True)
+
+
+@dataclass(frozen=True, eq=False)
+class ElasticRope:
+    """A rope of points with elastic pieces between them; node k has the coordinates ``name.k.x``, ``.y``, ``.z``.
+
+    The energy of a piece of length h is h E A (|r'| - 1)^2 / 2; it can push as far as it has a stiffness.
+
+    Parameters
+    ----------
+    name : str
+        Of the rope.
+    length : number or casadi.SX
+        Without force, m.
+    elements : int
+        Number of pieces N; there are N + 1 points.
+    axial : number or casadi.SX
+        E A, N.
+    line_mass : number or casadi.SX
+        In kg/m.
+    """
+
+    name: str
+    length: Scalar
+    elements: int
+    axial: Scalar
+    line_mass: Scalar
+
+    @property
+    def nodes(self) -> tuple[str, ...]:
+        """Names of the points; none of them has directors."""
+        return ()
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All coordinates, point by point."""
+        return tuple(each for k in range(self.elements + 1) for each in position_quantities(f"{self.name}.{k}"))
+
+    @property
+    def mass(self) -> Scalar:
+        """In kg."""
+        return self.line_mass * self.length
+
+    @property
+    def mass_matrix(self) -> ca.SX:
+        """Constant mass matrix of positions that change linearly between the points."""
+        return ca.sparsify(ca.kron(self.line_mass * _shared(self.elements, self.length), ca.SX.eye(3)))
+
+    def points(self, q: ca.SX) -> list[ca.SX]:
+        """Return the positions, shape (3,) each."""
+        return ca.vertsplit(q, 3)  # type: ignore[no-any-return]
+
+    def weight_centre(self, q: ca.SX) -> ca.SX:
+        """Return the centre of mass, shape (3,)."""
+        return _centre(self.points(q))
+
+    def internal_constraints(self, q: ca.SX) -> ca.SX:  # noqa: ARG002 - as for a body
+        """Return none, shape (0,)."""
+        return ca.SX(0, 1)
+
+    def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
+        """Return the energies of all pieces, by the squares of their lengths."""
+        size = self.length / self.elements
+        energy = lambda x: self.axial * size / 2 * (ca.sqrt(x) - 1) ** 2  # noqa: E731
+        return [(energy, ca.sumsqr(b - a) / size**2) for a, b in pairwise(self.points(q))]
+
+    def pieces(self, value: Any) -> list[Any]:
+        """Return what a configuration gives: the positions."""
+        return list(value)
+
+    def check(self, parameters: Parameters) -> None:
+        """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
+        _check(f"rope {self.name}", self.length, self.elements, parameters)
+        _positive(f"rope {self.name}: its axial stiffness", self.axial, parameters)
+        _positive(f"rope {self.name}: its line mass", self.line_mass, parameters, or_zero=True)
+
+
+Flexible = Beam | ElasticRope
+
+
+def _quadratic(stiffness: Scalar, free: float) -> Energy:
+    return lambda x: stiffness / 2 * (x - free) ** 2
+
+
+def _shared(elements: int, length: Scalar) -> ca.SX:
+    """Return integrals of the products of linear shape functions, shape (N + 1, N + 1), m."""
+    found = ca.SX(elements + 1, elements + 1)
+    for k in range(elements):
+        found[k : k + 2, k : k + 2] += ca.SX([[2, 1], [1, 2]]) * (length / elements / 6)
+    return found
+
+
+def _centre(places: Sequence[ca.SX]) -> ca.SX:
+    """Return the mean of places joined by straight lines of equal mass."""
+    middles = [(a + b) / 2 for a, b in pairwise(places)]
+    return sum(middles[1:], middles[0]) / len(middles)
+
+
+def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> None:
+    if isinstance(elements, bool) or not isinstance(elements, int) or elements < 1:
+        raise InvalidModel(f"{what} needs a whole number of elements, one at least, not {elements!r}")
+    _positive(f"{what}: its length", length, parameters)
+
+
+def _positive(what: str, value: Scalar, parameters: Parameters, *, or_zero: bool = False) -> None:
+    found = float(number(value, parameters)[0, 0])
+    if not (found > 0.0 or (or_zero and found == 0.0)) or found == float("inf"):
+        raise InvalidModel(f"{what} is {found:g}, it must be finite and {'not negative' if or_zero else 'positive'}")
