@@ -9,6 +9,8 @@ import tempfile
 import pytest
 from hypothesis import HealthCheck, settings
 
+import servocore as sc
+
 pytest.register_assert_rewrite("problems", "suite")
 
 BUILT = "SERVOCORE_TEST_FMUS"
@@ -23,6 +25,15 @@ def pytest_configure(config):
 def pytest_unconfigure(config):
     if not hasattr(config, "workerinput"):
         shutil.rmtree(os.environ.pop(BUILT), ignore_errors=True)
+
+
+@pytest.fixture
+def compiler() -> list[str]:
+    """Return the command of this machine's C compiler."""
+    try:
+        return sc.c_compiler()
+    except sc.InvalidSetting as error:
+        pytest.skip(str(error))
 
 
 # The same examples every time, and no stop-watch: compilation makes first examples slow.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmu_host import extracted, only_one, scratch
+from outside import timed
+from scipy.interpolate import BPoly
 
 import servocore as sc
 from servocore.export.building import inverse_model
@@ -42,11 +44,45 @@ def crossing() -> sc.Scene:
     return replace(sc.scenes.rotary_crane(across_axis=True).with_reference(path), name="crossing")
 
 
+OTHERS = {
+    "crossing": crossing,
+    "elastic_hoist": users_scene,
+    "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),
+    "ship": lambda: timed.load_below_a_ship().scene,
+    "wind": lambda: timed.pendulum_in_the_wind().scene,
+}
+
+
 @cache
 def scene_called(name: str) -> sc.Scene:
-    if name == "crossing":
-        return crossing()
-    return users_scene() if name == "elastic_hoist" else sc.scenes.REGISTRY[name]()
+    return {**sc.scenes.REGISTRY, **OTHERS}[name]()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Joined(sc.Reference):
+    """A path as an FMU joins what it is told at equal steps: polynomials with the same derivatives at both ends."""
+
+    pieces: tuple[BPoly, ...]
+
+    @classmethod
+    def of(cls, path: sc.Reference, orders: int, steps: int) -> Joined:
+        t = np.linspace(path.start_time, path.end_time, steps + 1)
+        known = path.jet(t, orders - 1)
+        pieces = tuple(BPoly.from_derivatives(t, known[:, :, k].tolist()) for k in range(path.dimension))
+        return cls(
+            start_time=path.start_time, end_time=path.end_time, dimension=path.dimension, max_order=2 * orders - 1,
+            smoothness=orders - 1, pieces=pieces,
+        )  # fmt: skip
+
+    def _derivatives(self, t: np.ndarray, order: int) -> np.ndarray:
+        inside = np.clip(t, self.start_time, self.end_time)
+        return np.stack([[each(inside, k) for k in range(order + 1)] for each in self.pieces], axis=-1).swapaxes(0, 1)
+
+
+def joined(name: str, steps: int) -> sc.Scene:
+    """Return a scene on its own path as an FMU joins it between communication points."""
+    scene = scene_called(name)
+    return scene.with_reference(Joined.of(scene.reference, exported(name).mathematics.orders, steps))
 
 
 @cache
@@ -76,7 +112,7 @@ class Native:
 
     def __init__(self, name: str, fmi: int = 3) -> None:
         file = native_file(name, fmi)
-        self.fmi, self.messages = fmi, []
+        self.fmi, self.name, self.messages = fmi, name, []
         self.description = read_model_description(str(file), validate=False)
         arguments = {
             "guid": self.description.guid,
@@ -175,11 +211,11 @@ def jets_of(name: str, t) -> np.ndarray:
     return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).mathematics.orders - 1)
 
 
-def along_path(host: Native, name: str, steps: int, **parameters: float) -> np.ndarray:
-    """Follow the scene's own path, inputs belonging to the end of each step; returns outputs (steps + 1, outputs)."""
-    reference = scene_called(name).reference
-    t = np.linspace(reference.start_time, reference.end_time, steps + 1)
-    jets, h = jets_of(name, t), t[1] - t[0]
+def along_path(host: Native, steps: int, **parameters: float) -> np.ndarray:
+    """Return outputs (steps + 1, outputs) along the scene's own path; inputs belong to the end of each step."""
+    path = scene_called(host.name).reference
+    t = np.linspace(path.start_time, path.end_time, steps + 1)
+    jets, h = path.jet(t, exported(host.name).mathematics.orders - 1), t[1] - t[0]
     host.start(jets[0], t[0], input_time=END, **parameters)
     found = [host.values()]
     for k in range(steps):

@@ -11,23 +11,32 @@ from fmpy import simulate_fmu
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from fmu_host import fmu_file
-from native_fmu import DISCARD, END, ERROR, OK, START, Native, along_path, exported, jets_of, native_file, scene_called
+from native_fmu import (
+    DISCARD,
+    END,
+    ERROR,
+    OK,
+    START,
+    Native,
+    along_path,
+    exported,
+    jets_of,
+    joined,
+    native_file,
+    scene_called,
+)
 
 import servocore as sc
 
 FLAT = (("rotary_crane", 2), ("rotary_crane", 3), ("elastic_hoist", 3))
 INTERNAL = ("mass_on_car", 2)
 SOME = (*FLAT, INTERNAL)
+MOVES = {
+    "mass_on_car": ("start.s.position", "start.s.velocity"),
+    "wind": ("start.theta.position", "start.theta.velocity"),
+}
 
-pytestmark = pytest.mark.usefixtures("a_compiler")
-
-
-@pytest.fixture
-def a_compiler():
-    try:
-        sc.c_compiler()
-    except sc.InvalidSetting as error:
-        pytest.skip(str(error))
+pytestmark = pytest.mark.usefixtures("compiler")
 
 
 def input_names(name: str) -> tuple[str, ...]:
@@ -56,32 +65,38 @@ def test_with_nothing_connected_it_rests(name, fmi):
         np.testing.assert_allclose(result[channel], result[channel][0], rtol=1e-12, atol=1e-12)
 
 
-@pytest.mark.parametrize(("name", "fmi"), FLAT)
+@pytest.mark.parametrize(("name", "fmi"), [*FLAT, ("ship", 3)])
 def test_along_the_path_its_inputs_are_those_of_exact_inversion(name, fmi):
     with Native(name, fmi) as host:
-        found = along_path(host, name, 200)[:, : len(input_names(name))]
+        found = along_path(host, 200)[:, : len(input_names(name))]
     exact = sc.ExactInversion(scene_called(name))(unstepped(name, 200))
     assert np.abs(found - exact).max() <= 1e-12 * np.abs(exact).max()
 
 
-@pytest.mark.parametrize("division", [1, 4])
-def test_with_internal_dynamics_its_inputs_are_those_of_solve(division):
-    # A path of degree five: what joins two instants with velocity and acceleration is the path itself.
-    scene = scene_called("mass_on_car").with_reference(sc.rest_to_rest((0.0,), (1.0,), 2.0, profile=sc.DEGREE5))
-    steps = 40
-    t, h = np.linspace(0.0, 2.0, steps + 1), 2.0 / steps
-    jets = scene.reference.jet(t, exported("mass_on_car").mathematics.orders - 1)
-    with Native(*INTERNAL) as host:
-        host.start(jets[0], input_time=END, internal_step=0.0 if division == 1 else h / division)
-        found, spring = [host.get("u")[0]], [host.get("internal.s.position")[0]]
-        for k in range(steps):
-            assert host.tell(jets[k + 1]).step(t[k], h) == OK
-            found.append(host.get("u")[0])
-            spring.append(host.get("internal.s.position")[0])
-    solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=h / division)
-    for values, name in ((found, "u"), (spring, "s")):
-        expected = solution[name][::division]
-        assert np.abs(np.array(values) - expected).max() <= 1e-12 * np.abs(expected).max()
+@pytest.mark.parametrize(
+    ("name", "fmi", "division", "start"),
+    [
+        ("mass_on_car", 2, 1, {}),
+        ("mass_on_car", 2, 4, {"s": 0.02, "s_dot": -0.1}),
+        ("wind", 3, 1, {}),
+        ("wind", 3, 4, {"theta": 0.3, "theta_dot": -0.5}),
+    ],
+)
+def test_with_internal_dynamics_its_inputs_are_those_of_solve(name, fmi, division, start):
+    scene, steps = joined(name, 40), 40
+    h, inputs = scene.reference.duration / steps, input_names(name)
+    with Native(name, fmi) as host:
+        host.start(scene.reference.jet([0.0], exported(name).mathematics.orders - 1)[0])
+        at_rest = host.get(*[each.name for each in exported(name).of("local")])
+    moved = dict(zip(MOVES[name], np.array(list(start.values())) - at_rest, strict=True)) if start else {}
+    with Native(name, fmi) as host:
+        found = along_path(host, steps, internal_step=h / division, **moved)[:, : len(inputs)]
+        state = host.get(*[each.name for each in exported(name).of("local")])
+    solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=h / division, start=start)
+    expected = np.column_stack([solution[each][::division] for each in inputs])
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
+    own = solution[exported(name).of("local")[0].name.split(".")[1]]
+    assert np.abs(state[0] - own[-1]) <= 1e-12 * np.abs(own).max()
 
 
 def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu():
@@ -136,7 +151,7 @@ def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, f
     with Native(name, fmi) as host:
         host.start(before, t, input_time=input_time)
         saved = host.saved()
-        by = tuple(each for each in host.parameters if each not in ("internal_step", "input_time"))
+        by = tuple(each for each in host.parameters if each in scene_called(name).parameters)
         values = host.get(*by)
 
         def outputs(jet, parameters):
@@ -215,6 +230,47 @@ def test_a_step_beyond_the_limits_is_discarded_with_a_sentence_and_leaves_no_tra
         assert (host.values() == before).all()
         host.numbers_set(host.inputs, at_rest)
         assert host.step(0.0, 0.1) == OK
+
+
+@pytest.mark.parametrize(
+    ("changed", "sentence"),
+    [
+        ({"y.acceleration": 2.0}, "at t = 0.1 s F is 1417 N, it must stay below 1300 N"),
+        (
+            {"y.acceleration": -9.9},
+            "at t = 0.1 s the rope goes slack: g + y'' is -0.09 m/s2, it must stay above 0 m/s2",
+        ),
+        ({"y.velocity": -2.5}, "at t = 0.1 s w.rate is -2.5 m/s, it must stay above -2 m/s"),
+        ({"y.velocity": 1.0, "y.jerk": 300.0}, "at t = 0.1 s w.rate is 2.5 m/s, it must stay below 2 m/s"),
+    ],
+)
+def test_limits_that_a_user_has_set_by_name_are_kept_on_both_sides(changed, sentence):
+    with Native("limited", 3) as host:
+        host.start(input_time=END)
+        host.numbers_set(list(changed), list(changed.values()))
+        assert host.step(0.0, 0.1) == DISCARD
+        assert host.messages[-1] == sentence
+        host.numbers_set(list(changed), [0.1 * each for each in changed.values()])
+        assert host.step(0.0, 0.1) == OK
+
+
+def test_steps_end_where_the_experiment_ends():
+    with Native("rotary_crane", 2) as host:
+        host.fmu.setupExperiment(startTime=0.0, stopTime=0.3)
+        host.fmu.enterInitializationMode()
+        host.fmu.exitInitializationMode()
+        for k in range(3):
+            assert host.step(0.1 * k, 0.1) == OK  # 0.1 + 0.2 > 0.3
+        assert host.step(0.1 * 3, 0.1) == ERROR
+        assert host.messages[-1] == "at t = 0.3 s a communication step of 0.1 s goes beyond the stop time of 0.3 s"
+
+
+def test_a_start_cannot_be_moved_once_the_run_has_begun():
+    with Native(*INTERNAL) as host:
+        host.start()
+        with pytest.raises(FMICallException):
+            host.set(**{"start.s.position": 0.1})
+        assert "start.s.position is fixed" in host.messages[-1]
 
 
 @pytest.mark.parametrize(

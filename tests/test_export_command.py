@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from command_lines import CommandLine, write
 from fmpy import simulate_fmu
-from native_fmu import exported, scene_called
+from native_fmu import exported, joined, scene_called
 
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.export import targets
+from servocore.export.building import identifier_of
 from servocore.export.c_source import export_c
 from servocore.export.units import base_units, per_time
 
@@ -48,14 +49,6 @@ def demanding(what):
 def _empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
-
-
-@pytest.fixture
-def compiler() -> list[str]:
-    try:
-        return sc.c_compiler()
-    except sc.InvalidSetting as error:
-        pytest.skip(str(error))
 
 
 @pytest.mark.usefixtures("compiler")
@@ -113,6 +106,10 @@ def test_equal_scenes_give_equal_bytes():
         (("mine_too:nothing", "-o", "x.fmu"), ("returns int, not a Scene",)),
         (("mine_too:demanding", "-o", "x.fmu"), ("cannot be called without arguments",)),
         (("cars", "--c", "mine_too.py"), ("it is no folder",)),
+        (("cars", "-o", "x.fmu", "--c", "mine_too.py"), ("it is no folder",)),
+        (("cars", "--c", "no/source"), ("there is no folder no",)),
+        (("cars", "--c", "source", "--fmi", "4"), ("no export for FMI 4",)),
+        (("cars", "--c", "source", "--targets", "host"), ("name it with -o FILE.fmu",)),
     ],
 )
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(arguments, words):
@@ -131,20 +128,73 @@ def test_unstable_internal_dynamics_are_refused_with_their_rate():
     assert not Path("arm.fmu").exists()
 
 
-def test_equations_that_hold_the_time_are_refused():
-    x, t = sc.Coordinates(sc.Quantity("w", "m")), ca.SX.sym("t")
+def one_mass(name: str = "hoist", **names: str) -> sc.Scene:
+    """Return a mass lifted by a force, with names of one's own."""
+    called = {"mass": "m", "weight": "G", "force": "F", "height": "y", **names}
+    x = sc.Coordinates(sc.Quantity("w", "m"))
+    p = sc.Parameters(sc.Parameter(called["mass"], 2.0, "kg", 0.1), sc.Parameter(called["weight"], 20.0, "N"))
 
-    def ship():
+    def model():
         return sc.MechanicalSystem(
-            name="hoist on a ship", coordinates=x, parameters=sc.Parameters(), inputs=(sc.Quantity("F", "N"),),
-            outputs=(sc.Quantity("y", "m"),), mass=ca.SX(2.0), output=x.q, input_matrix=ca.SX(-1),
-            potential=2.0 * ca.sin(t) * x.q, time=t,
+            name="hoist", coordinates=x, parameters=p, inputs=(sc.Quantity(called["force"], "N", "*/ \n upwards"),),
+            outputs=(sc.Quantity(called["height"], "m"),), mass=ca.SX(p[called["mass"]]), output=x.q,
+            input_matrix=ca.SX(-1), potential=p[called["weight"]] * x.q,
         )  # fmt: skip
 
-    scene = sc.Scene(name="ship", models={"only": ship}, reference=sc.rest_to_rest((1.0,), (2.0,), 1.0))
-    with pytest.raises(sc.InvalidModel, match="ship cannot be exported: its equations hold the time"):
-        sc.export_fmu(scene, "ship.fmu", targets="host")
-    assert not Path("ship.fmu").exists()
+    return sc.Scene(name=name, models={"only": model}, reference=sc.rest_to_rest((1.0,), (2.0,), 1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "identifier"),
+    [
+        ("rotary_crane", "rotary_crane"),
+        ('Kran "Größe" <1> & 100% */ \n x', "Kran_Gr_e_1_100_x"),
+        ("_a__b_", "a_b"),
+        ("../etc", "etc"),
+        ("3 cars", "model_3_cars"),
+        ("main", "model_main"),
+        ("Test", "model_Test"),
+        ("", "model"),
+        ("ö", "model"),
+        ("x" * 100, "x" * 40),
+    ],
+)
+def test_any_name_of_a_scene_has_an_identifier(name, identifier):
+    assert identifier_of(name) == identifier
+
+
+def test_names_that_only_c_would_confuse_are_told_apart(compiler):
+    export_c(one_mass('Kran */ "1"\n', mass="M", weight="m", force="path", height="outputs"), "source")
+    options = ["-std=c99", "-Wall", "-Werror", "-Wno-unused-function"]
+    build = [*compiler, *options, "Kran_1.c", "main.c", "-o", "example", "-lm"]
+    subprocess.run(build, cwd="source", check=True)
+    alone = subprocess.run(["source/example"], input="", capture_output=True, text=True, check=True)
+    assert alone.stdout == "0,20\n"
+
+
+@pytest.mark.parametrize(
+    ("make", "sentence"),
+    [
+        (lambda: one_mass(force="φ"), "FMI has no variable called 'φ'; names are the letters a to z"),
+        (lambda: one_mass(force="time"), "variables named twice: time"),
+        (lambda: one_mass(mass="internal_step"), "variables named twice: internal_step"),
+        (lambda: sc.scenes.rotary_crane().with_limits(phi=1.0), "its limit of phi: .* an angle that counts full turns"),
+        (lambda: one_mass().with_limits(**{"F.rate": 1.0}), "its limit of F.rate: .* the rate of a force"),
+    ],
+)
+def test_what_an_fmu_cannot_say_or_keep_is_refused(make, sentence):
+    scene = make()
+    with pytest.raises(sc.InvalidModel, match=f"{scene.name} cannot be exported.*{sentence}"):
+        sc.export_fmu(scene, "x.fmu", targets="host")
+    assert not Path("x.fmu").exists()
+
+
+def test_c_source_does_not_write_over_files_of_others():
+    write("CMakeLists.txt", "project(mine)")
+    run.assert_refused(run("export", "cars", "--c", "."), "cannot write to .", "its CMakeLists.txt would be lost")
+    assert Path("CMakeLists.txt").read_text(encoding="utf-8") == "project(mine)"
+    export_c(scene_called("cars"), "source")
+    export_c(scene_called("cars"), "source")  # its own
 
 
 def test_without_a_compiler_it_says_so(monkeypatch):
@@ -165,12 +215,12 @@ def test_a_compiler_that_fails_is_named(monkeypatch):
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car"])
+@pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car", "wind"])
 def test_c_source_computes_the_same(name, compiler):
     steps = 40
     scene = scene_called(name)
-    if name == "mass_on_car":  # joined between instants by polynomials of this degree
-        scene = scene.with_reference(sc.rest_to_rest((0.0,), (1.0,), 2.0, profile=sc.DEGREE5))
+    if exported(name).method:
+        scene = joined(name, steps)
     orders = exported(name).mathematics.orders
     export_c(scene, "source")
     command = [*compiler, "-std=c99", "-O1", "-Wall", "-Werror", "-Wno-unused-function", "-ffp-contract=off"]

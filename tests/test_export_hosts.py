@@ -20,7 +20,7 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from fmpy.validation import validate_fmu
 from fmu_host import extracted
-from native_fmu import Native, along_path, exported, jets_of, native_file, scene_called
+from native_fmu import Native, along_path, exported, jets_of, joined, native_file, scene_called
 from test_masters import ECOSPY, in_master, required
 
 import servocore as sc
@@ -34,14 +34,6 @@ PLATFORMS = os.environ.get("SERVOCORE_PLATFORMS") == "all"
 SANITIZERS = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 WINE = next((each for each in ("wine64", "wine", "/usr/lib/wine/wine64") if shutil.which(each)), None)
 QEMU = next((each for each in ("qemu-aarch64-static", "qemu-aarch64") if shutil.which(each)), None)
-
-
-@pytest.fixture
-def compiler() -> list[str]:
-    try:
-        return sc.c_compiler()
-    except sc.InvalidSetting as error:
-        pytest.skip(str(error))
 
 
 def host_words(name: str, fmi: int, steps: int) -> tuple[list[str], str]:
@@ -76,7 +68,7 @@ def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi, compiler, tmp_path):
     token = read_model_description(str(folder)).guid
     done = subprocess.run([host, library, token, *words], input=path, capture_output=True, text=True, check=True)
     with Native(name, fmi) as instance:
-        expected = along_path(instance, name, steps)
+        expected = along_path(instance, steps)
     assert (numbers_of(done.stdout) == expected).all()
 
 
@@ -105,7 +97,10 @@ def test_ecos_gets_what_a_host_in_python_gets(tmp_path):
 # What a host may do --------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing"] if FULL else ["cars"])
+HOSTILE = ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing", "wind", "limited"] if FULL else ["cars"]
+
+
+@pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
     model = exported(name)
     for file, text in fmu_sources(model, 2).items():
@@ -123,7 +118,7 @@ def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, 
 
 # All scenes, all platforms -------------------------------------------------------------------------------------------
 
-ALL = [(name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist") for fmi in (2, 3)]
+ALL = [(name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist", "ship", "wind") for fmi in (2, 3)]
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
@@ -135,26 +130,16 @@ def test_every_scene_is_exported_and_computes_the_same(name, fmi):
     assert len(alone) == 11
     scene = scene_called(name)
     inputs = [each.name for each in scene.model().inputs]
-    if exported(name).method:  # a path that is what joins its instants
-        ends = scene.reference.jet([scene.reference.start_time, scene.reference.end_time], 0)[:, 0]
-        path = sc.rest_to_rest(tuple(ends[0]), tuple(ends[1]), scene.reference.duration, profile=sc.DEGREE5)
-        scene = scene.with_reference(path)
-        t = np.linspace(0.0, path.duration, steps + 1)
-        jets = path.jet(t, exported(name).mathematics.orders - 1)
-        solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=t[1])
+    if exported(name).method:
+        scene = joined(name, steps)
+        solution = sc.solve(scene, sc.Reduced(), sc.RadauIIA(3), step=scene.reference.duration / steps)
         expected = np.column_stack([solution[each] for each in inputs])
-        with Native(name, fmi) as host:
-            host.start(jets[0], input_time=2)
-            found = [host.get(*inputs)]
-            for k in range(steps):
-                host.tell(jets[k + 1]).step(t[k], t[1])
-                found.append(host.get(*inputs))
     else:
         t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)
         expected = sc.ExactInversion(scene)(t)
-        with Native(name, fmi) as host:
-            found = along_path(host, name, steps)[:, : len(inputs)]
-    assert np.abs(np.array(found) - expected).max() <= 1e-12 * np.abs(expected).max()
+    with Native(name, fmi) as host:
+        found = along_path(host, steps)[:, : len(inputs)]
+    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
@@ -164,7 +149,7 @@ def test_a_branch_that_is_followed_is_followed_in_an_fmu_too():
     solution = sc.solve(scene, step=scene.reference.duration / steps)
     expected = np.column_stack([solution[each] for each in inputs])
     with Native("crossing", 3) as host:
-        outputs = along_path(host, "crossing", steps)
+        outputs = along_path(host, steps)
         found, trolley = outputs[:, : len(inputs)], outputs[:, host.outputs.index("s")]
     assert trolley.min() < -1.0
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
@@ -200,7 +185,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     with Native(name, 3) as instance:
-        expected = along_path(instance, name, steps)
+        expected = along_path(instance, steps)
     found = numbers_of(done.stdout)
     drives = [instance.outputs.index(each.name) for each in scene_called(name).model().inputs]
     assert (found[:, drives] == expected[:, drives]).all()

@@ -17,6 +17,7 @@ from servocore.checks.instants import survey
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.limits import Expression, Limit, Named, reported
 from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.problem import Problem, ResolvedSystem, resolve
@@ -32,12 +33,18 @@ _SLIGHT = 1e-4  # of the bounds: a range that says nothing
 _MOST_INSTANTS = 20_000
 _HALVINGS = 50
 _SECTIONS, _ROUNDS = 9, 5
-_HIDDEN = "limit "  # names of observables that only limits need
+HIDDEN = "limit "
+"""What the names of observables begin with that only limits need."""
 
 
 def motion_limits(problem: Problem) -> tuple[Limit, ...]:
     """Return the limits of a problem that the path alone does not tell."""
     return tuple(each for each in problem.limits if not each.of_path)
+
+
+def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
+    """Whether what a limit compares is an angle that is known up to full turns only."""
+    return isinstance(expression, Named) and not rate and reported(system)[expression.name][0].wraps
 
 
 # Flat problems: at all instants --------------------------------------------------------------------------------------
@@ -116,7 +123,7 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     if any(k > top[j] + 1 for j, k in beyond):
         raise InvalidModel(f"{system.name}: a limit is on the rate of something that is differentiated already")
     order = max([*needs, array.reference_order + bool(beyond)])
-    wraps = tuple(isinstance(e, Named) and not rate and reported(system)[e.name][0].wraps for e, rate in wanted)
+    wraps = tuple(counts_turns(expression, rate, system) for expression, rate in wanted)
     return Watched(_watching(array, y, ca.vertcat(*values), beyond, order), order, tuple(needs), wraps)
 
 
@@ -295,7 +302,7 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
             suffix = " differenced"
         elif rate:
             value = time_derivative(value, ca.horzcat(system.q, system.v), system.gamma)
-        hidden[Quantity(f"{_HIDDEN}{k}{suffix}")] = value
+        hidden[Quantity(f"{HIDDEN}{k}{suffix}")] = value
     system = replace(system, observables={**system.observables, **hidden})
     return resolve(system, system.home_parameters)
 
@@ -305,7 +312,7 @@ def judged(problem: Problem, solution: Solution) -> Solution:
 
     Rates of forces and inputs are those of their differences from instant to instant.
     """
-    hidden = [k for k, each in enumerate(solution.channels) if each.name.startswith(_HIDDEN)]
+    hidden = [k for k, each in enumerate(solution.channels) if each.name.startswith(HIDDEN)]
     if not hidden:
         return solution
     limits, t = motion_limits(problem), solution.t

@@ -36,7 +36,9 @@ def chosen(name: str, parameters: Path | None) -> Scene:
 
 def _registered(name: str) -> Scene:
     if name not in REGISTRY:
-        raise InvalidSetting(f"no scene is called {name}; there are {', '.join(REGISTRY)}")
+        raise InvalidSetting(
+            f"no scene is called {name}; there are {', '.join(REGISTRY)}, and module:function for one of your own"
+        )
     return REGISTRY[name]()
 
 

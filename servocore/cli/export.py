@@ -10,11 +10,12 @@ import typer
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress
 from servocore.errors import InvalidSetting
-from servocore.export.building import METHOD, inverse_model
-from servocore.export.c_source import export_c
+from servocore.export.building import inverse_model
+from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
-from servocore.export.fmu import export_fmu
-from servocore.export.targets import HOST, TARGETS, zig
+from servocore.export.fmu import export_fmu, require_version
+from servocore.export.mathematics import METHOD
+from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.solvers.solve import solve
@@ -77,8 +78,15 @@ def export_scene(
     """
     if output is None and c is None:
         raise InvalidSetting("name the file to write with -o FILE.fmu, or a folder for C source with --c DIR")
+    if output is None and (targets is not None or cross_check):
+        raise InvalidSetting("--targets and --cross-check are about an FMU: name it with -o FILE.fmu")
+    require_version(fmi)
+    if output is not None:
+        chosen_targets(targets, fmi)
     subject = chosen(scene, parameters)
     require_places({"--output": output}, [parameters])
+    if c is not None:
+        require_folder(subject, c)
     with PatientProgress("exporting") as progress:
         checked = {}
         if output is not None and cross_check:

@@ -7,34 +7,20 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 
-import casadi as ca
-import numpy as np
-import numpy.typing as npt
-
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables
 from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.mathematics import METHOD, mathematics
 from servocore.export.variables import Variable
-from servocore.formulations.reduced import Reduced
-from servocore.methods.base import instantaneous
-from servocore.methods.collocation import RadauIIA
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.calls import Array
-from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
 from servocore.solvers.following import BranchTable, prepared_table
-from servocore.stepping.compilation import discretised, program_of
-from servocore.stepping.margins import compile_margins, limit_texts, limits_order
-from servocore.stepping.observation import compile_observation
-from servocore.structure.inversion import inversion
-
-METHOD = RadauIIA(3)
-"""What steps the internal dynamics, on the reduced form."""
 
 _LONGEST_IDENTIFIER = 40
+_NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  # files, and CMake's own targets
 
 
 def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
@@ -50,16 +36,11 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
     Raises
     ------
     InvalidModel
-        If the inputs do not follow from past and present of the path: internal dynamics that are unstable, equations
-        that hold the time.
+        If the inputs do not follow from past and present of the path, as with internal dynamics that are unstable; or
+        a limit cannot be kept from step to step.
     InvalidReference
         If the scene's own path breaks its limits.
     """
-    if scene.model(model).time.numel():
-        raise InvalidModel(
-            f"{scene.name} cannot be exported: its equations hold the time, which an FMU would have to be told with the"
-            f" path; make what moves by itself a part of the path, or a parameter"
-        )
     problem = _followed(Problem.of(scene, model))
     kind = internal_dynamics(problem)
     if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
@@ -82,16 +63,21 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
         mathematics=compiled,
         variables=tuple(_variables(problem, compiled, scene.tracked, home)),
         components=len(system.outputs),
-        limits=limit_texts(problem.limits),
         method="" if problem.flat else METHOD.name,
+        timed=bool(system.time.numel()),
+        start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,
     )
 
 
 def identifier_of(name: str) -> str:
     """Return a name as an identifier of C, as short as functions' names have to be."""
-    found = re.sub(r"\W", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER]
-    return f"model_{found}" if not found[:1].isalpha() or keyword.iskeyword(found) else found
+    # CasADi takes no two underscores in a row.
+    found = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
+    if not found:
+        return "model"
+    taken = not found[0].isalpha() or keyword.iskeyword(found) or found.lower() in _NAMES_TAKEN
+    return f"model_{found}" if taken else found
 
 
 def _followed(problem: Problem) -> Problem:
@@ -118,110 +104,23 @@ def _variables(problem: Problem, compiled: Mathematics, tracked: str, home: Arra
         found.append(variables.internal_step(place))
         place += 1
     if not problem.flat:
-        units = dict(
-            zip((f"q.{each}" for each in system.coordinates.names), system.coordinates.quantities, strict=True)
-        )
-        named = array.named_states
-        found += variables.state_variables(
-            named, [units[name].unit if name in units else "1" for name, _ in named], place
-        )
-    _require_different(problem, found)
+        quantities = {f"q.{each.name}": each for each in system.coordinates.quantities}
+        units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
+        found += variables.start_variables(array.named_states, units, place)
+        found += variables.state_variables(array.named_states, units, place + len(units))
+    _require_different(problem, found, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
     return found
 
 
-def _require_different(problem: Problem, found: Sequence[Variable]) -> None:
-    names = [name for each in found for name in each.scalar_names] + ["input_time", "time"]
-    repeated = sorted({name for name in names if names.count(name) > 1})
+def _require_different(problem: Problem, found: Sequence[Variable], taken: Sequence[str]) -> None:
+    names = [name for each in found for name in each.scalar_names]
+    every = [*names, *taken]
+    repeated = sorted({name for name in every if every.count(name) > 1})
     if repeated:
         raise InvalidModel(f"{problem.name} cannot be exported: variables named twice: {', '.join(repeated)}")
-    broken = [name for name in names if not re.fullmatch(r"[^\W\d]\w*(\.\w+)*(\[\d+\])?", name)]
+    broken = [name for name in names if not re.fullmatch(r"[a-zA-Z_]\w*(\.\w+)*(\[\d+\])?", name, flags=re.ASCII)]
     if broken:
         raise InvalidModel(
-            f"{problem.name} cannot be exported: FMI has no variable called {broken[0]!r}; names are letters, digits"
-            f" and underscores"
+            f"{problem.name} cannot be exported: FMI has no variable called {broken[0]!r}; names are the letters a to z"
+            f" and A to Z, digits and underscores"
         )
-
-
-# The mathematics --------------------------------------------------------------------------------------------------
-
-
-def mathematics(problem: Problem, identifier: str) -> Mathematics:
-    """Compile what an exported inverse model computes."""
-    return (_instantaneous if problem.flat and not problem.follow_branch else _stepped)(problem, identifier)
-
-
-def _wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
-    """List inputs and observables with their expressions."""
-    system = problem.system
-    return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
-
-
-def _instantaneous(problem: Problem, identifier: str) -> Mathematics:
-    """Every instant by itself: the equations as one expression, and Newton's method where that does not do."""
-    system, dae = problem.system, problem.dae(Reduced())
-    inverse = problem.resolved.once(inversion)
-    wanted, rows = _wanted(problem), problem.array.reference_order + 1
-    orders = max(rows, limits_order(system, problem.limits) + 1, _highest(wanted, system.gamma) + 1)
-    read = compile_observation(system, dae, instantaneous(dae), wanted, orders - 1)
-    margins = compile_margins(system, problem.limits, orders - 1)
-    G, P = ca.MX.sym("path", len(system.outputs), orders), ca.MX.sym("p", system.p.numel())
-    y, _, residual = inverse.search(G[:, :rows], P, inverse.guess(G[:, :rows], P))
-    outputs = read(y, G, P)[0]
-    functions = {}
-    flat = inverse.expression
-    path, p = system.gamma[:, :orders], system.p
-    if flat is not None:
-        found = read(flat(path[:, :rows], p)[0], path, p)[0]
-        functions["quick"] = ca.Function(f"{identifier}_quick", [path, p], [found, margins(path, p)], {"cse": True})
-    functions["begin"] = ca.Function(f"{identifier}_begin", [G, P], [ca.MX(0, 1), outputs, margins(G, P), residual])
-    functions["begin_tangent"] = _tangent(f"{identifier}_begin_tangent", [G, P], [ca.MX(0, 1), outputs], [G, P])
-    depends = _dependence(functions.get("quick", functions["begin"]), 0 if flat is not None else 1)
-    return Mathematics(identifier, functions, tuple(each for each, _ in wanted), orders, 0, (1.0,), depends)
-
-
-def _stepped(problem: Problem, identifier: str) -> Mathematics:
-    """Step by step: internal dynamics, or a branch that is followed from instant to instant."""
-    system, dae = problem.system, problem.dae(Reduced())
-    program = program_of(problem, Reduced(), METHOD)
-    wanted, orders = _wanted(problem), program.start_order + 1
-    read = compile_observation(system, dae, discretised(dae, METHOD), wanted, orders - 1)
-    count, nodes = len(system.outputs), program.nodes
-    G, P, h = ca.MX.sym("path", count, orders), ca.MX.sym("p", system.p.numel()), ca.MX.sym("h")
-    first, _, residual = program.start(ca.repmat(G, 1, len(program.start_instants)), 0, P)
-    begun = [first, read(first, G, P)[0]]
-    S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", count, orders * len(nodes))
-    at_nodes = ca.horzsplit(N, orders)
-    used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
-    after, _, left = program.step(S, used, h, P)
-    stepped = [after, read(after, at_nodes[-1], P)[0]]
-    margins = program.margins
-    functions = {
-        "advance": ca.Function(f"{identifier}_advance", [S, N, h, P], [*stepped, margins(at_nodes[-1], P), left]),
-        "begin": ca.Function(f"{identifier}_begin", [G, P], [*begun, margins(G, P), residual]),
-        "begin_tangent": _tangent(f"{identifier}_begin_tangent", [G, P], begun, [G, P]),
-        "advance_tangent": _tangent(f"{identifier}_advance_tangent", [S, N, h, P], stepped, [S, N, P]),
-    }
-    depends = np.ones((len(wanted), count * orders), dtype=bool)  # also through the state
-    return Mathematics(
-        identifier, functions, tuple(each for each, _ in wanted), orders, program.state_size, nodes, depends
-    )
-
-
-def _tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by: Sequence[ca.MX]) -> ca.Function:
-    """Compile (arguments, directions of some of them) -> derivatives of the results along them."""
-    directions = [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
-    x, direction = ca.veccat(*by), ca.veccat(*directions)
-    found = [ca.densify(ca.jtimes(each, x, direction)) if each.numel() else each for each in results]
-    return ca.Function(name, [*arguments, *directions], found)
-
-
-def _highest(wanted: Sequence[tuple[Quantity, ca.SX]], gamma: ca.SX) -> int:
-    return highest_derivative(ca.vertcat(ca.SX(0, 1), *[each for _, each in wanted]), gamma)
-
-
-def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:
-    """Which rows of a result depend on which numbers of the first argument."""
-    pattern = function.jac_sparsity(result, 0)
-    found = np.zeros(pattern.shape, dtype=bool)
-    found[tuple(np.array(pattern.get_triplet(), dtype=np.intp))] = True
-    return found

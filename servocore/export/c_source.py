@@ -7,14 +7,16 @@ import tempfile
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
-from servocore.export.building import inverse_model
+from servocore.export.building import identifier_of, inverse_model
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.sources import SHARED, rendered, tables
+from servocore.export.variables import INTERNAL_STEP
 from servocore.files import write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import MAX_ITERATIONS
 
+_NAMES = ("main.c", "CMakeLists.txt", "README.md")  # beside those that the scene's name gives
 _CALLED = ("quick", "begin", "advance")  # what there is of it; derivatives are left to the FMU
 
 
@@ -26,7 +28,7 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     scene : Scene
         With its parameter values.
     folder : str or Path
-        A new folder, or one that files of these names may be written over in.
+        A new folder, or one that has C source of this scene, which is written over.
     model : str, optional
         Model of the scene; its smallest when not given.
 
@@ -40,12 +42,11 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     InvalidModel, InvalidReference
         As `export_fmu`.
     InvalidSetting
-        If the folder cannot be written.
+        If the folder cannot be written, or has files of these names that are not from here.
     """
-    found, place = inverse_model(scene, model), Path(folder)
-    files = c_files(found)
-    if place.exists() and not place.is_dir():
-        raise InvalidSetting(f"cannot write {place}: it is no folder")
+    place = Path(folder)
+    require_folder(scene, place)
+    files = c_files(inverse_model(scene, model))
     try:
         place.mkdir(exist_ok=True)
     except OSError as error:
@@ -54,12 +55,23 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     return place
 
 
+def require_folder(scene: Scene, place: Path) -> None:
+    """Raise `InvalidSetting` if C source of a scene cannot be written there, or files of others would be lost."""
+    if place.exists() and not place.is_dir():
+        raise InvalidSetting(f"cannot write {place}: it is no folder")
+    if not place.parent.is_dir():
+        raise InvalidSetting(f"cannot write {place}: there is no folder {place.parent}")
+    lost = [name for name in _NAMES if (place / name).exists()]
+    if lost and not (place / f"{identifier_of(scene.name)}.h").exists():
+        raise InvalidSetting(f"cannot write to {place}: its {', '.join(lost)} would be lost; name a new folder")
+
+
 def c_files(model: InverseModel) -> dict[str, str]:
     """Return all texts by file name."""
     mathematics = model.mathematics.only(_CALLED)
     source, name = mathematics.source()[1], model.identifier
     values = tables(model) | {
-        "parameter_list": [each for each in model.of("parameter") if each.name != "internal_step"],
+        "parameter_list": [each for each in model.of("parameter") if each.name != INTERNAL_STEP],
         "rest": [start for each in model.of("input") for start in each.starts],
         "functions": tuple(mathematics.functions),
         "scratch": mathematics.scratch(),
@@ -106,7 +118,8 @@ def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
     )
     numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
     numbers += max(len(model.limits), 1) + max(scratch["numbers"], 1)
-    return 8 * (numbers + scratch["arguments"] + scratch["results"]) + 4 * max(scratch["integers"], 1)
+    integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
+    return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)
 
 
 def _stack(files: dict[str, str], file: str) -> str:

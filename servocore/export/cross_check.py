@@ -35,9 +35,10 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
     jets = path.jet(t, model.mathematics.orders - 1).reshape(len(t), -1)
     outputs = [each.name for each in model.of("output")]
     names = [name for each in model.of("input") for name in each.scalar_names]
-    options = {"StartTime": 0.0, "StopTime": path.duration, "StepSize": step, "RelTol": 0.0}
+    begin = model.start_time
+    options = {"StartTime": begin, "StopTime": begin + path.duration, "StepSize": step, "RelTol": 0.0}
     options["OutputIntervalLength"] = step
-    since = t - path.start_time
+    since = t - path.start_time + begin
     return {
         f"{stem}_in.csv": _csv(names, since, jets),
         f"{stem}_ref.csv": _csv(outputs, since, np.column_stack([solution[name] for name in outputs])),

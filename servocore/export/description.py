@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 from servocore.export.inverse_model import InverseModel
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
-from servocore.export.variables import INPUT_TIMES, Variable
+from servocore.export.variables import INPUT_TIMES, INTERNAL_STEP, Variable
 
 _TOOL = "servocore"
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -67,7 +67,7 @@ def fmi2_description(model: InverseModel, token: str) -> bytes:
 def _fmi2_structure(root: ET.Element, model: InverseModel) -> None:
     structure = _add(root, "ModelStructure")
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
-    parameters = [k for each in model.of("parameter") if each.name != "internal_step" for k in _places(each)]
+    parameters = [k for each in model.of("parameter") if each.name != INTERNAL_STEP for k in _places(each)]
     for row, output in enumerate(model.of("output")):
         of_path = [k for k, used in enumerate(model.mathematics.depends[row]) if used]
         for parent, on in ((outputs, of_path), (initial, [*of_path, *parameters])):
@@ -112,12 +112,13 @@ def _fmi3_structure(root: ET.Element, model: InverseModel) -> None:
     structure = _add(root, "ModelStructure")
     numbers = {id(each): k for k, each in enumerate(model.variables)}
     inputs = [numbers[id(each)] for each in model.of("input")]
-    parameters = [numbers[id(each)] for each in model.of("parameter") if each.name != "internal_step"]
+    parameters = [numbers[id(each)] for each in model.of("parameter") if each.name != INTERNAL_STEP]
+    time = [len(model.variables) + 1] if model.timed else []
     unknowns = []
     for row, output in enumerate(model.of("output")):
         used = [k for k in inputs if model.mathematics.depends[row][list(_places(model.variables[k]))].any()]
-        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies(used))
-        unknowns.append((numbers[id(output)], [*used, *parameters]))
+        _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies([*used, *time]))
+        unknowns.append((numbers[id(output)], [*used, *parameters, *time]))
     for number, on in unknowns:
         _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
 
@@ -184,15 +185,17 @@ def _categories(root: ET.Element, tag: str) -> None:
 
 def _experiment(root: ET.Element, model: InverseModel) -> None:
     step = model.duration / _FASTEST_STEPS
-    _add(root, "DefaultExperiment", startTime="0.0", stopTime=repr(model.duration), stepSize=repr(step))
+    start, stop = model.start_time, model.start_time + model.duration
+    _add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))
 
 
 def _causality(variable: Variable, fmi: int) -> dict[str, str]:
-    tunable = variable.causality == "parameter"
-    found = {"causality": variable.causality, "variability": "tunable" if tunable else "continuous"}
     if variable.causality in ("output", "local"):
-        return {**found, "initial": "calculated"}
-    return found | ({"initial": "exact"} if fmi == 2 and tunable else {})
+        return {"causality": variable.causality, "variability": "continuous", "initial": "calculated"}
+    if variable.causality == "input":
+        return {"causality": "input", "variability": "continuous"}
+    found = {"causality": "parameter", "variability": "fixed" if variable.fixed else "tunable"}
+    return found | ({"initial": "exact"} if fmi == 2 else {})
 
 
 def _attributes(variable: Variable) -> dict[str, str]:

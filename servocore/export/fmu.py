@@ -14,7 +14,7 @@ from servocore.export.inverse_model import InverseModel
 from servocore.export.page import documentation
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
-from servocore.files import write_together
+from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
 
 VERSIONS = (3, 2)
@@ -68,16 +68,21 @@ def export_fmu(
     --------
     >>> export_fmu(crane, "crane.fmu", fmi=2, targets="host")
     """
-    if fmi not in VERSIONS:
-        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
-    names = chosen_targets(targets, fmi)
+    file, names = Path(path), chosen_targets(targets, require_version(fmi))
+    require_places({"the FMU": file})
     tell("analysing")
     found = inverse_model(scene, model)
     sources = fmu_sources(found, fmi)
     built = libraries(sources, compiled_files(found, fmi), found.identifier, names, fmi, tell)
-    file = Path(path)
     write_together({file: archive(contents(found, fmi, sources, built, names))})
     return file
+
+
+def require_version(fmi: int) -> int:
+    """Return a version of FMI; raises `InvalidSetting` if there is no export for it."""
+    if fmi not in VERSIONS:
+        raise InvalidSetting(f"there is no export for FMI {fmi}; there are {' and '.join(map(str, sorted(VERSIONS)))}")
+    return fmi
 
 
 def contents(

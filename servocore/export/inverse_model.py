@@ -16,9 +16,42 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.export.variables import Causality, Variable
+from servocore.export.variables import INTERNAL_STEP, Causality, Variable
 from servocore.model.quantity import Quantity
-from servocore.stepping.program import LimitText
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a limit sets to a quantity, and where the quantity stands.
+
+    Attributes
+    ----------
+    quantity, unit, reason : str
+        As of `Limit`; the reason may be empty.
+    bound : float
+        The number.
+    side : float
+        1 if the quantity must stay above it, -1 if below.
+    row : int
+        Which of the limits on what moves it belongs to; -1 for limits of the path.
+    rate : bool
+        Whether it is the rate of something, which is none where that has no direction.
+    """
+
+    quantity: str
+    unit: str
+    reason: str
+    bound: float
+    side: float
+    row: int
+    rate: bool = False
+
+    @property
+    def text(self) -> str:
+        """The bound as a sentence without its end."""
+        why = f"{self.reason}: " if self.reason else ""
+        which = "above" if self.side > 0.0 else "below"
+        return f"{why}{self.quantity} must stay {which} {self.bound:g} {self.unit}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,12 +63,15 @@ class Mathematics:
     identifier : str
         What the names of the functions begin with in C.
     functions : mapping of str to casadi.Function
-        ``begin`` (path, p) -> (state, outputs, margins, residual); ``begin_tangent`` (path, p, d path, d p) ->
-        (d state, d outputs). Without a state ``quick`` (path, p) -> (outputs, margins), NaN where ``begin`` has to be
-        asked. With a state ``advance`` (state, paths at the nodes, h, p) -> (state, outputs, margins, residual), and
-        its ``advance_tangent`` (..., d state, d paths, d p) -> (d state, d outputs).
+        ``begin`` (path, p, time, move of the internal states) -> (state, outputs, margins, residual), and its
+        ``begin_tangent`` (..., d path, d p) -> (d state, d outputs). Without a state ``quick`` (path, p, time) ->
+        (outputs, margins), NaN where ``begin`` has to be asked. With a state ``advance`` (state, paths at the nodes,
+        h, p, time at the beginning) -> (state, outputs, margins, residual), and its ``advance_tangent`` (..., d state,
+        d paths, d p) -> (d state, d outputs).
     outputs : tuple of Quantity
         What they compute.
+    limits : tuple of Bound
+        What the margins belong to.
     orders : int
         How many derivatives of the path they take, the path itself included.
     state_size : int
@@ -49,6 +85,7 @@ class Mathematics:
     identifier: str
     functions: Mapping[str, ca.Function]
     outputs: tuple[Quantity, ...]
+    limits: tuple[Bound, ...]
     orders: int
     state_size: int
     nodes: tuple[float, ...]
@@ -98,12 +135,12 @@ class InverseModel:
         Inputs, outputs, parameters and internal states, in the order of their numbers; without input_time.
     components : int
         Of the path.
-    limits : tuple of LimitText
-        Where the scene ends.
     method : str
         What steps internal dynamics; empty where there are none.
-    duration : float
-        Of the scene's own path, for a default experiment, in s.
+    timed : bool
+        Whether the equations hold the time.
+    start_time, duration : float
+        Of a default experiment, in s: along the scene's own path, from 0 where its equations do not hold the time.
     """
 
     identifier: str
@@ -113,9 +150,20 @@ class InverseModel:
     mathematics: Mathematics
     variables: tuple[Variable, ...]
     components: int
-    limits: tuple[LimitText, ...]
     method: str
+    timed: bool
+    start_time: float
     duration: float
+
+    @property
+    def limits(self) -> tuple[Bound, ...]:
+        """Where the scene ends."""
+        return self.mathematics.limits
+
+    @property
+    def settings(self) -> tuple[Variable, ...]:
+        """Parameters that are not the scene's: internal_step, and moves of the internal states."""
+        return tuple(e for e in self.of("parameter") if e.fixed or e.name == INTERNAL_STEP)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import math
+import re
 from collections.abc import Mapping
 from math import factorial
 from pathlib import Path
@@ -36,19 +37,19 @@ def fmu_sources(model: InverseModel, fmi: int) -> dict[str, str]:
         If FMPy, whose copy of the headers is taken, is not installed.
     """
     return {
-        **core_sources(model, fmi),
+        **_core_sources(model, fmi),
         f"fmi{fmi}.c": (SHARED / f"fmi{fmi}.c").read_text(encoding="utf-8"),
         **{name: (_headers_folder() / name).read_text(encoding="utf-8") for name in HEADERS[fmi]},
     }
 
 
-def core_sources(model: InverseModel, *more: object) -> dict[str, str]:
-    """Return the mathematics, the tables and what steps it; `more` is what else makes one build differ from another."""
+def _core_sources(model: InverseModel, fmi: int) -> dict[str, str]:
+    """Return the mathematics, the tables and what steps it."""
     header, source = model.mathematics.source()
     return {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
-        "model.h": rendered("model.h.j2", **tables(model, token_of(model, *more))),
+        "model.h": rendered("model.h.j2", **tables(model, token_of(model, fmi))),
         **{name: (SHARED / name).read_text(encoding="utf-8") for name in _SHARED_HEADERS},
     }
 
@@ -58,9 +59,9 @@ def compiled_files(model: InverseModel, fmi: int) -> tuple[str, ...]:
     return f"fmi{fmi}.c", f"{model.identifier}_mathematics.c"
 
 
-def token_of(model: InverseModel, *more: object) -> str:
+def token_of(model: InverseModel, fmi: int) -> str:
     """Return the token of a build, which changes with everything that is compiled."""
-    return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in _SHARED_HEADERS], *map(str, more))
+    return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in (*_SHARED_HEADERS, f"fmi{fmi}.c")])
 
 
 def rendered(template: str, **values: Any) -> str:
@@ -73,7 +74,7 @@ def rendered(template: str, **values: Any) -> str:
         keep_trailing_newline=True,
         autoescape=template.endswith(".html.j2"),
     )
-    environment.filters.update(text=c_text, number=c_number)
+    environment.filters.update(text=c_text, number=c_number, remark=c_remark, word=c_word)
     return environment.get_template(template).render(**values)
 
 
@@ -82,6 +83,16 @@ def c_text(text: str) -> str:
     return (
         '"' + "".join(chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode()) + '"'
     )
+
+
+def c_remark(text: str) -> str:
+    """Return a text as part of a comment of C: one line that does not end it."""
+    return " ".join(text.replace("*/", "* /").split())
+
+
+def c_word(name: str) -> str:
+    """Return the name of a variable as part of an identifier of C."""
+    return re.sub(r"\W+", "_", name).strip("_")
 
 
 def c_number(value: float) -> str:
@@ -112,12 +123,13 @@ def tables(model: InverseModel, token: str = "") -> dict[str, Any]:
         "components": model.components,
         "orders": mathematics.orders,
         "outputs": mathematics.outputs,
-        "parameters": sum(each.name != "internal_step" for each in model.of("parameter")),
-        "settings": sum(each.name == "internal_step" for each in model.of("parameter")),
+        "parameters": len(model.of("parameter")) - len(model.settings),
+        "settings": len(model.settings),
         "internal": len(model.of("local")),
         "state_size": mathematics.state_size,
         "nodes": mathematics.nodes,
         "limits": model.limits,
+        "timed": model.timed,
         "arrays": model.variables,
         "has_quick": int("quick" in mathematics.functions),
         "scratch": mathematics.scratch(),

@@ -99,7 +99,8 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     known = [name for name, each in TARGETS.items() if fmi == 3 or each.fmi2]
     if wanted is None:
         wanted = "all" if zig() else HOST
-    names = known if wanted == "all" else [host() if each == HOST else each for each in wanted.split(",")]
+    names = [each.strip() for each in wanted.split(",")]
+    names = known if names == ["all"] else [host() if each == HOST else each for each in names]
     for name in names:
         if name not in known:
             raise InvalidSetting(f"FMI {fmi} has no platform {name!r}; there are {', '.join(known)}, all and {HOST}")

@@ -20,6 +20,9 @@ ORDERS = ("position", "velocity", "acceleration", "jerk", "snap", "crackle", "po
 INPUT_TIMES = ("start", "end")
 """Values of input_time, from 1 on: the instant of a communication step that its inputs belong to."""
 
+INTERNAL_STEP = "internal_step"
+"""Name of the parameter that divides communication steps."""
+
 _MOST_DISPLAYED = 1e300  # bounds beyond it are none
 
 
@@ -45,6 +48,8 @@ class Variable:
         Bounds.
     nominal : float or None
         Typical magnitude.
+    fixed : bool
+        Whether a parameter keeps its value from the end of the initialization on.
     """
 
     name: str
@@ -57,6 +62,7 @@ class Variable:
     low: float = -math.inf
     high: float = math.inf
     nominal: float | None = None
+    fixed: bool = False
 
     @property
     def scalar_names(self) -> tuple[str, ...]:
@@ -123,7 +129,18 @@ def parameter_variables(declared: Sequence[Parameter], values: Array, place: int
 def internal_step(place: int) -> Variable:
     """Return the parameter that divides communication steps."""
     text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
-    return Variable("internal_step", "parameter", "s", text, place, (0.0,), low=0.0, high=3600.0)
+    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), low=0.0, high=3600.0)
+
+
+def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:
+    """Return the parameters that move the internal states from where they begin by themselves."""
+    return [
+        Variable(
+            f"start.{name.removeprefix('q.')}.{order_name(order)}", "parameter", per_time(unit, order),
+            "added to the internal state at its start; 0: it begins at rest", place + k, (0.0,), fixed=True,
+        )
+        for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
+    ]  # fmt: skip
 
 
 def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:

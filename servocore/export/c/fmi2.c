@@ -7,7 +7,6 @@
 #define INPUT_TIME N_NUMBERS
 
 static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
-static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
 
 static void report(const Instance *instance, Outcome outcome, const char *message)
 {
@@ -17,19 +16,6 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
            strchr(message, '%') == NULL ? message : "%s", message);
 }
 
-/* Whether a call is allowed now; says so if not. */
-static int refused(Instance *instance, unsigned phases, const char *call)
-{
-    if (instance == NULL) return 1;
-    if (phases >> instance->state.phase & 1u) return 0;
-    say(instance, ERROR, "%s is not allowed now", call);
-    return 1;
-}
-#define BEFORE (1u << INSTANTIATED)
-#define DURING (1u << INITIALIZING)
-#define AFTER (1u << STEPPING)
-#define ENDED (1u << TERMINATED)
-#define ANY (BEFORE | DURING | AFTER | ENDED)
 #define REQUIRE(phases, call) \
     Instance *instance = component; \
     if (refused(instance, phases, call)) return fmi2Error
@@ -75,17 +61,7 @@ void fmi2FreeInstance(fmi2Component component)
 fmi2Status fmi2SetDebugLogging(fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
     REQUIRE(ANY, "fmi2SetDebugLogging");
-    for (size_t k = 0; k < count; k++) {
-        int known = strcmp(categories[k], "logAll") == 0;
-        for (int outcome = 0; outcome < 4; outcome++)
-            if (strcmp(categories[k], "logAll") == 0 || strcmp(categories[k], CATEGORY[outcome]) == 0) {
-                instance->told[outcome] = on != fmi2False;
-                known = 1;
-            }
-        if (!known) return STATUS[say(instance, ERROR, "there is no logger category %.100s", categories[k])];
-    }
-    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on != fmi2False;
-    return fmi2OK;
+    return STATUS[set_logging(instance, on != fmi2False, count, categories)];
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDefined, fmi2Real tolerance,
@@ -94,10 +70,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean toleranceDef
     REQUIRE(BEFORE, "fmi2SetupExperiment");
     (void)toleranceDefined;
     (void)tolerance;
-    if (!(fabs(start) <= DBL_MAX) || (stopDefined && !(stop >= start)))
-        return STATUS[say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop)];
-    instance->state.now.time = start;
-    return fmi2OK;
+    return STATUS[set_experiment(instance, start, stopDefined, stop)];
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component component)
@@ -208,28 +181,19 @@ NO_SUCH_VARIABLES(String, Set, const fmi2String)
 fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *saved)
 {
     REQUIRE(ANY, "fmi2GetFMUstate");
-    if (*saved == NULL) *saved = malloc(sizeof(State));
-    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
-    memcpy(*saved, &instance->state, sizeof(State));
-    return fmi2OK;
+    return STATUS[keep_state(instance, &instance->state, saved)];
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate saved)
 {
     REQUIRE(ANY, "fmi2SetFMUstate");
-    if (saved == NULL) return STATUS[say(instance, ERROR, "there is no saved state to restore")];
-    if (require_state(instance, saved) != GOOD) return fmi2Error;
-    memcpy(&instance->state, saved, sizeof(State));
-    return fmi2OK;
+    return STATUS[restore_state(instance, saved)];
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *saved)
 {
     (void)component;
-    if (saved != NULL) {
-        free(*saved);
-        *saved = NULL;
-    }
+    free_state(saved);
     return fmi2OK;
 }
 
@@ -244,25 +208,13 @@ fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate save
 fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate saved, fmi2Byte bytes[], size_t size)
 {
     REQUIRE(ANY, "fmi2SerializeFMUstate");
-    if (saved == NULL || size < sizeof(State))
-        return STATUS[say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State),
-                          (unsigned)size)];
-    memcpy(bytes, saved, sizeof(State));
-    return fmi2OK;
+    return STATUS[write_state(instance, saved, bytes, size)];
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component component, const fmi2Byte bytes[], size_t size, fmi2FMUstate *saved)
 {
-    State state;
     REQUIRE(ANY, "fmi2DeSerializeFMUstate");
-    if (size != sizeof(State))
-        return STATUS[say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size)];
-    memcpy(&state, bytes, sizeof(State));
-    if (require_state(instance, &state) != GOOD) return fmi2Error;
-    if (*saved == NULL) *saved = malloc(sizeof(State));
-    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
-    memcpy(*saved, &state, sizeof(State));
-    return fmi2OK;
+    return STATUS[read_state(instance, bytes, size, saved)];
 }
 
 /* Derivatives and what there is not ---------------------------------------------------------------------------------- */

@@ -8,7 +8,6 @@
 #define TIME (N_ARRAYS + 1)
 
 static const fmi3Status STATUS[] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error};
-static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
 
 static void report(const Instance *instance, Outcome outcome, const char *message)
 {
@@ -16,19 +15,6 @@ static void report(const Instance *instance, Outcome outcome, const char *messag
     logger(instance->environment, STATUS[outcome], CATEGORY[outcome], message);
 }
 
-/* Whether a call is allowed now; says so if not. */
-static int refused(Instance *instance, unsigned phases, const char *call)
-{
-    if (instance == NULL) return 1;
-    if (phases >> instance->state.phase & 1u) return 0;
-    say(instance, ERROR, "%s is not allowed now", call);
-    return 1;
-}
-#define BEFORE (1u << INSTANTIATED)
-#define DURING (1u << INITIALIZING)
-#define AFTER (1u << STEPPING)
-#define ENDED (1u << TERMINATED)
-#define ANY (BEFORE | DURING | AFTER | ENDED)
 #define REQUIRE(phases, call) \
     Instance *instance = component; \
     if (refused(instance, phases, call)) return fmi3Error
@@ -78,17 +64,7 @@ void fmi3FreeInstance(fmi3Instance component)
 fmi3Status fmi3SetDebugLogging(fmi3Instance component, fmi3Boolean on, size_t count, const fmi3String categories[])
 {
     REQUIRE(ANY, "fmi3SetDebugLogging");
-    for (size_t k = 0; k < count; k++) {
-        int known = 0;
-        for (int outcome = 0; outcome < 4; outcome++)
-            if (strcmp(categories[k], CATEGORY[outcome]) == 0) {
-                instance->told[outcome] = on;
-                known = 1;
-            }
-        if (!known) return STATUS[say(instance, ERROR, "there is no logger category %.100s", categories[k])];
-    }
-    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
-    return fmi3OK;
+    return STATUS[set_logging(instance, on, count, categories)];
 }
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance component, fmi3Boolean toleranceDefined, fmi3Float64 tolerance,
@@ -97,9 +73,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance component, fmi3Boolean toler
     REQUIRE(BEFORE, "fmi3EnterInitializationMode");
     (void)toleranceDefined;
     (void)tolerance;
-    if (!(fabs(start) <= DBL_MAX) || (stopDefined && !(stop >= start)))
-        return STATUS[say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop)];
-    instance->state.now.time = start;
+    if (set_experiment(instance, start, stopDefined, stop) != GOOD) return fmi3Error;
     instance->state.phase = INITIALIZING;
     return fmi3OK;
 }
@@ -249,28 +223,19 @@ NO_SUCH_VARIABLES(String)
 fmi3Status fmi3GetFMUState(fmi3Instance component, fmi3FMUState *saved)
 {
     REQUIRE(ANY, "fmi3GetFMUState");
-    if (*saved == NULL) *saved = malloc(sizeof(State));
-    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
-    memcpy(*saved, &instance->state, sizeof(State));
-    return fmi3OK;
+    return STATUS[keep_state(instance, &instance->state, saved)];
 }
 
 fmi3Status fmi3SetFMUState(fmi3Instance component, fmi3FMUState saved)
 {
     REQUIRE(ANY, "fmi3SetFMUState");
-    if (saved == NULL) return STATUS[say(instance, ERROR, "there is no saved state to restore")];
-    if (require_state(instance, saved) != GOOD) return fmi3Error;
-    memcpy(&instance->state, saved, sizeof(State));
-    return fmi3OK;
+    return STATUS[restore_state(instance, saved)];
 }
 
 fmi3Status fmi3FreeFMUState(fmi3Instance component, fmi3FMUState *saved)
 {
     (void)component;
-    if (saved != NULL) {
-        free(*saved);
-        *saved = NULL;
-    }
+    free_state(saved);
     return fmi3OK;
 }
 
@@ -285,25 +250,13 @@ fmi3Status fmi3SerializedFMUStateSize(fmi3Instance component, fmi3FMUState saved
 fmi3Status fmi3SerializeFMUState(fmi3Instance component, fmi3FMUState saved, fmi3Byte bytes[], size_t size)
 {
     REQUIRE(ANY, "fmi3SerializeFMUState");
-    if (saved == NULL || size < sizeof(State))
-        return STATUS[say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State),
-                          (unsigned)size)];
-    memcpy(bytes, saved, sizeof(State));
-    return fmi3OK;
+    return STATUS[write_state(instance, saved, bytes, size)];
 }
 
 fmi3Status fmi3DeserializeFMUState(fmi3Instance component, const fmi3Byte bytes[], size_t size, fmi3FMUState *saved)
 {
-    State state;
     REQUIRE(ANY, "fmi3DeserializeFMUState");
-    if (size != sizeof(State))
-        return STATUS[say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size)];
-    memcpy(&state, bytes, sizeof(State));
-    if (require_state(instance, &state) != GOOD) return fmi3Error;
-    if (*saved == NULL) *saved = malloc(sizeof(State));
-    if (*saved == NULL) return STATUS[say(instance, ERROR, "there is no memory left to save the state in")];
-    memcpy(*saved, &state, sizeof(State));
-    return fmi3OK;
+    return STATUS[read_state(instance, bytes, size, saved)];
 }
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */

@@ -23,10 +23,12 @@
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
 #define LONGEST_MESSAGE 512
 
-/* Places of numbers, one after the other: inputs, outputs, parameters, the internal step, internal states. */
+/* Places of numbers, one after the other: inputs, outputs, parameters, the internal step, moves of the internal states
+   at their start, internal states. */
 #define FIRST_OUTPUT N_INPUTS
 #define FIRST_PARAMETER (FIRST_OUTPUT + N_OUTPUTS)
 #define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
+#define FIRST_FIXED (FIRST_PARAMETER + N_PARAMETERS + 1)
 #define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
 
 typedef enum { GOOD, WARNING, DISCARD, ERROR } Outcome;
@@ -51,6 +53,7 @@ typedef struct {
     double heard[N_INPUTS];       /* the inputs that the last outputs were computed from */
     double parameters[AT_LEAST_1(N_PARAMETERS + N_SETTINGS)];
     double step;                  /* the last one, in s */
+    double stop;                  /* end of the experiment, in s */
     Moment now, before;
 } State;
 
@@ -86,6 +89,42 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
     return outcome;
 }
 
+/* What may be called when ---------------------------------------------------------------------------------------- */
+
+#define BEFORE (1u << INSTANTIATED)
+#define DURING (1u << INITIALIZING)
+#define AFTER (1u << STEPPING)
+#define ENDED (1u << TERMINATED)
+#define ANY (BEFORE | DURING | AFTER | ENDED)
+
+/* Whether a call is allowed now; says so if not. */
+static int refused(const Instance *instance, unsigned phases, const char *call)
+{
+    if (instance == NULL) return 1;
+    if (phases >> instance->state.phase & 1u) return 0;
+    say(instance, ERROR, "%s is not allowed now", call);
+    return 1;
+}
+
+static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+/* Switch what is told on or off: the categories that are named, or all without a name. */
+static Outcome set_logging(Instance *instance, int on, size_t count, const char *const categories[])
+{
+    for (size_t k = 0; k < count; k++) {
+        const int all = strcmp(categories[k], "logAll") == 0;
+        int known = all;
+        for (int outcome = 0; outcome < 4; outcome++)
+            if (all || strcmp(categories[k], CATEGORY[outcome]) == 0) {
+                instance->told[outcome] = on;
+                known = 1;
+            }
+        if (!known) return say(instance, ERROR, "there is no logger category %.100s", categories[k]);
+    }
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
+    return GOOD;
+}
+
 /* Start and end -------------------------------------------------------------------------------------------------- */
 
 static void reset(Instance *instance)
@@ -96,6 +135,7 @@ static void reset(Instance *instance)
     state->phase = INSTANTIATED;
     state->input_time = AT_START;
     state->due = 1;
+    state->stop = DBL_MAX;
     for (size_t k = 0; k < N_INPUTS; k++) state->inputs[k] = VARIABLES[k].start;
     for (size_t k = 0; k < N_PARAMETERS + N_SETTINGS; k++)
         state->parameters[k] = VARIABLES[FIRST_PARAMETER + k].start;
@@ -124,6 +164,16 @@ static void free_instance(Instance *instance)
     free(instance);
 }
 
+/* The times of the experiment, which a host tells before or with the initialization. */
+static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
+{
+    if (!(fabs(start) <= DBL_MAX) || (stops && !(stop >= start)))
+        return say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop);
+    instance->state.now.time = start;
+    instance->state.stop = stops ? stop : DBL_MAX;
+    return GOOD;
+}
+
 /* The mathematics ---------------------------------------------------------------------------------------------------- */
 
 static int all_finite(const double *values, size_t count)
@@ -133,6 +183,9 @@ static int all_finite(const double *values, size_t count)
     return 1;
 }
 
+/* Where the moves of the internal states stand among the parameters. */
+#define STARTS(parameters) ((parameters) + N_PARAMETERS + (N_SETTINGS > 0))
+
 /* Outputs and state at an instant from the path alone. Returns 0 where the equations are not solved. */
 static int solve_instant(Instance *instance, Moment *moment)
 {
@@ -140,6 +193,7 @@ static int solve_instant(Instance *instance, Moment *moment)
     double **results = instance->results, residual = NAN;
     arguments[0] = moment->path;
     arguments[1] = instance->state.parameters;
+    arguments[2] = &moment->time;
 #if HAS_QUICK
     results[0] = moment->outputs;
     results[1] = instance->margins;
@@ -147,7 +201,9 @@ static int solve_instant(Instance *instance, Moment *moment)
     if (all_finite(moment->outputs, N_OUTPUTS)) return 1;
     arguments[0] = moment->path;
     arguments[1] = instance->state.parameters;
+    arguments[2] = &moment->time;
 #endif
+    arguments[3] = STARTS(instance->state.parameters);
     results[0] = moment->state;
     results[1] = moment->outputs;
     results[2] = instance->margins;
@@ -157,7 +213,7 @@ static int solve_instant(Instance *instance, Moment *moment)
 }
 
 #if N_STATE > 0
-/* One step of the method, from moment->state to the path at the nodes. */
+/* One step of the method, from moment->state and moment->time to the path at the nodes. */
 static int solve_step(Instance *instance, Moment *moment, double h)
 {
     double residual = NAN;
@@ -167,6 +223,7 @@ static int solve_step(Instance *instance, Moment *moment, double h)
     arguments[1] = instance->nodes;
     arguments[2] = &h;
     arguments[3] = instance->state.parameters;
+    arguments[4] = &moment->time;
     results[0] = instance->next;
     results[1] = moment->outputs;
     results[2] = instance->margins;
@@ -192,10 +249,11 @@ static Outcome require_finite_inputs(const Instance *instance, double time)
 static Outcome require_limits(const Instance *instance, double time)
 {
     for (int k = 0; k < N_LIMITS; k++)
-        if (!(instance->margins[k] > 0.0))
-            return say(instance, DISCARD, "at t = %.6g s %s: %s is %.4g %s, it must stay above %g %s", time,
-                       LIMITS[k].reason, LIMITS[k].quantity, instance->margins[k] + LIMITS[k].bound, LIMITS[k].unit,
-                       LIMITS[k].bound, LIMITS[k].unit);
+        if (!(instance->margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->margins[k])))
+            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time,
+                       LIMITS[k].reason, *LIMITS[k].reason ? ": " : "", LIMITS[k].quantity,
+                       LIMITS[k].bound + LIMITS[k].side * instance->margins[k], LIMITS[k].unit,
+                       LIMITS[k].side > 0.0 ? "above" : "below", LIMITS[k].bound, LIMITS[k].unit);
     return GOOD;
 }
 
@@ -224,6 +282,9 @@ static Outcome require_step(const Instance *instance, double time, double h)
                    "the communication point t = %.9g s lies %s the FMU's time %.9g s;"
                    " to repeat a step restore the FMU's state first",
                    time, time < present ? "behind" : "ahead of", present);
+    if (time + h > instance->state.stop + JITTER * h + 4.0 * DBL_EPSILON * size)
+        return say(instance, ERROR, "at t = %.9g s a communication step of %g s goes beyond the stop time of %.9g s", time,
+                   h, instance->state.stop);
     return GOOD;
 }
 
@@ -312,6 +373,7 @@ static Outcome move(Instance *instance, double time, double h)
                         instance->nodes + i * N_INPUTS);
         outcome = checked_moment(instance, work, solve_step(instance, work, h / count), end);
         if (outcome != GOOD) return outcome;
+        work->time = end;
         memcpy(work->path, instance->nodes + (N_NODES - 1) * N_INPUTS, sizeof work->path);
         keep_turning(work, &before);
     }
@@ -327,6 +389,7 @@ static Outcome move(Instance *instance, double time, double h)
         continued(state->inputs, h, work->path);
     else
         memcpy(work->path, state->inputs, sizeof work->path);
+    work->time = time + h;
     outcome = checked_moment(instance, work, solve_instant(instance, work), time + h);
     if (outcome == GOOD) keep_turning(work, &state->now);
     return outcome;
@@ -348,7 +411,6 @@ static Outcome do_step(Instance *instance, double time, double h)
     remark = remark_unconnected(instance, time);
     state->before = state->now;
     state->now = instance->work;
-    state->now.time = time + h;
     memcpy(state->heard, state->inputs, sizeof state->heard);
     state->step = h;
     state->steps++;
@@ -392,6 +454,9 @@ static Outcome set_number(Instance *instance, size_t k, double value)
     if (!(value >= variable->low && value <= variable->high && fabs(value) <= DBL_MAX))
         return say(instance, ERROR, "%s = %g %s is outside its range [%g, %g] %s", variable->name, value, variable->unit,
                    variable->low, variable->high, variable->unit);
+    if (k >= FIRST_FIXED && state->phase == STEPPING)
+        return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",
+                   variable->name);
     state->parameters[k - FIRST_PARAMETER] = value;
     if (state->phase != STEPPING) state->due = 1;
     return GOOD;
@@ -415,6 +480,49 @@ static Outcome require_state(const Instance *instance, const State *saved)
         (saved->input_time != AT_START && saved->input_time != AT_END))
         return say(instance, ERROR, "the saved state is not one of %s, or of another version of it", MODEL_NAME);
     return GOOD;
+}
+
+/* Copy a state to where the host keeps it; the memory is new where there is none yet. */
+static Outcome keep_state(const Instance *instance, const State *state, void **saved)
+{
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return say(instance, ERROR, "there is no memory left to save the state in");
+    memcpy(*saved, state, sizeof(State));
+    return GOOD;
+}
+
+static Outcome restore_state(Instance *instance, const void *saved)
+{
+    if (saved == NULL) return say(instance, ERROR, "there is no saved state to restore");
+    if (require_state(instance, saved) != GOOD) return ERROR;
+    memcpy(&instance->state, saved, sizeof(State));
+    return GOOD;
+}
+
+static void free_state(void **saved)
+{
+    if (saved == NULL) return;
+    free(*saved);
+    *saved = NULL;
+}
+
+static Outcome write_state(const Instance *instance, const void *saved, void *bytes, size_t size)
+{
+    if (saved == NULL) return say(instance, ERROR, "there is no saved state to write");
+    if (size < sizeof(State))
+        return say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State), (unsigned)size);
+    memcpy(bytes, saved, sizeof(State));
+    return GOOD;
+}
+
+static Outcome read_state(const Instance *instance, const void *bytes, size_t size, void **saved)
+{
+    State state;
+    if (size != sizeof(State))
+        return say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size);
+    memcpy(&state, bytes, sizeof(State));
+    if (require_state(instance, &state) != GOOD) return ERROR;
+    return keep_state(instance, &state, saved);
 }
 
 /* Derivatives -------------------------------------------------------------------------------------------------------- */
@@ -449,13 +557,15 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
             arguments[1] = instance->nodes;
             arguments[2] = &h;
             arguments[3] = state->parameters;
-            arguments[4] = instance->state_seed;
-            arguments[5] = instance->node_seeds;
-            arguments[6] = parameter_seed;
+            arguments[4] = &work->time;
+            arguments[5] = instance->state_seed;
+            arguments[6] = instance->node_seeds;
+            arguments[7] = parameter_seed;
             results[0] = instance->next_seed;
             results[1] = found;
             failed = MATHEMATICS(advance_tangent)(arguments, results, instance->integers, instance->numbers, 0);
             failed |= !solve_step(instance, work, h);
+            work->time = state->before.time + (k + 1.0) / count * state->step;
             memcpy(instance->state_seed, instance->next_seed, sizeof instance->state_seed);
         }
     } else
@@ -467,8 +577,10 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
             memcpy(instance->node_seeds, input_seed, N_INPUTS * sizeof(double));
         arguments[0] = state->now.path;
         arguments[1] = state->parameters;
-        arguments[2] = instance->node_seeds;
-        arguments[3] = parameter_seed;
+        arguments[2] = &state->now.time;
+        arguments[3] = STARTS(state->parameters);
+        arguments[4] = instance->node_seeds;
+        arguments[5] = parameter_seed;
         results[0] = instance->next_seed;
         results[1] = found;
         failed = MATHEMATICS(begin_tangent)(arguments, results, instance->integers, instance->numbers, 0);
