@@ -1,6 +1,6 @@
 /* A plain host for native FMUs, of FMI 2 or, with -DFMI=3, of FMI 3; for Linux, macOS and Windows.
 
-   host LIBRARY TOKEN INPUT_VARIABLES INPUTS FIRST_OUTPUT OUTPUTS INPUT_TIME STEPS H ROUNDS < path
+   host LIBRARY TOKEN INPUT_VARIABLES INPUTS FIRST_OUTPUT OUTPUTS INPUT_TIME STEPS H ROUNDS [RESOURCES] < path
 
    Reads the path, INPUTS numbers for each of STEPS + 1 instants, and follows it, inputs belonging to the end of each
    step. Prints the outputs at all instants with all digits; with more than one round, the microseconds of a step and of
@@ -67,7 +67,8 @@ int main(int count, char **words)
 {
     Reference references[MOST];
     double *path, outputs[MOST], fastest = 1e300, quickest = 1e300;
-    if (count != 11) return 1;
+    if (count < 11) return 1;
+    const char *resources = count > 11 ? words[11] : "";
     const size_t variables = (size_t)atoi(words[3]), inputs = (size_t)atoi(words[4]), first = (size_t)atoi(words[5]);
     const size_t results = (size_t)atoi(words[6]);
     const Reference choice = (Reference)atoi(words[7]);
@@ -96,7 +97,7 @@ int main(int count, char **words)
     Getter *get = SYMBOL(library, "fmi2GetReal");
     Setter *set = SYMBOL(library, "fmi2SetReal");
     const fmi2Integer end = 2;
-#define INSTANTIATE instantiate("host", fmi2CoSimulation, words[2], "", &callbacks, 0, 0)
+#define INSTANTIATE instantiate("host", fmi2CoSimulation, words[2], resources, &callbacks, 0, 0)
 #define CHOOSE(c) choose(c, &choice, 1, &end)
 #define ENTER(c) (setup(c, 0, 0.0, 0.0, 0, 0.0) || enter(c))
 #define SET(c, values) set(c, references, inputs, values)
@@ -110,7 +111,7 @@ int main(int count, char **words)
     const fmi3Int64 end = 2;
     fmi3Boolean event, over, early;
     fmi3Float64 last;
-#define INSTANTIATE instantiate("host", words[2], "", 0, 0, 0, 0, NULL, 0, NULL, logger, NULL)
+#define INSTANTIATE instantiate("host", words[2], resources, 0, 0, 0, 0, NULL, 0, NULL, logger, NULL)
 #define CHOOSE(c) choose(c, &choice, 1, &end, 1)
 #define ENTER(c) enter(c, 0, 0.0, 0.0, 0, 0.0)
 #define SET(c, values) set(c, references, variables, values, inputs)
