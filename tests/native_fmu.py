@@ -62,21 +62,30 @@ def scene_called(name: str) -> sc.Scene:
 class Joined(sc.Reference):
     """A path as an FMU joins what it is told at equal steps: polynomials with the same derivatives at both ends."""
 
-    pieces: tuple[BPoly, ...]
+    nodes: np.ndarray
+    known: np.ndarray
 
     @classmethod
     def of(cls, path: sc.Reference, orders: int, steps: int) -> Joined:
-        t = np.linspace(path.start_time, path.end_time, steps + 1)
-        known = path.jet(t, orders - 1)
-        pieces = tuple(BPoly.from_derivatives(t, known[:, :, k].tolist()) for k in range(path.dimension))
+        nodes = np.linspace(path.start_time, path.end_time, steps + 1)
         return cls(
             start_time=path.start_time, end_time=path.end_time, dimension=path.dimension, max_order=2 * orders - 1,
-            smoothness=orders - 1, pieces=pieces,
+            smoothness=orders - 1, nodes=nodes, known=path.jet(nodes, orders - 1),
         )  # fmt: skip
 
     def _derivatives(self, t: np.ndarray, order: int) -> np.ndarray:
-        inside = np.clip(t, self.start_time, self.end_time)
-        return np.stack([[each(inside, k) for k in range(order + 1)] for each in self.pieces], axis=-1).swapaxes(0, 1)
+        found, last = np.zeros((len(t), order + 1, self.dimension)), len(self.nodes) - 2
+        pieces = np.clip(np.searchsorted(self.nodes, t, side="right") - 1, 0, last)
+        for k in set(pieces.tolist()):
+            origin, ends, at = self.known[k, 0], self.known[k : k + 2].copy(), pieces == k
+            ends[:, 0] -= origin  # else round-off of positions counts in accelerations
+            h = self.nodes[k + 1] - self.nodes[k]
+            tau = np.clip(t[at] - self.nodes[k], 0.0, h)
+            for row in range(self.dimension):
+                piece = BPoly.from_derivatives([0.0, h], ends[:, :, row].tolist())
+                found[at, :, row] = np.stack([piece(tau, each) for each in range(order + 1)], axis=-1)
+            found[at, 0] += origin
+        return found
 
 
 def joined(name: str, steps: int) -> sc.Scene:

@@ -10,11 +10,10 @@ import typer
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress
 from servocore.errors import InvalidSetting
-from servocore.export.building import inverse_model
+from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import export_fmu, require_version
-from servocore.export.mathematics import METHOD
 from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
