@@ -142,7 +142,7 @@ def test_fmi_3_has_the_path_as_vectors():
 
 
 @pytest.mark.parametrize("input_time", [START, END])
-@pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("mass_on_car", 2), ("elastic_hoist", 3)])
+@pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("mass_on_car", 2), ("elastic_hoist", 3), ("wind", 3)])
 def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, fmi, input_time):
     random = np.random.default_rng(5)
     reference = scene_called(name).reference
