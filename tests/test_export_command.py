@@ -238,7 +238,13 @@ def test_c_source_computes_the_same(name, compiler):
         expected = sc.ExactInversion(scene)(t)
     assert (found[:, 0] == t).all()
     assert np.abs(found[:, 1 : 1 + len(inputs)] - expected).max() <= 1e-12 * np.abs(expected).max()
+    Path("source/size.c").write_text(
+        f'#include <stdio.h>\n#include "{name}.h"\nint main(void) {{ printf("%zu", sizeof({name}_memory)); }}'
+    )
+    subprocess.run([*compiler, "size.c", "-o", "size"], cwd="source", check=True)
+    size = subprocess.run(["source/size"], capture_output=True, text=True, check=True).stdout
     page = Path("source/README.md").read_text(encoding="utf-8")
+    assert f"({size} bytes where pointers have eight)" in page
     assert "at most 30 for each block" in page
     assert "| stack | at most " in page
 

@@ -117,7 +117,7 @@ def _memory_bytes(model: InverseModel, mathematics: Mathematics) -> int:
         mathematics.scratch(),
     )
     numbers = inputs * (1 + len(mathematics.nodes)) + len(mathematics.outputs) + 2 * state
-    numbers += max(len(model.limits), 1) + max(scratch["numbers"], 1)
+    numbers += int(model.timed) + max(len(model.limits), 1) + max(scratch["numbers"], 1)
     integers = (max(scratch["integers"], 1) + 1) // 2  # two in the place of a number
     return 8 * (numbers + scratch["arguments"] + scratch["results"] + integers)
 
