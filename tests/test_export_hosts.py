@@ -103,20 +103,32 @@ def test_another_master_gets_what_a_host_in_python_gets(master, tmp_path):
 HOSTILE = ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing", "wind", "limited"] if FULL else ["cars"]
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
+def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], folder: Path, *amount: int) -> None:
+    """Build a driver with an FMU's own sources, run it, and see that it ends without a word of the sanitizers."""
     model = exported(name)
-    for file, text in fmu_sources(model, 2).items():
-        (tmp_path / file).write_text(text, encoding="utf-8")
+    for file, text in fmu_sources(model, fmi).items():
+        (folder / file).write_text(text, encoding="utf-8")
     options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
-    build = [*compiler, *options, HERE / "hostile.c", *compiled_files(model, 2), "-o", "hostile", "-lm"]
-    built = subprocess.run(build, cwd=tmp_path, capture_output=True, text=True, check=False)
+    build = [*compiler, *options, HERE / f"{driver}.c", *compiled_files(model, fmi), "-o", driver, "-lm"]
+    built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":
         pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")
-    amount = ("10000", "1000000") if FULL else ("300", "10000")
-    done = subprocess.run(["./hostile", *amount, "3"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    words = [f"./{driver}", *map(str, amount)]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}{done.stderr}"
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
+    amount = (10_000, 1_000_000) if FULL else (300, 10_000)
+    under_sanitizers(name, 2, "hostile", compiler, tmp_path, *amount, 3)
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+@pytest.mark.parametrize("name", ["gantry_crane", "wind"])
+def test_vectors_that_do_not_fit_meet_no_sanitizer(name, compiler, tmp_path):
+    under_sanitizers(name, 3, "hostile3", compiler, tmp_path, 10_000, 3)
 
 
 # All scenes, all platforms -------------------------------------------------------------------------------------------
