@@ -65,8 +65,8 @@ def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[
     return columns, [row for row, k in enumerate(columns) if channels[k].positive], coordinates
 
 
-def look_between(solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]) -> None:
-    """Refuse or warn of what exact inversions find beside some instants of a solution.
+def look_between(solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]) -> bool:
+    """Refuse or warn of what exact inversions find beside some instants of a solution; return whether it warned.
 
     Parameters
     ----------
@@ -118,6 +118,7 @@ def look_between(solution: Solution, suspected: list[tuple[int, int]], values: C
             ServocoreWarning,
             stacklevel=4,
         )
+    return bool(hidden)
 
 
 def _extremes(

@@ -130,8 +130,8 @@ def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Look at a solution (one branch, no poles between instants, right inputs); return it with what was seen."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
-    survey_between(problem, solution, unknowns_beside)
-    if len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
+    warned = survey_between(problem, solution, unknowns_beside)
+    if not warned and len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
         survey_between(problem, _at_more_instants(problem), unknowns_beside)
     branch = _branch(problem, route, solution) + passed
     return replace(solution, statistics=replace(solution.statistics, branch=branch))

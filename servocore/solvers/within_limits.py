@@ -91,8 +91,10 @@ def _require_regular(problem: Problem, solution: Solution, states: Array, suspec
                 )
 
 
-def survey_between(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> None:
-    """Look between the instants of a solution where something seems to grow beyond what it reports.
+def survey_between(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> bool:
+    """Look between the instants of a solution where something seems to grow beyond what it reports, and warn of it.
+
+    Returns whether it warned.
 
     Parameters
     ----------
@@ -107,13 +109,13 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
         If an input or an observable has a pole between two instants, or a sign that it must not have.
     """
     if problem.follow_branch or not isinstance(problem.resolved.outcome, DerivativeArray):
-        return
+        return False
     suspected = suspects(problem, solution)
     if not suspected:
-        return
+        return False
     if not problem.flat:
         _require_regular(problem, solution, beside(problem, solution), suspected)
-        return
+        return False
     names = tuple(dict.fromkeys(solution.channels[channel].name for channel, _ in suspected))
     watched = problem.resolved.once(compile_watched, tuple((Named(name), False) for name in names))
     try:
@@ -127,4 +129,4 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
         (found,) = at_instants(watched.function, states(t), jets=jets, p=problem.p)
         return np.asarray(found[names.index(solution.channels[channel].name)])
 
-    look_between(solution, suspected, values)
+    return look_between(solution, suspected, values)
