@@ -17,14 +17,15 @@ unknowns and givens by some round-off explains what is left of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidModel
+from servocore.numerics.assembly import Assembly, substituted
 from servocore.numerics.expressions import largest
+from servocore.numerics.tearing import dependence, tear
 
 STEP_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -40,7 +41,6 @@ _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
 
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
 _MOST_UNROLLED = 16  # unknowns of a block whose solution is written out as one expression
-_TEARING_FILL = 0  # a substitution must not leave more entries than it removes
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,44 +72,6 @@ class SquareSystem:
             found = getattr(self, attribute).numel()
             if found != size:
                 raise InvalidModel(f"{size} unknowns, but {attribute} has {found} rows")
-
-
-@dataclass(eq=False)
-class _Assembly:
-    """What is known while the blocks are worked through: symbols with their values in the compiled graph."""
-
-    system: SquareSystem
-    symbols: ca.SX
-    values: ca.MX
-    explicit: list[tuple[ca.SX, ca.SX]] = field(default_factory=list)  # not yet evaluated
-    iterations: list[ca.MX] = field(default_factory=list)
-    linear_blocks: int = 0
-    flat: bool = False
-
-    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
-        """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
-        return _substituted(self.explicit, *expressions)
-
-    def flush(self) -> None:
-        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
-        if self.explicit:
-            symbols, values = (ca.vertcat(*column) for column in zip(*self.explicit, strict=True))
-            evaluate = ca.Function("sc_explicit", [self.symbols], [values], {"cse": True})
-            self.learn(symbols, evaluate(self.values))
-            self.explicit = []
-
-    def learn(self, symbols: ca.SX, values: ca.MX) -> None:
-        self.symbols = ca.vertcat(self.symbols, symbols)
-        self.values = ca.vertcat(self.values, values)
-
-
-def _substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[ca.SX]:
-    """Return `expressions` with (symbol, expression in its place) of all pairs put in at once."""
-    if not pairs:
-        return list(expressions)
-    symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
-    found: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
-    return found
 
 
 def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -157,17 +119,15 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     """
     givens = ca.MX.sym("givens", system.givens.numel())
     full, (system, constants) = system, _without_constants(system)
-    assembly = _Assembly(system, system.givens, givens, explicit=constants, flat=flat)
+    assembly = Assembly()
+    assembly.learn(system.givens, givens)
+    for symbol, number in constants:
+        assembly.state(symbol, number)
     for rows, columns in _blocks(system):
-        _solve_block(assembly, rows, columns)
+        _solve_block(assembly, _part(system, rows, columns), flat)
     worst = largest(full.residual / full.residual_scale)
-    finish = ca.Function(
-        "sc_finish",
-        [assembly.symbols],
-        [ca.densify(each) for each in assembly.resolved(*outputs, worst)],
-        {"cse": True},
-    )
-    *found, residual = finish.call([assembly.values])
+    wanted = [ca.densify(each) for each in assembly.resolved(*outputs, worst)]
+    *found, residual = assembly.evaluated("sc_finish", *wanted)
     most = ca.MX(0)
     total = ca.MX(assembly.linear_blocks)
     for count in assembly.iterations:
@@ -184,7 +144,7 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     constants: list[tuple[ca.SX, ca.SX]] = []
     while system.unknowns.numel():
         jacobian = ca.jacobian(system.residual, system.unknowns)
-        pattern = _dependence(jacobian)
+        pattern = dependence(jacobian)
         found: dict[int, tuple[int, ca.SX]] = {}
         for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
             j = int(pattern[i].argmax())
@@ -197,15 +157,20 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
         constants += numbers
         kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in found.values()]).tolist()
         kept = np.setdiff1d(range(len(pattern)), list(found)).tolist()
-        system = replace(
-            system,
-            unknowns=system.unknowns[kept],
-            residual=_substituted(numbers, system.residual[kept_rows])[0],
-            guess=system.guess[kept],
-            unknown_scale=system.unknown_scale[kept],
-            residual_scale=system.residual_scale[kept_rows],
-        )
+        system = _part(system, kept_rows, kept)
+        system = replace(system, residual=substituted(numbers, system.residual)[0])
     return system, constants
+
+
+def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSystem:
+    return replace(
+        system,
+        unknowns=system.unknowns[columns],
+        residual=system.residual[rows],
+        guess=system.guess[columns],
+        unknown_scale=system.unknown_scale[columns],
+        residual_scale=system.residual_scale[rows],
+    )
 
 
 def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
@@ -222,22 +187,22 @@ def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
     ]
 
 
-def _solve_block(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
-    unknowns = assembly.system.unknowns[columns]
-    residual = assembly.system.residual[rows]
+def _solve_block(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+    unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
     linear = not ca.depends_on(jacobian, unknowns)
-    if linear and len(rows) <= _EXPLICIT_SIZE:
-        jacobian, constant = assembly.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(len(rows))))
+    if linear and size <= _EXPLICIT_SIZE:
+        jacobian, constant = assembly.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
         solution = -_small_inverse_times(jacobian, constant)
-        assembly.explicit += [(unknowns[k], solution[k]) for k in range(len(rows))]
+        for k in range(size):
+            assembly.state(unknowns[k], solution[k])
         assembly.linear_blocks += 1
         return
     assembly.flush()
     if linear:
-        _solve_linear(assembly, unknowns, residual, jacobian)
+        _solve_linear(assembly, block, flat)
     else:
-        _solve_nonlinear(assembly, rows, columns)
+        _solve_nonlinear(assembly, block, flat)
 
 
 def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
@@ -253,50 +218,45 @@ def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
-def _solve_linear(assembly: _Assembly, unknowns: ca.SX, residual: ca.SX, jacobian: ca.SX) -> None:
-    constant = ca.substitute(residual, unknowns, ca.SX.zeros(unknowns.numel()))
+def _solve_linear(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+    jacobian = ca.jacobian(block.residual, block.unknowns)
+    constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
     assembly.linear_blocks += 1
-    if assembly.flat:
-        solve = ca.Function("sc_linear", [assembly.symbols], [ca.solve(jacobian, -constant)], {"cse": True})
-        assembly.learn(unknowns, solve(assembly.values))
+    if flat:
+        assembly.learn(block.unknowns, *assembly.evaluated("sc_linear", ca.solve(jacobian, -constant)))
         return
-    evaluate = ca.Function("sc_linear", [assembly.symbols], [jacobian, -constant], {"cse": True})
-    matrix, right = evaluate(assembly.values)
-    assembly.learn(unknowns, ca.solve(matrix, right, "qr"))
+    matrix, right = assembly.evaluated("sc_linear", jacobian, -constant)
+    assembly.learn(block.unknowns, ca.solve(matrix, right, "qr"))
 
 
-def _solve_nonlinear(assembly: _Assembly, rows: list[int], columns: list[int]) -> None:
-    system = assembly.system
-    core, kept_rows, torn = _tear(system, rows, columns)
-    (residual,) = _substituted(torn, system.residual[kept_rows])
-    find = _iterated_once if assembly.flat else _iterated
-    unknowns, guess, scale = (each[core] for each in (system.unknowns, system.guess, system.unknown_scale))
-    assembly.learn(unknowns, find(assembly, residual, unknowns, guess, scale, system.residual_scale[kept_rows]))
+def _solve_nonlinear(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+    core, kept_rows, torn = tear(block.unknowns, block.residual)
+    block = _part(block, kept_rows, core)
+    block = replace(block, residual=substituted(torn, block.residual)[0])
+    assembly.learn(block.unknowns, (_iterated_once if flat else _iterated)(assembly, block))
     for symbol, expression in torn:
-        assembly.explicit.append((symbol, assembly.resolved(expression)[0]))
+        assembly.state(symbol, expression)
 
 
-def _iterated(
-    assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX, row_scale: ca.SX
-) -> ca.MX:
+def _iterated(assembly: Assembly, block: SquareSystem) -> ca.MX:
     """Return where Newton's method ends, or NaN if it does not."""
-    system = assembly.system
-    prepare = ca.Function("sc_prepare", [system.givens], [guess / scale, scale, row_scale], {"cse": True})
-    start, scale_value, row_scale_value = prepare(assembly.values[: system.givens.numel()])
-
-    size = unknowns.numel()
+    start, scale, row_scale = assembly.evaluated(
+        "sc_prepare", block.guess / block.unknown_scale, block.unknown_scale, block.residual_scale
+    )
+    size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
     scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
-    equations = ca.substitute(residual, unknowns, scaled * scale_symbol) / row_scale_symbol
-    x, p = ca.vertcat(scaled, clock), ca.vertcat(assembly.symbols, scale_symbol, row_scale_symbol)
-    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), assembly.symbols)(
-        ca.vertcat(start, 0), ca.vertcat(assembly.values, scale_value, row_scale_value)
+    known, values = assembly.needed(block.residual)
+    equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
+    x, p = ca.vertcat(scaled, clock), ca.vertcat(known, scale_symbol, row_scale_symbol)
+    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), known)(
+        ca.vertcat(start, 0), ca.vertcat(values, scale, row_scale)
     )
     ticks = root[size] / _TICK
     assembly.iterations.append(ticks)
     # A count at the limit is a failure: let it spread instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
-    return root[:size] * scale_value * verdict
+    return root[:size] * scale * verdict
 
 
 def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
@@ -321,75 +281,15 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
     return ca.Function("sc_root", [start, given], [root])
 
 
-def _iterated_once(
-    assembly: _Assembly, residual: ca.SX, unknowns: ca.SX, guess: ca.SX, scale: ca.SX, _: ca.SX
-) -> ca.MX:
+def _iterated_once(assembly: Assembly, block: SquareSystem) -> ca.MX:
     """Return a guess after one Newton iteration, or NaN if that moved it by more than `STEP_TOLERANCE`."""
-    jacobian, size = ca.jacobian(residual, unknowns), unknowns.numel()
-    correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
-    verdict = ca.if_else(largest(correction / scale) < STEP_TOLERANCE, 1.0, np.nan)
-    start = ca.Function("sc_prepare", [assembly.system.givens], [guess])
-    iterate = ca.Function(
-        "sc_iterate", [assembly.symbols, unknowns], [(unknowns - correction) * verdict], {"cse": True}
-    )
-    assembly.iterations.append(ca.MX(1))
-    found: ca.MX = iterate(assembly.values, start(assembly.values[: assembly.system.givens.numel()]))
-    return found
-
-
-def _tear(
-    system: SquareSystem, rows: list[int], columns: list[int]
-) -> tuple[list[int], list[int], list[tuple[ca.SX, ca.SX]]]:
-    """Take unknowns out of a block that one of its rows gives explicitly with a constant coefficient.
-
-    Returns the remaining columns and rows of the system, and the substitutions in an order in which each
-    holds unknowns that remain or come later in the list; they are returned already resolved among themselves.
-    """
-    unknowns, residual = system.unknowns[columns], system.residual[rows]
+    unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
-    pattern = _dependence(jacobian)
-    constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
-    active_rows, active_columns = set(range(len(rows))), set(range(len(columns)))
-    pivots: list[tuple[int, int]] = []
-    while len(active_rows) > 1:
-        best = _cheapest_pivot(pattern, constant, active_rows)
-        if best is None:
-            break
-        i, j = best
-        touched = [k for k in active_rows if pattern[k, j] and k != i]
-        pattern[touched] |= pattern[i]
-        constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
-        active_rows.remove(i)
-        active_columns.remove(j)
-        pivots.append(best)
-    torn: list[tuple[ca.SX, ca.SX]] = []
-    for i, j in pivots:
-        (row,), unknown = _substituted(torn, residual[i]), unknowns[j]
-        coefficient = ca.jacobian(row, unknown)
-        value = -ca.substitute(row, unknown, ca.SX(0)) / coefficient
-        torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]
-        torn.append((unknown, value))
-    core = [columns[j] for j in sorted(active_columns)]
-    kept = [rows[i] for i in sorted(active_rows)]
-    return core, kept, torn
-
-
-def _dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
-    pattern = np.zeros(jacobian.shape, dtype=bool)
-    pattern[tuple(np.array(jacobian.sparsity().get_triplet(), dtype=np.intp))] = True
-    return pattern
-
-
-def _cheapest_pivot(
-    pattern: npt.NDArray[np.bool_],
-    constant: set[tuple[int, int]],
-    active_rows: set[int],
-) -> tuple[int, int] | None:
-    """Return the constant entry whose elimination creates the fewest new entries, if those are few enough."""
-
-    def fill(i: int, j: int) -> int:
-        touched = [k for k in active_rows if pattern[k, j] and k != i]
-        return int((pattern[i] & ~pattern[touched]).sum()) - len(touched)
-
-    best = min(((fill(i, j), i, j) for i, j in constant if i in active_rows), default=None)
-    return best[1:] if best is not None and best[0] <= _TEARING_FILL else None
+    correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
+    verdict = ca.if_else(largest(correction / block.unknown_scale) < STEP_TOLERANCE, 1.0, np.nan)
+    (start,) = assembly.evaluated("sc_prepare", block.guess)
+    known, values = assembly.needed(residual, block.unknown_scale)
+    iterate = ca.Function("sc_iterate", [known, unknowns], [(unknowns - correction) * verdict], {"cse": True})
+    assembly.iterations.append(ca.MX(1))
+    found: ca.MX = iterate(values, start)
+    return found

@@ -1,0 +1,86 @@
+"""What is known while a square system is solved block by block: symbols, and their values in the compiled graph."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+
+@dataclass(eq=False)
+class Assembly:
+    """Symbols with values in a compiled graph, and unknowns that are expressions of these, not yet evaluated.
+
+    Every compiled piece takes the symbols that it needs and no others, so that a system of many parts costs what its
+    parts do.
+
+    Attributes
+    ----------
+    explicit : dict of int to (casadi.SX, casadi.SX)
+        By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
+    iterations : list of casadi.MX
+        Counts of Newton's method.
+    linear_blocks : int
+        Blocks that needed none.
+    """
+
+    explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
+    iterations: list[ca.MX] = field(default_factory=list)
+    linear_blocks: int = 0
+    _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
+    _places: dict[int, tuple[int, int]] = field(default_factory=dict)
+
+    def learn(self, symbols: ca.SX, values: ca.MX) -> None:
+        """Take in a column of symbols with their values."""
+        for position, symbol in enumerate(ca.vertsplit(symbols) if symbols.numel() else ()):
+            self._places[symbol.element_hash()] = len(self._pieces), position
+        self._pieces.append((symbols, values))
+
+    def state(self, symbol: ca.SX, expression: ca.SX) -> None:
+        """Take in an unknown as an expression of what is known."""
+        self.explicit[symbol.element_hash()] = symbol, self.resolved(expression)[0]
+
+    def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
+        """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
+        pairs = [self.explicit[each] for each in _symbols(expressions) if each in self.explicit]
+        return substituted(pairs, *expressions)
+
+    def flush(self) -> None:
+        """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
+        if self.explicit:
+            symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit.values(), strict=True))
+            self.explicit = {}
+            self.learn(symbols, *self.evaluated("sc_explicit", expressions))
+
+    def evaluated(self, name: str, *expressions: ca.SX) -> list[ca.MX]:
+        """Return the values of `expressions` of evaluated symbols, by one compiled function."""
+        symbols, values = self.needed(*expressions)
+        found: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": True}).call([values])
+        return found
+
+    def needed(self, *expressions: ca.SX) -> tuple[ca.SX, ca.MX]:
+        """Return the evaluated symbols in `expressions`, and their values."""
+        wanted: dict[int, list[int]] = {}
+        for piece, position in sorted(self._places[each] for each in _symbols(expressions) if each in self._places):
+            wanted.setdefault(piece, []).append(position)
+        symbols, values = [ca.SX(0, 1)], [ca.MX(0, 1)]
+        for piece, positions in wanted.items():
+            known, at = self._pieces[piece]
+            whole = len(positions) == known.numel()
+            symbols.append(known if whole else known[positions])
+            values.append(at if whole else at[positions])
+        return ca.vertcat(*symbols), ca.vertcat(*values)
+
+
+def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[ca.SX]:
+    """Return `expressions` with (symbol, expression in its place) of all pairs put in at once."""
+    if not pairs:
+        return list(expressions)
+    symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
+    found: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
+    return found
+
+
+def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:
+    """Hashes of the symbols that occur."""
+    return [each.element_hash() for each in ca.symvar(ca.veccat(*expressions))]
