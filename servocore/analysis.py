@@ -20,11 +20,11 @@ from servocore.checks.refusals import SINGULAR_CONDITION, out_of_reach, singular
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian
-from servocore.structure.signature import condition_number
+from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
+from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
 
@@ -186,15 +186,16 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         jets = reference.jet(times, array.reference_order)
     except InvalidReference as error:
         return np.inf, str(error), ""
-    _, _, jacobian = problem.resolved.once(_survey_functions)
-    worst, found = 0.0, _unknowns_along(problem, jets)
-    for time, jet, values in zip(times, jets, found, strict=True):
-        matrix = jacobian(values, jet.T, problem.p)[0]
-        here = condition_number(matrix)
-        if not here < SINGULAR_CONDITION:
-            told = "" if np.isfinite(matrix).all() else singular(problem)
-            return here, out_of_reach(problem) or told or singular_in_words(problem, float(time), values, matrix), ""
-        worst = max(worst, here)
+    found = _unknowns_along(problem, jets)
+    entries, parts = problem.resolved.once(system_jacobian_entries)
+    conditions = condition_numbers(parts, at_instants(entries, np.column_stack(found), jets=jets, p=problem.p)[0])
+    if not (conditions < SINGULAR_CONDITION).all():
+        k = int((~(conditions < SINGULAR_CONDITION)).argmax())
+        matrix = np.asarray(problem.resolved.once(system_jacobian)(found[k], jets[k].T, problem.p))
+        told = "" if np.isfinite(matrix).all() else singular(problem)
+        said = out_of_reach(problem) or told or singular_in_words(problem, float(times[k]), found[k], matrix)
+        return float(conditions[k]), said, ""
+    worst = float(conditions.max())
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion
     places = array.places((k, 0) for k in range(len(system.coordinates)))
@@ -206,7 +207,7 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
 
     What a guess that knows nothing of the path does not solve is solved from a neighbour.
     """
-    invert, search, _ = problem.resolved.once(_survey_functions)
+    invert, search = problem.resolved.once(_survey_functions)
     found = [invert(jet.T, problem.p)[0] for jet in jets]
     solved = [bool(np.isfinite(values).all()) for values in found]
     count = len(found)
@@ -220,6 +221,6 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
     return found
 
 
-def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call, Call]:
+def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:
     inverse = resolved.once(inversion)
-    return Call(inverse.function), Call(inverse.search), Call(resolved.once(system_jacobian))
+    return Call(inverse.function), Call(inverse.search)

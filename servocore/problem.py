@@ -23,6 +23,7 @@ from servocore.model.scene import Scene
 from servocore.model.soundness import probes, require_driving, require_mass
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
+from servocore.numerics.components import filled
 from servocore.references.base import FloatArray, Reference
 from servocore.references.clocked import Clocked
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
@@ -129,7 +130,7 @@ def _require_driving(system: MechanicalSystem) -> None:
     jacobians = ca.Function("jacobians", [system.q, system.p], [system.input_matrix, system.C])
     found = [jacobians(*each) for each in probes(home, system.coordinates.nominal, p)]
     for k, (kind, quantities) in enumerate((("input", system.inputs), ("output", system.outputs))):
-        rows, names = [np.asarray(each[k]) for each in found], [each.name for each in quantities]
+        rows, names = [filled(each[k]) for each in found], [each.name for each in quantities]
         require_driving(system.name, rows, names, kind)
 
 

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.numerics.calls import Array, Call, at_instants
+from servocore.numerics.components import Part, parts_of
 from servocore.numerics.constraint_ranks import Rows, assembled
 from servocore.numerics.interpolation import lagrange
 from servocore.problem import Problem, ResolvedSystem
@@ -74,7 +75,16 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     """
     if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
         return []
-    jacobians = _jacobians(problem, t, q)
+    entries, nominal = _entries(problem, t, q), np.array(problem.system.coordinates.nominal)
+    found = []
+    for part in problem.resolved.once(constraint_entries)[1]:
+        if len(part.rows) and len(part.columns):
+            found += _losses(problem, t, q, part, part.dense(entries) * nominal[part.columns])
+    return sorted(found, key=lambda loss: loss.time)
+
+
+def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) -> list[RankLoss]:
+    """Find where constraints lose rank that have coordinates of their own; `jacobians` is S at all instants, scaled."""
     scale = np.maximum(np.linalg.norm(jacobians, axis=2).max(axis=0), 1e-300)[None, :, None]
     jacobians = jacobians / scale
     signs, logarithms = np.linalg.slogdet(jacobians @ jacobians.transpose(0, 2, 1))
@@ -82,8 +92,11 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     if not np.isfinite(largest):
         return []
     determinant = np.where(signs > 0.0, np.exp(logarithms - largest), 0.0)
-    motion = _Motion(problem, t, q, scale.ravel())
-    found = [_closest(motion, int(k)) for k in np.flatnonzero(_touching(t, determinant))]
+    touching = np.flatnonzero(_touching(t, determinant))
+    if not len(touching):
+        return []
+    motion = _Motion.of(problem, t, q, part, scale.ravel())
+    found = [_closest(motion, int(k)) for k in touching]
     return [each for each in found if each is not None and each.condition > CONDITION_LIMIT]
 
 
@@ -105,15 +118,32 @@ def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A motion between its instants: configurations that satisfy all constraints, from interpolated ones."""
+    """A motion between its instants: configurations that satisfy constraints, from interpolated ones.
+
+    Of constraints that have coordinates of their own, only these are looked at; q is divided by nominal magnitudes.
+    """
 
     problem: Problem
     t: Array
     q: Array
+    nominal: Array
     row_scale: Array
+    evaluate: Call
+    holonomic: int  # so many of the constraints are
+
+    @classmethod
+    def of(cls, problem: Problem, t: Array, q: Array, part: Part | None, row_scale: Array) -> _Motion:
+        """Prepare to look at a part of the constraints, or at all of them."""
+        nominal, holonomic = np.array(problem.system.coordinates.nominal), problem.system.lam.numel()
+        if part is None:
+            return cls(problem, t, q / nominal, nominal, row_scale, problem.resolved.once(constraint_rows), holonomic)
+        rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
+        evaluate = problem.resolved.once(constraint_rows, rows, columns)
+        own = nominal[part.columns]
+        return cls(problem, t, q[:, part.columns] / own, own, row_scale, evaluate, int(sum(part.rows < holonomic)))
 
     def configuration(self, time: float, start: Array) -> Array | None:
-        """Return q / nominal near `start` where all constraints hold at a time; None if there is none."""
+        """Return q near `start` where the constraints hold at a time; None if there is none."""
         return assembled(self._rows(time), start)
 
     def jacobian(self, time: float) -> Array | None:
@@ -122,19 +152,15 @@ class _Motion:
         return None if found is None else self._rows(time)(found)[1]
 
     def interpolated(self, time: float) -> Array:
-        """Return q / nominal between the instants."""
-        return np.array([np.interp(time, self.t, column) for column in self.q.T]) / self.nominal
-
-    @property
-    def nominal(self) -> Array:
-        """Typical magnitudes of the coordinates."""
-        return np.array(self.problem.system.coordinates.nominal)
+        """Return q between the instants."""
+        return np.array([np.interp(time, self.t, column) for column in self.q.T])
 
     def _rows(self, time: float) -> Rows:
-        jet, evaluate = self.problem.reference.jet(time, 0).T, self.problem.resolved.once(constraint_rows)[1]
+        jet = self.problem.reference.jet(time, 0).T
 
         def rows(x: Array) -> tuple[Array, Array]:
-            residual, jacobian = evaluate(x * self.nominal, jet, self.problem.p)
+            residual, jacobian = self.evaluate(x * self.nominal, jet, self.problem.p)
+            jacobian = jacobian.reshape(len(self.row_scale), -1)
             return residual.ravel() / self.row_scale, jacobian * self.nominal / self.row_scale[:, None]
 
         return rows
@@ -157,7 +183,7 @@ def _closest(motion: _Motion, k: int) -> RankLoss | None:
     jacobian = motion.jacobian(time)
     if jacobian is None:
         return None
-    holonomic = _condition(jacobian[: motion.problem.system.lam.numel()]) > CONDITION_LIMIT
+    holonomic = _condition(jacobian[: motion.holonomic]) > CONDITION_LIMIT
     return RankLoss(time, _condition(jacobian), holonomic)
 
 
@@ -166,25 +192,33 @@ def _condition(jacobian: Array) -> float:
     return float(values[0] / max(values[-1], 1e-300))
 
 
-def _jacobians(problem: Problem, t: Array, q: Array) -> Array:
-    """Return S at every configuration, its columns scaled by the nominal magnitudes, shape (N, m_h + m, n)."""
-    count, n = q.shape
-    function, jets = problem.resolved.once(constraint_rows)[0], problem.reference.jet(t, 0)
-    (flat,) = at_instants(function, q.T, jets=jets, p=problem.p)
-    found: Array = flat.reshape(-1, count, n).transpose(1, 0, 2) * np.array(problem.system.coordinates.nominal)
-    return found
+def _entries(problem: Problem, t: Array, q: Array) -> Array:
+    """Return the entries of S at every configuration, shape (nnz, N)."""
+    function, jets = problem.resolved.once(constraint_entries)[0], problem.reference.jet(t, 0)
+    return at_instants(function, q.T, jets=jets, p=problem.p)[0]
 
 
-def constraint_rows(resolved: ResolvedSystem) -> tuple[ca.Function, Call]:
-    """Compile (q, gamma, p) -> S = [G; C], for many instants, and -> residual of all constraints, S, for one.
+def constraint_entries(resolved: ResolvedSystem) -> tuple[ca.Function, tuple[Part, ...]]:
+    """Compile (q, gamma, p) -> the entries of S = [G; C], column by column, and find its independent parts.
 
     gamma is the path at an instant, shape (m,), with the time if the system holds it.
     """
-    system, gamma = resolved.system, resolved.system.gamma[:, 0]
-    residual = ca.densify(ca.vertcat(system.constraints, system.output - system.path[:, 0]))
-    S = ca.densify(ca.vertcat(system.G, system.C))
-    rows = ca.Function("sc_S_rows", [system.q, gamma, system.p], [residual, S])
-    return ca.Function("sc_S", [system.q, gamma, system.p], [S]), Call(rows)
+    system = resolved.system
+    S = ca.vertcat(system.G, system.C)
+    return ca.Function("sc_S", [system.q, system.gamma[:, 0], system.p], [S.nz[:]]), parts_of(S.sparsity())
+
+
+def constraint_rows(
+    resolved: ResolvedSystem, rows: tuple[int, ...] | None = None, columns: tuple[int, ...] | None = None
+) -> Call:
+    """Compile (q, gamma, p) -> residual of the constraints, S = [G; C]; of some rows, which hold some columns only."""
+    system = resolved.system
+    residual, S = ca.vertcat(system.constraints, system.output - system.path[:, 0]), ca.vertcat(system.G, system.C)
+    taken = [
+        list(range(size)) if some is None else list(some) for some, size in zip((rows, columns), S.shape, strict=True)
+    ]
+    results = [ca.densify(residual[taken[0]]), ca.densify(S[taken[0], taken[1]])]
+    return Call(ca.Function("sc_S_rows", [system.q[taken[1]], system.gamma[:, 0], system.p], results))
 
 
 def require_one_branch(problem: Problem, solution: Solution) -> str:
@@ -243,8 +277,8 @@ def changes_branch(problem: Problem, t: Array, q: Array, time: float) -> bool:
         return False  # it starts or ends there
     system = problem.system
     if len(system.coordinates) == system.lam.numel() + len(system.outputs):
-        motion = _Motion(problem, t, q, np.ones(len(system.coordinates)))
-        first, last = (q[k] / motion.nominal for k in (before[-1], after[0]))
+        motion = _Motion.of(problem, t, q, None, np.ones(len(system.coordinates)))
+        first, last = (motion.q[k] for k in (before[-1], after[0]))
         smooth = _followed(motion, float(t[before[-1]]), time, float(t[after[0]]), first)
         if smooth is not None:
             return bool(np.abs(last - smooth).max() > _ASTRAY * np.abs(smooth - first).max())

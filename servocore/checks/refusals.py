@@ -59,7 +59,7 @@ class _Reach:
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = problem.resolved.once(constraint_rows)[1], _guess(problem, float(times[0]))
+        rows, x = problem.resolved.once(constraint_rows), _guess(problem, float(times[0]))
         nominal = np.array(problem.system.coordinates.nominal)
         residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
         # Constraints hold to a part of what their rows change by when a coordinate goes as far as it does.

@@ -14,6 +14,7 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.calls import Array
+from servocore.numerics.components import singular_values
 
 _NEIGHBOURHOOD = 0.01  # of the nominal magnitudes
 _CANCELS = 1e-14  # of the largest entry of a mass matrix: a diagonal entry below is the round-off of a zero
@@ -314,8 +315,10 @@ def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kin
 def _dependent(rows: Array) -> list[int]:
     """Return rows that are combinations of one another; none if all are independent."""
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
-    left, values, _ = np.linalg.svd(rows / np.where(lengths > 0.0, lengths, 1.0))
+    rows = rows / np.where(lengths > 0.0, lengths, 1.0)
+    values = singular_values(rows)
     if len(values) == len(rows) and values[-1] > _DEPENDENT * values[0]:
         return []
+    left, _, _ = np.linalg.svd(rows)
     parts = np.abs(left[:, -1])
     return [int(k) for k in np.flatnonzero(parts > _PART * parts.max())]

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.calls import Array, Call
+from servocore.numerics.components import singular_values
 
 ROUND_OFF = 1e-9
 """Singular values of scaled rows below this fraction of the largest count as zero; assembly leaves some 1e-13."""
@@ -165,12 +166,14 @@ def unit_rows(jacobian: Array) -> Array:
 
 
 def _rank(jacobian: Array) -> int:
-    values = np.linalg.svd(unit_rows(jacobian), compute_uv=False)
+    values = singular_values(unit_rows(jacobian))
     return int((values > ROUND_OFF * max(1.0, values[0])).sum())
 
 
 def _dependent(jacobian: Array, rank: int) -> tuple[int, ...]:
     """Choose the rows to leave out: the last ones with a part in the dependences that is not small."""
+    if rank == len(jacobian):
+        return ()
     left, _, _ = np.linalg.svd(unit_rows(jacobian))
     null, chosen = left[:, rank:], []
     while null.shape[1]:

@@ -143,5 +143,5 @@ def nominal(system: MechanicalSystem, variable: int) -> float:
     """Typical magnitude of a variable (q, lam, u) in SI units."""
     n, m_h = len(system.coordinates), system.lam.numel()
     if variable < n:
-        return system.coordinates.nominal[variable]
+        return system.coordinates.quantities[variable].magnitude
     return 1.0 if variable < n + m_h else system.inputs[variable - n - m_h].magnitude

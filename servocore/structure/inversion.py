@@ -9,11 +9,14 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.calls import Array, mapped
+from servocore.numerics.components import Part, parts_of
 from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 
-_LARGEST_RESIDUAL = 1e-9
-_MOST_OPERATIONS = 2500  # beyond, evaluating takes longer than calling
+LARGEST_RESIDUAL = 1e-9
+"""Of the derivative array where its guess counts as exact."""
+
+_MOST_OPERATIONS = 2500  # of equations that do not fall apart: beyond, evaluating takes longer than calling
 _REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 
@@ -34,13 +37,16 @@ class Inversion:
     expression : casadi.Function or None
         (gamma, p) -> the results where the guess is exact, and NaN elsewhere, as one expression: a quarter of the cost
         of calling Newton's method block by block. None where that does not pay.
+    sought : casadi.Function
+        (gamma, p) -> the results of `search` from `guess`.
     function : casadi.Function
-        (gamma, p) -> the results: those of `expression` if they satisfy all equations, and else of `search`.
+        (gamma, p) -> the results: those of `expression` if they satisfy all equations, and else of `sought`.
     """
 
     guess: ca.Function
     search: ca.Function
     expression: ca.Function | None
+    sought: ca.Function
     function: ca.Function
 
     def searched(self, gamma: Array, p: Array, guess: Array) -> Array:
@@ -64,11 +70,21 @@ def inversion(resolved: Analysed) -> Inversion:
 
 def system_jacobian(resolved: Analysed) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> system Jacobian; meant for `ResolvedSystem.once`."""
-    array = resolved.array
+    arguments, J = _system_jacobian(resolved.array)
+    return ca.Function("sc_J", arguments, [ca.densify(J)])
+
+
+def system_jacobian_entries(resolved: Analysed) -> tuple[ca.Function, tuple[Part, ...]]:
+    """Compile the same -> entries of the system Jacobian, column by column, and find its independent parts."""
+    arguments, J = _system_jacobian(resolved.array)
+    return ca.Function("sc_J_entries", arguments, [J.nz[:]]), parts_of(J.sparsity())
+
+
+def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
     reference = array.system.gamma[:, : array.reference_order + 1]
     equations = array.signature.equations
     J = ca.substitute(array.signature.jacobian, equations.y, array.y[:, : equations.y.size2()])
-    return ca.Function("sc_J", [array.column(array.unknowns), reference, array.system.p], [ca.densify(J)])
+    return [array.column(array.unknowns), reference, array.system.p], J
 
 
 def compile_inversion(array: DerivativeArray) -> Inversion:
@@ -76,18 +92,18 @@ def compile_inversion(array: DerivativeArray) -> Inversion:
     guess, search = _compile_guess(array), _compile_search(array)
     expression = _compile_flat(array, guess)
     gamma, p = (ca.MX.sym(name, *guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
-    searched = ca.Function("sc_search", [gamma, p], list(search(gamma, p, guess(gamma, p))))
+    sought = ca.Function("sc_search", [gamma, p], list(search(gamma, p, guess(gamma, p))))
     if expression is None:
-        found = searched(gamma, p)
+        found = sought(gamma, p)
     else:
         quick = expression(gamma, p)
         given = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
         accept = ca.Function("sc_accept", given, given[:3])
-        reject = ca.Function("sc_reject", given, list(searched(*given[3:])))
+        reject = ca.Function("sc_reject", given, list(sought(*given[3:])))
         choose = ca.Function.if_else("sc_choose", accept, reject)
-        found = choose(quick[2] < _LARGEST_RESIDUAL, *quick, gamma, p)
+        found = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
     function = ca.Function("sc_inversion", [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
-    return Inversion(guess, search, expression, function)
+    return Inversion(guess, search, expression, sought, function)
 
 
 def _compile_flat(array: DerivativeArray, guess: ca.Function) -> ca.Function | None:
@@ -104,7 +120,22 @@ def _compile_flat(array: DerivativeArray, guess: ca.Function) -> ca.Function | N
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     found = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in found], {"cse": True})
-    return function if function.n_instructions() <= _MOST_OPERATIONS else None
+    return function if _longest(function, array) <= _MOST_OPERATIONS else None
+
+
+def _longest(function: ca.Function, array: DerivativeArray) -> int:
+    """Return how many operations the longest of the independent parts of an inversion takes."""
+    total: int = function.n_instructions()
+    if total <= _MOST_OPERATIONS:
+        return total
+    parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
+    if len(parts) == 1:
+        return total
+    arguments = function.sx_in()
+    unknowns = function(*arguments)[0]
+    kinds = {(len(part.rows), len(part.entries)): part.columns.tolist() for part in parts}
+    lengths = (ca.Function("sc_part", arguments, [unknowns[each]]).n_instructions() for each in kinds.values())
+    return max(map(int, lengths))
 
 
 def _compile_search(array: DerivativeArray) -> ca.Function:

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
+from servocore.numerics.components import Part, filled, parts_of
 from servocore.numerics.rounding import UNIT, Array, evaluate
 
 ABSENT = -1
@@ -192,15 +193,21 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
     J = ca.SX(len(c), len(d))
     for order in range(equations.y.size2()):
         part = ca.jacobian(equations.residual, equations.y[:, order])
-        J += part * ca.DM(leading == order)
+        rows, columns = (np.array(each, dtype=np.intp) for each in part.sparsity().get_triplet())
+        kept = np.flatnonzero(leading[rows, columns] == order)
+        pattern = ca.Sparsity.triplet(*J.shape, rows[kept].tolist(), columns[kept].tolist())
+        J += ca.SX(pattern, part.nz[kept.tolist()])
     return ca.sparsify(J)
 
 
 def equilibrated(matrix: Array) -> Array:
-    """Scale rows and columns to unit maximum (Ruiz 2001), so that units do not decide about rank and condition."""
+    """Scale rows and columns to unit maximum (Ruiz 2001), so that units do not decide about rank and condition.
+
+    Takes one matrix, or many stacked.
+    """
     scaled = matrix.copy()
-    for sweep in range(_SWEEPS):
-        for axis in (1, 0):
+    for sweep in range(_SWEEPS if matrix.size else 0):
+        for axis in (-1, -2):
             largest = np.abs(scaled).max(axis=axis, keepdims=True)
             factor = np.where(largest > 0.0, largest, 1.0)
             scaled = scaled / (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)
@@ -213,6 +220,19 @@ def condition_number(matrix: Array) -> float:
         return float("inf")
     values = np.linalg.svd(equilibrated(matrix), compute_uv=False)
     return float(values[0] / values[-1]) if values[-1] > 0.0 else float("inf")
+
+
+def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the same of a sparse square matrix at N instants, from its entries (nnz, N), part by part."""
+    finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
+    largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
+    for part in parts:
+        if len(part.rows) != len(part.columns):
+            return np.full(len(finite), np.inf)
+        values = np.linalg.svd(equilibrated(part.dense(np.where(finite, entries, 0.0))), compute_uv=False)
+        largest, least = np.maximum(largest, values[:, 0]), np.minimum(least, values[:, -1])
+    regular = finite & (least > 0.0)
+    return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
 
 
 def lost_rank(found: Signature, J: Array) -> str:
@@ -255,7 +275,7 @@ def probe_points(
     """Return points (y, gamma, p) near the system's home at which `evaluate` is finite: numbers without symmetry."""
     for distance in _DISTANCES:
         points = _points(equations, distance, p, disturbed)
-        finite = [point for point in points if np.isfinite(np.asarray(evaluate(*point))).all()]
+        finite = [point for point in points if np.isfinite(evaluate(*point).nonzeros()).all()]
         if finite:
             return finite
     return points
@@ -296,7 +316,7 @@ def jacobian_function(found: Signature) -> ca.Function:
 
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian as numbers at points, zero where nothing but round-off is left of an entry."""
-    matrices = [np.asarray(function(*point)) for point in points]
+    matrices = [filled(function(*point)) for point in points]
     if not any(_has_suspicious(each) for each in matrices):
         return matrices
     values, errors = evaluate(function, points)
@@ -312,7 +332,13 @@ def _has_suspicious(matrix: Array) -> bool:
 def is_regular(found: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
     finite = (J for J in jacobian_at_probes(found, p) if np.isfinite(J).all())
-    return any(np.linalg.matrix_rank(equilibrated(J)) == len(J) for J in finite)
+    parts = parts_of(found.jacobian.sparsity())
+    return any(all(_has_full_rank(J[np.ix_(part.rows, part.columns)]) for part in parts) for J in finite)
+
+
+def _has_full_rank(matrix: Array) -> bool:
+    height, width = matrix.shape
+    return height == width and bool(np.linalg.matrix_rank(equilibrated(matrix)) == height)
 
 
 def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presence:

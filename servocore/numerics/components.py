@@ -1,0 +1,81 @@
+"""Independent parts of equations: rows and columns of a matrix that have no entries in common with the others.
+
+Dense linear algebra on parts costs what the parts do, on the whole matrix its cube.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """An independent part of a sparse matrix.
+
+    Attributes
+    ----------
+    rows, columns : ndarray of int
+        Of the matrix, in rising order.
+    entries : ndarray of int
+        Which of the matrix' entries, column by column, belong to it.
+    places : tuple of (ndarray of int, ndarray of int)
+        Row and column in the part of each of these.
+    """
+
+    rows: Places
+    columns: Places
+    entries: Places
+    places: tuple[Places, Places]
+
+    def dense(self, entries: Array) -> Array:
+        """Return the part at N instants, shape (N, rows, columns), from all entries of the matrix, shape (nnz, N)."""
+        found = np.zeros((entries.shape[1], len(self.rows), len(self.columns)))
+        found[:, self.places[0], self.places[1]] = entries[self.entries].T
+        return found
+
+
+def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
+    """Return the independent parts of a matrix; an empty row or column is a part of its own."""
+    height, width = pattern.shape
+    rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
+    both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
+    graph = ca.Sparsity.triplet(height + width, height + width, *(each.tolist() for each in both))
+    _, order, ends = graph.scc()
+    number, place = np.empty(height + width, dtype=np.intp), np.empty(height + width, dtype=np.intp)
+    members = []
+    for k, (first, last) in enumerate(pairwise(ends)):
+        each = np.sort(np.array(order[first:last], dtype=np.intp))
+        own = each[each < height], each[each >= height] - height
+        number[each] = k
+        place[own[0]], place[own[1] + height] = np.arange(len(own[0])), np.arange(len(own[1]))
+        members.append(own)
+    by_part = np.argsort(number[rows], kind="stable")
+    entries = np.split(by_part, np.cumsum(np.bincount(number[rows], minlength=len(members)))[:-1])
+    return tuple(
+        Part(*own, its, (place[rows[its]], place[columns[its] + height]))
+        for own, its in zip(members, entries, strict=True)
+    )
+
+
+def filled(matrix: ca.DM) -> Array:
+    """Return a sparse matrix with its zeros: CasADi itself goes through all of them one by one."""
+    found = np.zeros(matrix.shape)
+    found[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
+    return found
+
+
+def singular_values(matrix: Array) -> Array:
+    """Return the singular values of a matrix, largest first, from those of its independent parts."""
+    places = (each.tolist() for each in np.nonzero(matrix))
+    parts = [each for each in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(each.entries)]
+    found = [np.linalg.svd(matrix[np.ix_(each.rows, each.columns)], compute_uv=False) for each in parts]
+    values = np.sort(np.concatenate([*found, np.zeros(min(matrix.shape))]))[::-1]
+    return np.asarray(values[: min(matrix.shape)])
