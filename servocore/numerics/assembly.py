@@ -20,12 +20,15 @@ class Assembly:
         By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
     iterations : list of casadi.MX
         Counts of Newton's method.
+    alike : list of casadi.MX
+        Counts of parts that were solved by one function, shape (2, parts) each.
     linear_blocks : int
-        Blocks that needed none.
+        Blocks that needed no iterations.
     """
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
     iterations: list[ca.MX] = field(default_factory=list)
+    alike: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
@@ -52,11 +55,23 @@ class Assembly:
             self.explicit = {}
             self.learn(symbols, *self.evaluated("sc_explicit", expressions))
 
-    def evaluated(self, name: str, *expressions: ca.SX) -> list[ca.MX]:
-        """Return the values of `expressions` of evaluated symbols, by one compiled function."""
+    def evaluated(self, name: str, *expressions: ca.SX, common: bool = True) -> list[ca.MX]:
+        """Return the values of `expressions` of evaluated symbols, by one compiled function.
+
+        What is `common` to subexpressions is computed once, if that is asked for.
+        """
         symbols, values = self.needed(*expressions)
-        found: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": True}).call([values])
+        found: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
         return found
+
+    def counts(self) -> ca.MX:
+        """Return the iterations of the slowest block, and the factorisations of all."""
+        most, total = ca.MX(0), ca.MX(self.linear_blocks)
+        for count in self.iterations:
+            most, total = ca.fmax(most, count), total + count
+        for counts in self.alike:
+            most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
+        return ca.vertcat(most, total)
 
     def needed(self, *expressions: ca.SX) -> tuple[ca.SX, ca.MX]:
         """Return the evaluated symbols in `expressions`, and their values."""

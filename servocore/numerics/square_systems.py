@@ -18,11 +18,13 @@ unknowns and givens by some round-off explains what is left of it.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.numerics.alike import Alike, alike
 from servocore.numerics.assembly import Assembly, substituted
 from servocore.numerics.expressions import largest
 from servocore.numerics.tearing import dependence, tear
@@ -41,6 +43,10 @@ _EXPLICIT_SIZE = 3  # linear blocks up to this size are solved by formula
 
 _TICK = 1e-20  # far below every tolerance, so that the clock never decides when to stop
 _MOST_UNROLLED = 16  # unknowns of a block whose solution is written out as one expression
+
+
+class _TooLargeError(Exception):
+    """A block is too large to be written out as one expression."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +79,18 @@ class SquareSystem:
             if found != size:
                 raise InvalidModel(f"{size} unknowns, but {attribute} has {found} rows")
 
+    @cached_property  # a system is compiled for exact guesses and for any
+    def alike(self) -> list[Alike]:
+        """Groups of independent parts that are alike."""
+        beside = self.guess, self.unknown_scale, self.residual_scale
+        return alike(self.residual, self.unknowns, self.givens, beside)
+
 
 def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
     """Compile `system` like `compile_solver`, but as one expression with a single Newton iteration in every block.
 
-    For guesses that are exact already: where the iteration corrects anything that counts, the results are NaN. An
+    What is common to subexpressions is not sought: that is for whoever puts the guess in. For guesses that are exact
+    already: where the iteration corrects anything that counts, the results are NaN. An
     expression spares what the interpreter spends on calling functions, which is most of what a small block costs.
 
     Returns
@@ -85,11 +98,10 @@ def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -
     casadi.Function or None
         None if a block is too large to be written out.
     """
-    if any(len(rows) > _MOST_UNROLLED for rows, _ in _blocks(_without_constants(system)[0])):
+    try:
+        return compile_solver(name, system, outputs, flat=True).expand()
+    except _TooLargeError:
         return None
-    function = compile_solver(name, system, outputs, flat=True).expand()
-    symbols = function.sx_in()
-    return ca.Function(name, symbols, function.call(symbols), {"cse": True})
 
 
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, flat: bool = False) -> ca.Function:
@@ -118,21 +130,49 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         If the equations are structurally singular.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    full, (system, constants) = system, _without_constants(system)
+    assembly = _solved(system, givens, flat)
+    worst = largest(system.residual / system.residual_scale)
+    wanted = [ca.densify(each) for each in assembly.resolved(*outputs, worst)]
+    *found, residual = assembly.evaluated("sc_finish", *wanted, common=not flat)
+    return ca.Function(name, [givens], [*found, assembly.counts(), residual])
+
+
+def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> Assembly:
+    """Solve a system block by block for values of its givens; parts that are alike are compiled once."""
     assembly = Assembly()
     assembly.learn(system.givens, givens)
+    rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
+    for group in system.alike:
+        _solve_alike(assembly, system, givens, group, flat)
+        rows -= {row for part in group.parts for row in part.rows.tolist()}
+        columns -= {column for part in group.parts for column in part.columns.tolist()}
+    if not columns:
+        return assembly
+    if len(columns) < system.unknowns.numel():
+        system = _part(system, sorted(rows), sorted(columns))
+    system, constants = _without_constants(system)
     for symbol, number in constants:
         assembly.state(symbol, number)
-    for rows, columns in _blocks(system):
-        _solve_block(assembly, _part(system, rows, columns), flat)
-    worst = largest(full.residual / full.residual_scale)
-    wanted = [ca.densify(each) for each in assembly.resolved(*outputs, worst)]
-    *found, residual = assembly.evaluated("sc_finish", *wanted)
-    most = ca.MX(0)
-    total = ca.MX(assembly.linear_blocks)
-    for count in assembly.iterations:
-        most, total = ca.fmax(most, count), total + count
-    return ca.Function(name, [givens], [*found, ca.vertcat(most, total), residual])
+    for block in _blocks(system):
+        if flat and len(block[0]) > _MOST_UNROLLED:
+            raise _TooLargeError
+        _solve_block(assembly, _part(system, *block), flat)
+    return assembly
+
+
+def _solve_alike(assembly: Assembly, system: SquareSystem, givens: ca.MX, group: Alike, flat: bool) -> None:
+    """Solve parts that are alike by one function, mapped."""
+    first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
+    part = _part(system, first.rows.tolist(), first.columns.tolist())
+    part = replace(part, givens=system.givens[group.givens[0]])
+    given = ca.MX.sym("givens", size)
+    inner = _solved(part, given, flat)
+    values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
+    solve = ca.Function("sc_alike", [given], [*values, inner.counts()]).map(count)
+    solved, counts = solve(ca.reshape(givens[[k for each in group.givens for k in each]], size, count))
+    columns = [column for each in group.parts for column in each.columns.tolist()]
+    assembly.learn(system.unknowns[columns], ca.vec(solved))
+    assembly.alike.append(counts)
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:

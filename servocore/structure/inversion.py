@@ -19,6 +19,8 @@ LARGEST_RESIDUAL = 1e-9
 _MOST_OPERATIONS = 2500  # of equations that do not fall apart: beyond, evaluating takes longer than calling
 _REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
+_Equations = tuple[SquareSystem, list[ca.SX]]
+
 
 @dataclass(frozen=True, eq=False)
 class Inversion:
@@ -89,8 +91,9 @@ def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
 
 def compile_inversion(array: DerivativeArray) -> Inversion:
     """Compile the exact inversion of a derivative array."""
-    guess, search = _compile_guess(array), _compile_search(array)
-    expression = _compile_flat(array, guess)
+    equations = _equations(array)
+    guess, search = _compile_guess(array), _compile_search(array, equations)
+    expression = _compile_flat(array, equations, guess)
     gamma, p = (ca.MX.sym(name, *guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
     sought = ca.Function("sc_search", [gamma, p], list(search(gamma, p, guess(gamma, p))))
     if expression is None:
@@ -106,14 +109,14 @@ def compile_inversion(array: DerivativeArray) -> Inversion:
     return Inversion(guess, search, expression, sought, function)
 
 
-def _compile_flat(array: DerivativeArray, guess: ca.Function) -> ca.Function | None:
+def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Function) -> ca.Function | None:
     """Compile the inversion as one expression, with NaN where the guess is not exact; None where that does not pay.
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
     if array.states:
         return None  # they are followed from step to step
-    flat = compile_flat_solver("sc_array", *_equations(array))
+    flat = compile_flat_solver("sc_array", *equations)
     if flat is None:
         return None
     system = array.system
@@ -138,16 +141,16 @@ def _longest(function: ca.Function, array: DerivativeArray) -> int:
     return max(map(int, lengths))
 
 
-def _compile_search(array: DerivativeArray) -> ca.Function:
+def _compile_search(array: DerivativeArray, equations: _Equations) -> ca.Function:
     """Compile (gamma, p, guess) -> (unknowns of the array, counts, residual); states keep their guess."""
-    solver = compile_solver("sc_array", *_equations(array))
+    solver = compile_solver("sc_array", *equations)
     gamma = ca.MX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
     p, guess = ca.MX.sym("p", array.system.p.numel()), ca.MX.sym("guess", len(array.unknowns))
     found = solver(ca.vertcat(ca.vec(gamma), p, guess))
     return ca.Function("sc_array_solver", [gamma, p, guess], list(found))
 
 
-def _equations(array: DerivativeArray) -> tuple[SquareSystem, list[ca.SX]]:
+def _equations(array: DerivativeArray) -> _Equations:
     """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as what is wanted."""
     system = array.system
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
