@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -23,7 +25,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.following import BranchTable, prepared_table
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 
 
 def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
@@ -116,17 +118,52 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
     if not problem.flat:
         _require_regular(problem, solution, beside(problem, solution), suspected)
         return False
-    names = tuple(dict.fromkeys(solution.channels[channel].name for channel, _ in suspected))
+    known = solution.channels
+    channels = list(dict.fromkeys(channel for channel, _ in suspected))
+    coordinates = problem.system.coordinates.quantities  # where one turns back, inputs are suspected
+    channels += [k for k, each in enumerate(known) if each in coordinates and k not in channels]
+    names = tuple(known[channel].name for channel in channels)
     watched = problem.resolved.once(compile_watched, tuple((Named(name), False) for name in names))
+
+    def exact(states: States, t: Array) -> Array:
+        jets = problem.reference.jet(t, watched.order)
+        return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
+
+    # Where the guess of the model is exact, most suspects are cleared without looking at branches.
+    if not _confirmed(problem, solution, suspected, channels, exact(partial(_guessed, problem), solution.t)):
+        return False
     try:
         table = prepared_table(problem)
     except IntegrationFailed:  # that close to a singular point a branch cannot be followed; the guess may still do
         table = None
-    states = exact_states(problem, table)
+    followed = exact_states(problem, table)
 
     def values(channel: int, t: Array) -> Array:
-        jets = problem.reference.jet(t, watched.order)
-        (found,) = at_instants(watched.function, states(t), jets=jets, p=problem.p)
-        return np.asarray(found[names.index(solution.channels[channel].name)])
+        return np.asarray(exact(followed, t)[channels.index(channel)])
 
-    return look_between(solution, suspected, values)
+    left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
+    return look_between(solution, left, values)
+
+
+def _guessed(problem: Problem, t: Array) -> Array:
+    """Return the exact inversion (size, N) if the guess of the model is exact at all instants, and else NaN."""
+    inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, problem.array.reference_order)
+    if inverse.expression is None:
+        return np.full((len(problem.array.unknowns), len(t)), np.nan)
+    states, _, residual = at_instants(inverse.expression, jets=jets, p=problem.p)
+    return np.where((residual < LARGEST_RESIDUAL).all(), states, np.nan)
+
+
+def _confirmed(
+    problem: Problem, solution: Solution, suspected: list[tuple[int, int]], channels: list[int], exact: Array
+) -> list[tuple[int, int]]:
+    """Return the suspects that remain with exact values (channels, N): most are errors of a method.
+
+    Where exact values are not known, all remain.
+    """
+    if not np.isfinite(exact).all():
+        return suspected
+    values = solution.values.copy()
+    values[:, channels] = exact.T
+    before = {channel for channel, _ in suspected}
+    return [each for each in suspects(problem, replace(solution, values=values)) if each[0] in before]
