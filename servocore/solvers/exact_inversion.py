@@ -21,13 +21,15 @@ from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
 from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
-from servocore.solvers.loop import CHUNK, Progress, Run, failure, joined, run, step_of
+from servocore.solvers.loop import Progress, Run, failure, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import given_start_of, program_of
 from servocore.stepping.observation import compile_observation
 from servocore.stepping.program import Program
-from servocore.structure.inversion import inversion
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+
+_CHUNK = 2048  # instants that are evaluated at once
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Pointwise:
         if problem.follow_branch:
             done = run(problem, program, times, given_start_of(self.formulation, self.method), progress)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
-        done = _at_every_instant(problem, program, times, progress)
+        done, observed = _at_every_instant(problem, program, times, self._quick(problem, program), progress)
         try:
             states, how = on_one_branch(problem, times, done.states)
         except IntegrationFailed as error:
@@ -67,29 +69,92 @@ class Pointwise:
                 raise
             k = 0
             raise failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
-        return solution_of(problem, [Segment(program, times, replace(done, states=states))], branch=how)
+        if states is not done.states:
+            done, observed = replace(done, states=states), None
+        return solution_of(problem, [Segment(program, times, done, observed)], branch=how)
+
+    def _quick(self, problem: Problem, program: Program) -> _Quick | None:
+        """Return what answers without a search where the guess of the model is exact; None if nothing does."""
+        if self.native or self.formulation != Reduced():
+            return None
+        return problem.resolved.once(_compile_quick, program)
 
 
-def _at_every_instant(problem: Problem, program: Program, times: Array, progress: Progress | None) -> Run:
-    """Solve every instant from the guess of the model; NaN where that fails."""
+@dataclass(frozen=True, eq=False)
+class _Quick:
+    """Functions (gamma, p) -> state, counts, residual and what is observed there.
+
+    The first gives NaN where the guess of the model is not exact, for which the second searches.
+    """
+
+    exact: ca.Function
+    sought: ca.Function
+
+    def __call__(self, jets: Array, p: Array, count: int) -> list[Array]:
+        """Return all results at some instants, shape (rows, count) each."""
+        found = _side_by_side(self.exact, jets, p, count)
+        left = np.flatnonzero(~(found[2][0] < LARGEST_RESIDUAL))
+        if len(left):
+            orders = jets.shape[1] // count
+            columns = (left[:, None] * orders + np.arange(orders)).ravel()
+            for each, own in zip(found, _side_by_side(self.sought, jets[:, columns], p, len(left)), strict=True):
+                each[:, left] = own
+        return found
+
+
+def _side_by_side(function: ca.Function, jets: Array, p: Array, count: int) -> list[Array]:
+    found = mapped(function, count)(jets, np.tile(p[:, None], count))
+    return [each.reshape(-1, count, order="F") for each in found]
+
+
+def _compile_quick(resolved: ResolvedSystem, program: Program) -> _Quick | None:
+    """Compile exact inversion together with what is observed; None where no expression gives it."""
+    inverse, system = resolved.once(inversion), resolved.system
+    if inverse.expression is None:
+        return None
+    order = resolved.array.reference_order + 1
+    arguments = ca.SX.sym("gamma", system.gamma.size1(), program.order + 1), ca.SX.sym("p", system.p.numel())
+    exact = inverse.expression(arguments[0][:, :order], arguments[1])
+    results = [*exact, *program.observe(exact[0], *arguments)]
+    quick = ca.Function("sc_quick", arguments, results, {"cse": True})
+    gamma, p = ca.MX.sym("gamma", *quick.size_in(0)), ca.MX.sym("p", *quick.size_in(1))
+    found = inverse.sought(gamma[:, :order], p)
+    return _Quick(quick, ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)]))
+
+
+def _at_every_instant(
+    problem: Problem, program: Program, times: Array, quick: _Quick | None, progress: Progress | None
+) -> tuple[Run, tuple[Array, Array] | None]:
+    """Solve every instant from the guess of the model, NaN where that fails; with what is observed if that is known."""
     if problem.reference.max_order < program.start_order:
         raise InvalidReference(
             f"the path has derivatives up to order {problem.reference.max_order},"
             f" {program.name} needs order {program.start_order}"
         )
-    parts, count = [], len(times)
-    for k in range(0, count, CHUNK):
-        t = times[k : k + CHUNK]
-        blank, h = np.zeros((program.state_size, len(t))), np.zeros(len(t))
-        jets = side_by_side(problem.reference.jet(t, program.order))
-        states, counts, worst = mapped(program.step, len(t))(blank, jets, h, np.tile(problem.p[:, None], len(t)))
-        good = np.isfinite(worst).ravel()
-        iterations, factorisations = (counts.reshape(2, -1, order="F") @ good).round()
-        states = np.where(good, states.reshape(program.state_size, -1, order="F"), np.nan)
-        parts.append(Run(states, int(iterations), int(factorisations), float(np.max(worst.ravel()[good], initial=0.0))))
+    count, p = len(times), problem.p
+    results: list[Array] = []
+    for k in range(0, count, _CHUNK):
+        t = times[k : k + _CHUNK]
+        jets, size = side_by_side(problem.reference.jet(t, program.order)), len(t)
+        if quick is not None:
+            found = quick(jets, p, size)
+        else:
+            blank, h = np.zeros((program.state_size, size)), np.zeros(size)
+            stepped = mapped(program.step, size)(blank, jets, h, np.tile(p[:, None], size))
+            found = [each.reshape(-1, size, order="F") for each in stepped]
+        # Each row lies in one piece, for what follows goes through results row by row.
+        results = results or [np.empty((len(each), count)) for each in found]
+        for each, part in zip(results, found, strict=True):
+            each[:, k : k + size] = part
         if progress is not None:
-            progress(min(k + CHUNK, count) - 1, count - 1)
-    return joined(parts)
+            progress(min(k + _CHUNK, count) - 1, count - 1)
+    states, counts, residuals, *observed = results
+    good = np.isfinite(residuals[0])
+    if not good.all():
+        states, counts = np.where(good, states, np.nan), np.where(good, counts, 0.0)
+    iterations, factorisations = counts.sum(axis=1).round()
+    worst = float(np.max(residuals[0, good], initial=0.0))
+    return Run(states, int(iterations), int(factorisations), worst), (observed[0], observed[1]) if observed else None
 
 
 class ExactInversion:
@@ -179,25 +244,26 @@ class ExactInversion:
         times = numbers_of(t, "the times of inputs")
         flat = times.reshape(-1)
         jets = side_by_side(self._problem.reference.jet(flat, self._order))
-        if isinstance(self._table, BranchTable):
-            found = self._evaluated(2, jets, self._table.states_at(flat, jets))
-        else:
-            found = self._from_guesses(jets)
+        followed = self._table if isinstance(self._table, BranchTable) else None
+        found = self._evaluated(2, jets, followed.states_at(flat, jets)) if followed else self._evaluated(0, jets)
+        finite = bool(np.isfinite(found).all())
+        if not finite and not followed:
+            found = self._searched(found, jets)
+            finite = bool(np.isfinite(found).all())
+        if finite:
+            self._require_signs(found, flat)
         if isinstance(self._table, IntegrationFailed):
-            if np.isfinite(found).all():
-                self._require_answers(found, flat)  # a wrong sign is a better reason
-            raise self._table
-        self._require_answers(found, flat)
+            raise self._table  # a wrong sign is a better reason
+        if not finite:
+            self._require_solved(found, flat)
         return found[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _from_guesses(self, jets: Array) -> Array:
-        """Solve by the quick function, and by Newton's method what it leaves open."""
-        found = self._evaluated(0, jets)
+    def _searched(self, found: Array, jets: Array) -> Array:
+        """Solve by Newton's method what the quick function left open."""
         left = np.flatnonzero(~np.isfinite(found).all(axis=1))
-        if len(left):
-            columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
-            found = found.copy()
-            found[left] = self._evaluated(1, jets[:, columns])
+        columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
+        found = found.copy()
+        found[left] = self._evaluated(1, jets[:, columns])
         return found
 
     def _evaluated(self, which: int, jets: Array, *states: Array) -> Array:
@@ -209,18 +275,22 @@ class ExactInversion:
         found = mapped(self._functions[which], count)(*states, jets, p)[0]
         return found.reshape(-1, count, order="F").T
 
-    def _require_answers(self, found: Array, t: Array) -> None:
-        """Raise `IntegrationFailed` if an instant is not solved, or a value has a sign that it must not have."""
-        name, signs = self._problem.system.name, found[:, len(self.inputs) :]
+    def _require_solved(self, found: Array, t: Array) -> None:
+        """Raise `IntegrationFailed` if an instant is not solved."""
         unsolved = np.flatnonzero(~np.isfinite(found).all(axis=1))
         if len(unsolved):
+            name = self._problem.system.name
             raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
+
+    def _require_signs(self, found: Array, t: Array) -> None:
+        """Raise `IntegrationFailed` if a value has a sign that it must not have."""
+        signs = found[:, len(self.inputs) :]
         if not (signs > 0.0).all():
             at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
             raise IntegrationFailed(
-                f"{name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g} {quantity.unit},"
-                f" {quantity.wrong_sign}"
+                f"{self._problem.system.name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g}"
+                f" {quantity.unit}, {quantity.wrong_sign}"
             )
 
 

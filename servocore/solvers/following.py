@@ -18,7 +18,7 @@ from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, Call, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import condition_number
 
 CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
@@ -351,10 +351,12 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     each = max(1, -(-_SURVEYED // (len(ends) - 1)))
     t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
     jets = problem.reference.jet(t, problem.array.reference_order)
-    states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
+    quick = inverse.expression is not None
+    states, _, residual = at_instants(inverse.expression or inverse.function, jets=jets, p=problem.p)
+    if quick and not (residual < LARGEST_RESIDUAL).all():
+        quick = False
+        states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
-    if not how.startswith(FOLLOWED) and inverse.expression is not None:
-        exact = at_instants(inverse.expression, jets=jets, p=problem.p)[0]
-        if np.isfinite(exact).all():
-            return None
+    if not how.startswith(FOLLOWED) and quick:
+        return None
     return BranchTable(Branch.along(problem, kept), t, kept)

@@ -23,11 +23,15 @@ _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Part of a run by one program: the instants, its states there and what they took."""
+    """Part of a run by one program: the instants, its states there and what they took.
+
+    `observed` holds values (channels, N) and violations (4, N) where they are known already.
+    """
 
     program: Program
     t: Array
     run: Run
+    observed: tuple[Array, Array] | None = None
 
 
 def solution_of(
@@ -75,8 +79,11 @@ def solution_of(
 def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[Array, Array]:
     """Return observed values (N, channels), angles made continuous, and violations (4, N)."""
     program, t, states = segment.program, segment.t, segment.run.states
-    jets = problem.reference.jet(t, program.start_order)
-    observed, violations = at_instants(program.observe, states, jets=jets, p=problem.p)
+    if segment.observed is None:
+        jets = problem.reference.jet(t, program.start_order)
+        observed, violations = at_instants(program.observe, states, jets=jets, p=problem.p)
+    else:
+        observed, violations = segment.observed
     table = observed.T
     _require_numbers(problem, program, t, table)
     for k in ambiguous_angles(problem, program) if refuse_turns else ():
@@ -126,6 +133,8 @@ def input_noise(inputs: Array) -> float | None:
     """
     if len(inputs) < _FEWEST_FOR_NOISE:
         return None
-    deviation = np.median(np.abs(np.diff(inputs, _DIFFERENCES, axis=0)), axis=0) / _NORMAL_MEDIAN
+    differences = np.abs(np.diff(inputs, _DIFFERENCES, axis=0))
+    middle = (len(differences) - 1) // 2, len(differences) // 2
+    deviation = np.partition(differences, middle, axis=0)[middle, :].mean(axis=0) / _NORMAL_MEDIAN
     peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
     return float((deviation / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
