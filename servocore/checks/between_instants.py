@@ -19,8 +19,7 @@ from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 
 _STANDS_OUT = 4.0  # of the second differences beside it
-_BESIDE = (-5, -4, -3, 3, 4, 5)  # instants
-_MARGIN = 5
+_BESIDE = 3, 5  # from so many instants away to so many, on either side
 _ROUND_OFF = 1e-7  # of the peak: a second difference that says nothing
 _TIMES = 10.0  # the largest value at the instants: a peak that a run hides
 _HUGE = 1e9  # times its typical magnitude: a peak that needs a word though an instant shows it
@@ -32,7 +31,7 @@ _NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; neare
 def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
     """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports."""
     t = solution.t
-    if len(t) < 4 * _MARGIN or len(solution.channels) < len(problem.system.inputs):
+    if len(t) < 4 * _BESIDE[1] or len(solution.channels) < len(problem.system.inputs):
         return []
     columns, positive, coordinates = problem.resolved.once(_watched, solution.channels)
     values = solution.values.T[[*columns, *coordinates]]
@@ -48,12 +47,14 @@ def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
 
 def _beside(bend: Array) -> Array:
     """Return the largest second differences some instants beside each."""
-    padded = np.zeros((len(bend), bend.shape[1] + 2 * _MARGIN))
-    padded[:, _MARGIN:-_MARGIN] = bend
-    found = np.zeros_like(bend)
-    for k in _BESIDE:
-        np.maximum(found, padded[:, _MARGIN + k : _MARGIN + k + bend.shape[1]], out=found)
-    return found
+    near, far = _BESIDE
+    count = bend.shape[1]
+    padded = np.zeros((len(bend), count + 2 * far))
+    padded[:, far:-far] = bend
+    window = padded[:, : count + far + near]
+    for k in range(1, far - near + 1):
+        window = np.maximum(window, padded[:, k : k + count + far + near])
+    return np.maximum(window[:, :count], window[:, far + near :])
 
 
 def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:

@@ -140,7 +140,8 @@ def look(
     how : tuple of Formulation and Method or None
         What the advice depends on.
     """
-    columns = [solution.names.index(name) for name in problem.system.coordinates.names]
+    places = {name: k for k, name in enumerate(solution.names)}
+    columns = [places[name] for name in problem.system.coordinates.names]
     odd = steps_that_stand_out(solution.values[:, columns])
     if not doubtful and not len(odd):
         return STEPWISE

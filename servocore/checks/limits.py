@@ -61,7 +61,7 @@ def _require_kept(texts: tuple[LimitText, ...], margins: Array, t: Array) -> Non
 def _may_fall_to_zero(margins: Array) -> bool:
     """Whether a margin (limits, N) may reach zero between instants, to judge by its second differences nearby."""
     bends = np.abs(np.diff(margins, 2, axis=1))
-    nearby = np.pad(bends, ((0, 0), (2, 2)), mode="edge")
+    nearby = np.concatenate([bends[:, :1], bends[:, :1], bends, bends[:, -1:], bends[:, -1:]], axis=1)
     largest = np.maximum(np.maximum(nearby[:, :-2], nearby[:, 1:-1]), nearby[:, 2:])
     return bool((margins <= _CAUTION * largest).any())
 

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from servocore.checks.instants import survey
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.model.limits import Expression, Limit, Named, reported
+from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array, at_instants
@@ -44,7 +44,7 @@ def motion_limits(problem: Problem) -> tuple[Limit, ...]:
 
 def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
     """Whether what a limit compares is an angle that is known up to full turns only."""
-    return isinstance(expression, Named) and not rate and reported(system)[expression.name][0].wraps
+    return isinstance(expression, Named) and not rate and reported_quantities(system)[expression.name].wraps
 
 
 # Flat problems: at all instants --------------------------------------------------------------------------------------

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import casadi as ca
@@ -73,7 +74,7 @@ class Limit:
                 f" {self.upper:g} {self.unit}"
             )
 
-    @property
+    @cached_property  # every run asks several times, and to look at a signature takes longer than many a check
     def of_path(self) -> bool:
         """Whether it is a lower bound of an expression of the path alone: such limits are checked before anything."""
         return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
@@ -101,21 +102,26 @@ class Named:
 
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return it for a system; raises `InvalidModel` if that reports nothing of the name."""
-        known = reported(system)
-        if self.name not in known:
-            raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
-        return known[self.name][1]
+        for quantities, expressions in reversed(_groups(system)):
+            names = [each.name for each in quantities]
+            if self.name in names:
+                return expressions[names.index(self.name)]
+        raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
 
 
-def reported(system: MechanicalSystem) -> Mapping[str, tuple[Quantity, ca.SX]]:
-    """Return what a solution reports, by name: inputs, observables, servo outputs, coordinates."""
-    listed = [
-        *((each, system.q[k]) for k, each in enumerate(system.coordinates.quantities)),
-        *((each, system.output[k]) for k, each in enumerate(system.outputs)),
-        *system.observables.items(),
-        *((each, system.u[k]) for k, each in enumerate(system.inputs)),
+def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], Sequence[ca.SX]]]:
+    """Return what a solution reports, in groups; of one name the last counts."""
+    return [
+        (system.coordinates.quantities, system.q),
+        (system.outputs, system.output),
+        (list(system.observables), list(system.observables.values())),
+        (system.inputs, system.u),
     ]
-    return {quantity.name: (quantity, expression) for quantity, expression in listed}
+
+
+def reported_quantities(system: MechanicalSystem) -> Mapping[str, Quantity]:
+    """Return what a solution reports, by name: inputs, observables, servo outputs, coordinates."""
+    return {each.name: each for quantities, _ in _groups(system) for each in quantities}
 
 
 def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
@@ -126,14 +132,14 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
     InvalidSetting
         If there is nothing of that name, or the bounds are none.
     """
-    known = reported(system)
+    known = reported_quantities(system)
     of = name if name in known else name.removesuffix(RATE)
     if of not in known:
         raise InvalidSetting(
             f"{system.name} reports nothing called {name} that could have a limit; there are {', '.join(known)}, and"
             f" the rate of each with {RATE} behind its name"
         )
-    quantity, rate = known[of][0], of != name
+    quantity, rate = known[of], of != name
     unit = quantity.unit if not rate else f"{quantity.unit}/s"
     what = f"the limit of {name}"
     if isinstance(bounds, tuple | list):

@@ -17,7 +17,6 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.base import Reference
 
-_INSTANTS = 9  # of a path, to see how far it goes
 _FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
 _ROUND_OFF = 1e-9  # of the largest change of a unit: less is none
 _NOTHING = 1e-13  # of the largest change of all: round-off of a matrix that is inverted
@@ -26,10 +25,8 @@ _SMALLEST = 1e-4  # of a coordinate itself: changes below it do not show in its 
 
 def decades_of(path: Reference) -> tuple[float, ...]:
     """Return the common logarithm of how far each component of a path goes, in whole decades; -inf where it rests."""
-    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
-    extent = np.ptp(path.jet(t, 0)[:, 0], axis=0)
     with np.errstate(divide="ignore"):
-        return tuple(np.round(np.log10(extent)).tolist())
+        return tuple(np.round(np.log10(path.extent)).tolist())
 
 
 @lru_cache(maxsize=256)  # every solve asks, and what was compiled for a system is kept with the object

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 ANALYTIC_ORDER = 99
 """`Reference.max_order` of paths whose pieces are known in closed form: every order a solver could want."""
 
+
+_INSTANTS = 9  # that tell how far a path goes
 
 LONGEST_TIME = 1e9
 """No path begins or ends farther from zero, in s: powers of a longer duration overflow."""
@@ -77,6 +80,12 @@ class Reference(ABC):
     def stretches(self) -> FloatArray:
         """Times in s, start and end included, that divide the path into stretches: each analytic, with few turns."""
         return np.array([self.start_time, self.end_time])
+
+    @cached_property  # every run asks
+    def extent(self) -> FloatArray:
+        """How far each component goes, in m for a path in m, as far as some instants tell."""
+        t = np.linspace(self.start_time, self.end_time, _INSTANTS)
+        return np.asarray(np.ptp(self.jet(t, 0)[:, 0], axis=0))
 
     def jet(self, t: npt.ArrayLike, order: int) -> FloatArray:
         """Path and plain derivatives gamma, gamma', ..., gamma^(order) at the times `t`.

@@ -124,10 +124,10 @@ def advance(problem: Problem, program: Program, t: Array, step: float, state: Ar
     """
     used = len(t) - 1
     ends = t[np.minimum(np.arange(1, length + 1), used)]
-    nodes = [problem.reference.jet(ends - (1.0 - c) * step, program.order) for c in program.nodes]
+    nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
     found, counts, worst = chained(program.step, length)(
         state,
-        side_by_side(np.concatenate(nodes, axis=1)),
+        side_by_side(problem.reference.jet(nodes, program.order)),
         np.full((1, length), step),
         np.tile(problem.p[:, None], length),
     )
