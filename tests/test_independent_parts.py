@@ -1,0 +1,243 @@
+"""Independent parts of a system stay apart: together they cost what they cost one by one, and give the same answers."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+import servocore as sc  # noqa: E402
+from benchmarks.copies import cranes  # noqa: E402
+from servocore.checks.branches import rank_losses  # noqa: E402
+from servocore.numerics.components import filled, parts_of, singular_values  # noqa: E402
+from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
+from servocore.problem import Problem  # noqa: E402
+from servocore.solvers import results, within_limits  # noqa: E402
+from servocore.structure.inversion import inversion  # noqa: E402
+from servocore.structure.signature import condition_number, condition_numbers  # noqa: E402
+
+BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
+
+
+@cache
+def together(count: int) -> tuple[sc.Scene, list[sc.Scene]]:
+    return cranes(count)
+
+
+def exact_inputs(alone: list[sc.Scene], t: np.ndarray) -> np.ndarray:
+    """Closed forms of cranes one by one."""
+    names = [each.name for each in alone[0].model().inputs]
+    return np.column_stack([each.exact(t)[name] for each in alone for name in names])
+
+
+def sizes_of_svd(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Record the sizes of matrices whose singular values are looked for."""
+    found, svd = [], np.linalg.svd
+
+    def recording(matrix, *arguments, **named):
+        found.append(max(matrix.shape[-2:]))
+        return svd(matrix, *arguments, **named)
+
+    monkeypatch.setattr(np.linalg, "svd", recording)
+    return found
+
+
+# What parts are --------------------------------------------------------------------------------------------------
+
+
+def test_parts_of_a_matrix_have_no_entries_in_common():
+    sparse = ca.sparsify(ca.DM(BLOCKS))
+    parts = parts_of(sparse.sparsity())
+    assert sorted((part.rows.tolist(), part.columns.tolist()) for part in parts) == [([0, 2], [1, 3]), ([1, 3], [0, 2])]
+    entries = np.array(sparse.nonzeros())[:, None]
+    for part in parts:
+        np.testing.assert_array_equal(part.dense(entries)[0], BLOCKS[np.ix_(part.rows, part.columns)])
+
+
+def test_empty_rows_and_columns_are_parts_of_their_own():
+    pattern = ca.Sparsity.triplet(2, 3, [1], [2])
+    found = [(part.rows.tolist(), part.columns.tolist()) for part in parts_of(pattern)]
+    assert sorted(found) == [([], [0]), ([], [1]), ([0], []), ([1], [2])]
+
+
+@pytest.mark.parametrize("matrix", [BLOCKS, BLOCKS[:3], BLOCKS[:, :2], np.zeros((2, 3)), np.diag([1.0, 0.0, 2.0])])
+def test_singular_values_are_those_of_the_parts(matrix):
+    np.testing.assert_allclose(singular_values(matrix), np.linalg.svd(matrix, compute_uv=False), atol=1e-15)
+
+
+def test_conditions_of_parts_are_the_condition_of_the_whole():
+    sparse = ca.sparsify(ca.DM(BLOCKS))
+    entries = np.array(sparse.nonzeros())[:, None] * [1.0, np.nan]
+    found = condition_numbers(parts_of(sparse.sparsity()), entries)
+    np.testing.assert_allclose(found, [condition_number(BLOCKS), np.inf])
+    np.testing.assert_array_equal(filled(sparse), BLOCKS)
+
+
+# Parts that are alike --------------------------------------------------------------------------------------------
+
+
+def equations(numbers: tuple[float, ...]) -> SquareSystem:
+    """As many parts of four equations with a root near two, in one parameter that is common and one that is not."""
+    count = len(numbers)
+    x, p = ca.SX.sym("x", 4 * count), ca.SX.sym("p", 1 + count)
+    rows = [
+        row
+        for k, number in enumerate(numbers)
+        for a, b, c, d in [ca.vertsplit(x[4 * k : 4 * k + 4])]
+        for row in (a**2 - b * p[0], b * c - d - p[1 + k] * number, c - d + ca.sin(a) - 1, d**2 + a * b - 8)
+    ]
+    return SquareSystem(
+        x, p, ca.vertcat(*rows), 2 * ca.SX.ones(4 * count), ca.SX.ones(4 * count), ca.SX.ones(4 * count)
+    )
+
+
+def groups(system: SquareSystem) -> list[int]:
+    return sorted(len(each.parts) for each in system.alike)
+
+
+def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called():
+    assert groups(equations((1.0, 1.0, 1.0))) == [3]
+
+
+def test_parts_with_other_numbers_written_into_them_are_not_alike():
+    assert groups(equations((1.0, 2.0, 1.0, 2.0, 3.0))) == [2, 2]
+
+
+def test_equations_that_do_not_fall_apart_have_no_parts():
+    system = equations((1.0, 1.0))
+    joined = ca.vertcat(system.residual[0] + system.unknowns[7], system.residual[1:])
+    assert not replace(system, residual=joined).alike
+
+
+def test_parts_that_are_alike_are_solved_as_if_each_stood_alone():
+    system, values = equations((1.0, 1.0, 2.0)), [1.1, 0.9, 1.2, 0.8]
+    x, counts, residual = compile_solver("together", system, [system.unknowns])(values)
+    assert float(residual) < 1e-14
+    total = 0
+    for k, number in enumerate((1.0, 1.0, 2.0)):
+        single = equations((number,))
+        own, own_counts, _ = compile_solver("alone", single, [single.unknowns])([values[0], values[1 + k]])
+        np.testing.assert_array_equal(np.asarray(x)[4 * k : 4 * k + 4], np.asarray(own))
+        assert float(counts[0]) >= float(own_counts[0])
+        total += float(own_counts[1])
+    assert float(counts[1]) == total
+
+
+def test_a_part_that_fails_spoils_no_other():
+    system = equations((1.0, 1.0))
+    x, _, residual = compile_solver("together", system, [system.unknowns])([1.1, 0.9, np.nan])
+    assert np.isfinite(np.asarray(x)[:4]).all()
+    assert not np.isfinite(np.asarray(x)[4:]).any()
+    assert np.isnan(float(residual))
+
+
+# Cranes side by side ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 4, 16])
+def test_inputs_of_many_cranes_are_exact(count):
+    scene, alone = together(count)
+    t = np.linspace(0.0, scene.reference.end_time, 33)
+    exact = exact_inputs(alone, t)
+    np.testing.assert_allclose(sc.ExactInversion(scene)(t), exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
+    solution = sc.solve(scene, step=scene.reference.duration / 32)
+    np.testing.assert_allclose(solution.values[:, : exact.shape[1]], exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
+
+
+def test_operations_of_an_exact_inversion_grow_as_the_number_of_cranes_does():
+    lengths = []
+    for count in (1, 4, 16):
+        expression = Problem.of(together(count)[0]).resolved.once(inversion).expression
+        assert expression is not None
+        lengths.append(expression.n_instructions())
+    one = (lengths[1] - lengths[0]) / 3
+    assert lengths[2] == pytest.approx(lengths[0] + 15 * one, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [4, 16])
+def test_what_is_analysed_of_many_cranes_is_what_is_analysed_of_one(count, monkeypatch):
+    one, sizes = sc.analyse(together(1)[0]), sizes_of_svd(monkeypatch)
+    many = sc.analyse(together(count)[0])
+    assert (many.classification, many.index, many.internal_degrees_of_freedom) == ("flat", one.index, 0)
+    assert many.condition == pytest.approx(one.condition, rel=0.1)  # each on a path of its own
+    assert max(sizes) <= 10  # rows or columns of one crane
+
+
+@pytest.mark.parametrize("count", [4, 16])
+def test_projected_steps_of_many_cranes_are_those_of_each(count):
+    scene, alone = together(count)
+    step = scene.reference.duration / 40
+    many = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, checks=False)
+    single = [sc.solve(each, sc.Projected(), sc.BackwardEuler(), step=step, checks=False) for each in alone]
+    inputs = np.column_stack([each.values[:, :3] for each in single])
+    np.testing.assert_allclose(many.values[:, : inputs.shape[1]], inputs, atol=1e-9 * np.abs(inputs).max())
+    assert many.statistics.factorisations == sum(each.statistics.factorisations for each in single)
+
+
+def test_a_loss_of_rank_is_found_in_the_part_that_has_it():
+    """Of two cranks one goes through its dead centre, where two motions go on."""
+    length, radius = 1.0, 0.3
+    names = [f"{name}_{i}" for i in range(2) for name in ("x", "y", "slide")]
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in names))
+    gamma = ca.SX.sym("gamma", 2, 25)
+    q = [ca.vertsplit(coordinates.q[3 * i : 3 * i + 3]) for i in range(2)]
+    system = sc.MechanicalSystem(
+        name="two cranks",
+        coordinates=coordinates,
+        parameters=sc.Parameters(),
+        inputs=tuple(sc.Quantity(f"F_{i}", "N") for i in range(2)),
+        outputs=tuple(sc.Quantity(f"place_{i}", "m") for i in range(2)),
+        mass=ca.sparsify(ca.diag(ca.SX.ones(6))),
+        output=ca.vertcat(*[slide for _, _, slide in q]),
+        input_matrix=ca.sparsify(ca.SX.eye(6)[[2, 5], :]),
+        constraints=ca.vertcat(
+            *[each for x, y, s in q for each in (x**2 + y**2 - radius**2, (s - x) ** 2 + y**2 - length**2)]
+        ),
+        gamma=gamma,
+        home=(1.0, 1.0),
+    )
+    t = np.linspace(0.0, 1.0, 41)
+    angles = np.pi / 3 + np.outer(t, [4.5, 0.5])  # the first passes half a turn
+    x, y = radius * np.cos(angles), radius * np.sin(angles)
+    slide = x + np.sqrt(length**2 - y**2)
+    problem = Problem.of(sc.Scene("two cranks", {"only": lambda: system}, sc.sampled(t, slide)))
+    q = np.column_stack([part[:, i] for i in range(2) for part in (x, y, slide)])
+    losses = rank_losses(problem, t, q)
+    assert [each.time for each in losses] == pytest.approx([(np.pi - np.pi / 3) / 4.5], abs=0.01)
+
+
+# What a run costs besides ----------------------------------------------------------------------------------------
+
+
+def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypatch):
+    monkeypatch.setattr(results, "at_instants", lambda *_, **__: pytest.fail("observed once more"))
+    scene = sc.scenes.gantry_crane()
+    solution = sc.solve(scene, step=scene.reference.duration / 50)
+    np.testing.assert_allclose(solution["F_x"], scene.exact(solution.t)["F_x"], rtol=1e-9)
+    assert solution.statistics.newton_iterations == 51
+
+
+def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_are_not():
+    crane = sc.scenes.gantry_crane()
+    model = crane.model()
+    late = ca.if_else(model.gamma[0, 0] > crane.reference.jet(3.0, 0)[0, 0], 0.01, 0.0)
+    aside = replace(model, guess=model.guess + late)
+    scene = sc.Scene("aside", {"points": lambda: aside}, crane.reference)
+    solution = sc.solve(scene, step=crane.reference.duration / 50)
+    np.testing.assert_allclose(solution["F_x"], crane.exact(solution.t)["F_x"], rtol=1e-9)
+    assert 51 < solution.statistics.newton_iterations < 51 * 4
+
+
+def test_errors_of_a_method_are_cleared_without_looking_between_instants(monkeypatch):
+    """Backward Euler on the projected form starts with errors that stand out; exact inputs there do not."""
+    monkeypatch.setattr(within_limits, "look_between", lambda *_: pytest.fail("looked between"))
+    scene = sc.scenes.gantry_crane()
+    sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=scene.reference.duration / 200)
