@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from fmu_host import Host, extracted, fmu_file
-from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, random_case
+from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, jets_of, random_case
 
 import servocore as sc
 from crane_fmu.slave.feedback import feedbacks
@@ -58,6 +58,30 @@ def test_drives_that_give_no_more_bring_the_load_back_without_winding_up():
     assert peak == pytest.approx(500.0)
     assert 0.008 < max(errors) < 0.2
     assert errors[-1] < 1e-3
+
+
+OFF_THE_PATH = {
+    "along x": {"start.position[1]": 5.4},
+    "along y": {"start.position[2]": -0.4},
+    "above": {"start.position[3]": -4.6},
+    "falling": {"start.velocity[3]": -0.5},
+    "moving": {"start.velocity[2]": 0.25},
+    "swinging": {"start.swing[1]": 0.05, "start.swing[2]": -0.05},
+}
+
+
+@pytest.mark.parametrize("h", [0.1, 0.02])
+@pytest.mark.parametrize("at", MASTERS)
+@pytest.mark.parametrize("start", OFF_THE_PATH.values(), ids=OFF_THE_PATH)
+def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(start, at, h):
+    jets, tensions = jets_of(CRANE.reference, h)[: round(9.0 / h)], []
+    with Loop(Case(disturbance=start), at) as loop:
+        for k in range(len(jets) - 1):
+            place = loop.step(jets, k, h)
+            tensions.append(loop.plant["tension"])
+        assert not loop.crane.messages
+    assert np.linalg.norm(place - jets[-1, 0]) < 1e-3
+    assert min(tensions) > 0.8 * 981.0
 
 
 def at_rest(shift):
@@ -117,8 +141,8 @@ def transition(law, at, h):
     jets = path.jet(np.minimum(t, path.end_time), 4)
     jets[t > path.end_time, 1:] = 0.0
     jets = jets.reshape(len(t), 15)
-    (memory,) = law.begin(jets[0], p, h)
     x = np.array([0.0, 5.0, 5.0, *[0.0] * 7])
+    (memory,) = law.begin(jets[0], seen(x), p, h)
     u = before = np.array([0.0, 0.0, -98.1])
 
     def step(values, k):
@@ -130,7 +154,7 @@ def transition(law, at, h):
         return np.concatenate([plant(x, u, slope, p, h), new, u, full[100:]]), full[:100]
 
     values = np.concatenate([x, u, before, memory[100:]])
-    moving = list(range(16 + 3 + 10 + 3 + 1))  # snap and step that are remembered do not depend on the state
+    moving = list(range(16 + 3 + 10 + 3 + 1))  # snap, step and offset that are remembered do not depend on the state
     for k in range(count):
         after, cost = step(values, k)
         if k:

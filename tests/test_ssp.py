@@ -76,7 +76,6 @@ def test_without_feedback_the_same_gust_is_not_forgiven():
     assert deviation(11.0, crane__feedback=0.0, **gust(GUSTS[0])) > 50.0
 
 
-@pytest.mark.xfail(reason="a plant that starts off its path is pulled back too hard: the rope goes slack", strict=True)
 def test_a_steady_wind_leaves_no_lasting_error():
     parameters = {"plant__wind[1]": 10.0, "plant__wind[2]": -10.0, "plant__mass_error": -0.05}
     assert deviation(6.0, **parameters) < 10.0

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import servocore as sc
 from crane_fmu.build.compiled_step import compiled_feedback, compiled_steps
-from crane_fmu.build.feedback_law import feedback_text
+from crane_fmu.build.feedback_law import feedback_functions, feedback_text
 from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, Kind, Starts
 from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, PLANT_FILE, Interface, program_file
 
@@ -112,7 +112,10 @@ def collect(
     programs = [program_file(*route) for route in kind.to_machine_code]
     libraries = compiled_steps({name: files[name] for name in programs}, tell)
     if kind.has_feedback:
-        libraries |= compiled_feedback(files[FEEDBACK_FILE], tell)
+        tell("compiling the feedback")
+        law = feedback_functions(sc.scenes.rotary_crane().model(_PLANT_MODEL))
+        files[FEEDBACK_FILE] = feedback_text(law)
+        libraries |= compiled_feedback(law, tell)
     return Content(files, table, kind, libraries, path)
 
 
@@ -126,9 +129,6 @@ def _compiled(kind: Kind, tell: Progress) -> dict[str, str]:
     if kind.has_plant:
         tell("compiling the forward dynamics")
         files[PLANT_FILE] = sc.compile_plant(crane.model(_PLANT_MODEL)).to_json()
-    if kind.has_feedback:
-        tell("compiling the feedback")
-        files[FEEDBACK_FILE] = feedback_text(crane.model(_PLANT_MODEL))
     return files
 
 

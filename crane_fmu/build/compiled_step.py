@@ -6,7 +6,6 @@ What an FMU gains by it is speed alone. Where no compiler is found, and on hosts
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -23,18 +22,17 @@ from crane_fmu.slave.quick import usual_step
 _OPTIONS = "-O1 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
 
 
-def compiled_feedback(text: str, notice: Callable[[str], None]) -> dict[str, bytes]:
+def compiled_feedback(functions: Mapping[str, ca.Function], notice: Callable[[str], None]) -> dict[str, bytes]:
     """Return a shared library with the feedback by its name in the bundle; empty where it cannot be made.
 
     Parameters
     ----------
-    text : str
-        What the FMU carries.
+    functions : mapping of str to casadi.Function
+        What the FMU carries, by name.
     notice : callable
         Called with a sentence when the library is left out.
     """
-    functions = json.loads(text)
-    laws = [ca.Function.deserialize(functions[f"feedback_{time}"]) for time in INPUT_TIMES]
+    laws = [functions[f"feedback_{time}"] for time in INPUT_TIMES]
     return _libraries({FEEDBACK_FILE: lambda: laws}, notice)
 
 

@@ -15,12 +15,16 @@ measured, and simulated over the step in which nothing can be changed any more. 
 |W C e|^2 + |w/f|^2, C e the error of the load's position. The cost-to-go M of A e + B' w is part of the memory: some
 Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
 prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
+
+A load that is off its path when the feedback begins is not pulled at: position, velocity, acceleration and jerk of the
+load tell the whole motion, so the path gets an offset that begins with the measured ones and ends smoothly.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
@@ -28,6 +32,7 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
+from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
 WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 1.0
@@ -45,19 +50,25 @@ RICCATI_STEPS, FIRST_RICCATI_STEPS = 6, 400
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
 
-SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1}
+SLACK_SHARE = 0.5
+"""Of the rope's tension: more the feedback does not take away."""
+
+SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1, "known": 1}
+SIZES |= {"offset": 12, "return": 3}
 """What the memory holds: M, d, predicted state, inputs of the step before, how long drives have been at their limits
-(logarithm of a share), snap told then, its length (0: none)."""
+(logarithm of a share), snap told then, its length (0: none), whether the prediction knew how its inputs run, the
+offset y_0 ... y_3 and the rates a at which it ends."""
 
 _N, _M, _HALF = 10, 3, 5
 _JET = DIMENSION * len(ORDERS)
 _TERMS = 7  # of the matrix exponential's series: below 1e-6 as long as no pendulum turns more than 1 rad in a step
 
 
-def feedback_text(system: sc.MechanicalSystem) -> str:
-    """Return the feedback for both input times as a text that an FMU carries."""
-    functions = {name: each.serialize() for name, each in feedback_functions(system).items()}
-    return json.dumps({"format": FEEDBACK_FORMAT, **functions})
+def feedback_text(functions: Mapping[str, ca.Function]) -> str:
+    """Return the feedback for both input times as a text that an FMU carries; what they share is in it once."""
+    packer = ca.StringSerializer()
+    packer.pack(list(functions.values()))
+    return json.dumps({"format": FEEDBACK_FORMAT, "names": list(functions), "functions": packer.encode()})
 
 
 def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
@@ -71,8 +82,8 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
     Returns
     -------
     dict of str to casadi.Function
-        For each input time T ``begin_T``, (jet, p, h) -> memory, and ``feedback_T``, (memory, jet, jet before,
-        measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
+        For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
+        before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
     parts = _parts(system)
     functions = (each(parts, time) for time in ("start", "end") for each in (_begin, _feedback))
@@ -95,7 +106,7 @@ class _Parts:
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
-    return _Parts(flat_motion(), _measured_state(), _advance(system), _sampled(system), _riccati_step())
+    return _Parts(flat_motion(), measured_state(), _advance(system), _sampled(system), _riccati_step())
 
 
 def _function(name: str, arguments: list[Any], results: list[Any]) -> ca.Function:
@@ -144,67 +155,6 @@ def _sampled(system: sc.MechanicalSystem) -> ca.Function:
     return _function("sampled", given, [ca.densify(each) for each in results])
 
 
-def flat_motion() -> ca.Function:
-    """Return (jet, p) -> (state, inputs): the crane's motion is an expression of the load's."""
-    jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
-    flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
-    bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
-
-    def dot(of: ca.SX) -> ca.SX:
-        return ca.jtimes(of, flat, shifted)
-
-    r, fall = jet[:, 0], gravity + jet[2, 2]
-    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley stands where the rope pulls from
-    velocity = dot(place)
-    acceleration = dot(velocity)
-    s, rope = ca.norm_2(place), ca.vertcat(r[:2] - place, r[2])
-    length = ca.norm_2(rope)
-    c, sn = place[0] / s, place[1] / s
-
-    def along(w: ca.SX) -> ca.SX:
-        return c * w[0] + sn * w[1]
-
-    def across(w: ca.SX) -> ca.SX:
-        return c * w[1] - sn * w[0]
-
-    tension = load * fall * length / -r[2]
-    pull = tension * rope / length
-    s_dot, turning, rolling = along(velocity), across(velocity) / s, dot(length)
-    turning_dot = (across(acceleration) - 2 * s_dot * turning) / s
-    swing = ca.vertcat(ca.atan2(along(rope), -r[2]), ca.atan2(across(rope), ca.norm_2(ca.vertcat(along(rope), r[2]))))
-    inputs = ca.vertcat(
-        bridge * turning_dot + s * (trolley * across(acceleration) - across(pull)),
-        trolley * along(acceleration) - along(pull),
-        winch * dot(rolling) / radius - tension * radius,
-    )
-    state = ca.vertcat(ca.atan2(place[1], place[0]), s, length, swing, turning, s_dot, rolling, dot(swing))
-    p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
-    return ca.Function(
-        "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
-    )
-
-
-def _measured_state() -> ca.Function:
-    """Return what is measured -> state: phi, s, l and rates, position and velocity of the load."""
-    given = ca.SX.sym("measured", 12)
-    phi, s, length, phi_dot, s_dot, length_dot = ca.vertsplit(given[:6])
-    r, v = given[6:9], given[9:]
-    c, sn = ca.cos(phi), ca.sin(phi)
-    along, across, down = c * r[0] + sn * r[1] - s, c * r[1] - sn * r[0], -r[2]
-    along_dot = c * v[0] + sn * v[1] + phi_dot * across - s_dot
-    across_dot = c * v[1] - sn * v[0] - phi_dot * (along + s)
-    plane = ca.norm_2(ca.vertcat(along, down))
-    plane_dot = (along * along_dot - down * v[2]) / plane
-    swing_dot = (
-        (along_dot * down + along * v[2]) / plane**2,
-        (across_dot * plane - across * plane_dot) / (across**2 + plane**2),
-    )
-    state = ca.vertcat(
-        phi, s, length, ca.atan2(along, down), ca.atan2(across, plane), phi_dot, s_dot, length_dot, *swing_dot
-    )
-    return ca.Function("measured", [given], [state])
-
-
 def _riccati_step() -> ca.Function:
     """Return (cost M of A e + B' w before w+ is chosen, A, B, B', C, f, W) -> (M a step earlier, K)."""
     cost, A, C = ca.SX.sym("M", _N, _N), ca.SX.sym("A", _N, _N), ca.SX.sym("C", _M, _HALF)
@@ -242,18 +192,6 @@ def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
     return ca.exp(-EASE * strain) * ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
 
 
-def _continued(jet: ca.MX, crackle: ca.MX, tau: Any) -> ca.MX:
-    """Continue a path by its Taylor polynomial with a fifth derivative."""
-    rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
-    moved = []
-    for k in range(len(ORDERS)):
-        value = rows[-1]
-        for j in reversed(range(k, len(ORDERS))):
-            value = rows[j] + tau / (j - k + 1) * value
-        moved.append(value)
-    return ca.vertcat(*moved)
-
-
 def _wrapped(difference: ca.MX) -> ca.MX:
     """Return a difference of states with the bridge's angle within half a turn."""
     turns = ca.floor(difference[0] / (2 * math.pi) + 0.5)
@@ -270,15 +208,17 @@ def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, t
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
-    jet, p, h = ca.MX.sym("jet", _JET), ca.MX.sym("p", 6), ca.MX.sym("h")
+    jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
+    p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
     A, new, old, _, C, efforts, weights = _over_a_step(parts, jet, p, h, ca.MX(0), time)
     given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, C, efforts, weights))]
     cost = ca.MX.sym("M", _N, _N)
     one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
     many = [ca.repmat(each, 1, FIRST_RICCATI_STEPS) for each in (A, new, old, C, efforts, weights)]
     found = one.fold(FIRST_RICCATI_STEPS)(1e-6 * ca.MX.eye(_N), *many)
-    memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N))
-    return ca.Function(f"begin_{time}", [jet, p, h], [ca.densify(memory)])
+    led = ca.vertcat(*offset_at_start(jet, measured, p, h))
+    memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
+    return ca.Function(f"begin_{time}", [jet, measured, p, h], [ca.densify(memory)])
 
 
 def _feedback(parts: _Parts, time: str) -> ca.Function:
@@ -291,10 +231,12 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     goes_on, none = known["step"] > 0, ca.MX.zeros(_M)
     last = ca.fmax(known["step"], 1e-9)
     crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
-    (here, u_here), (there, u_there), beyond, middle = _places(parts, given, crackle, time)
+    path = [given["jet_before"], jet, crackle]
+    led = known["offset"], known["return"]
+    (here, u_here), (there, u_there), beyond, middle = _places(parts, path, led, p, h, time)
     A, new, old, E, C, efforts, weights = _over_a_step(parts, middle, p, h, known["strain"], time)
     state = parts.measured(measured)
-    missed = ca.if_else(goes_on, _wrapped(state - known["predicted"])[_HALF:], ca.MX.zeros(_HALF))
+    missed = ca.if_else(known["known"] > 0, _wrapped(state - known["predicted"])[_HALF:], ca.MX.zeros(_HALF))
     share_learnt = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
     force = known["force"] + share_learnt * ca.solve(C @ E[_HALF:, :], C @ missed, "qr")
     cost = ca.reshape(known["cost"], _N, _N)
@@ -310,10 +252,13 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     delta = _wrapped(parts.advance(*origin, slope, none, p, h) - target)
     e_d, w_d = _rest(A, new + old, C, delta + E @ force)
     wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
+    wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
     inputs, strain = _within(limits, feedforward, share * (wanted - feedforward), known["strain"] - RECOVERY * h)
     if time == "end":
         after = parts.advance(state, acting, (inputs - acting) / h, force, p, h)
-    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h)
+    offset_then = forgotten(offset(*led, h)[0])
+    knew = ca.MX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
+    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, knew, offset_then, led[1])
     return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
 
 
@@ -325,15 +270,26 @@ def _within(limits: ca.MX, feedforward: ca.MX, more: ca.MX, strain: ca.MX) -> tu
     return base + share * more, ca.fmin(ca.fmax(strain, 0) - ca.log(ca.fmax(share, 0.5)), 3)
 
 
-def _places(parts: _Parts, given: dict[str, ca.MX], crackle: ca.MX, time: str) -> tuple[Any, ...]:
+def _loosest(feedforward: ca.MX, acting: ca.MX, jet: ca.MX, p: ca.MX, time: str) -> ca.MX:
+    """Return the winch's torque that leaves the rope its share of tension, also where the plant goes on to."""
+    load, winch, radius = p[2], p[3], p[4]
+    most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
+    return most if time == "end" else (most + acting[2]) / 2
+
+
+def _places(
+    parts: _Parts, path: Sequence[ca.MX], led: tuple[ca.MX, ca.MX], p: ca.MX, h: ca.MX, time: str
+) -> tuple[Any, ...]:
     """Return state and inputs on the path now and a step later, the state after two, a jet of the step to be ruled."""
-    jet, p, h = given["jet"], given["p"], given["h"]
+    before, jet, crackle = path
+    now, then = (offset(*led, steps * h)[1] for steps in (0, 1))
     if time == "end":
-        before, none = given["jet_before"], ca.MX.zeros(DIMENSION)
-        middle = (_continued(before, none, h / 2) + _continued(jet, none, -h / 2)) / 2
+        none = ca.MX.zeros(DIMENSION)
+        before, jet = before + now, jet + then
+        middle = (continued(before, none, h / 2) + continued(jet, none, -h / 2)) / 2
         return parts.flat(before, p), parts.flat(jet, p), None, middle
-    there, beyond, middle = (_continued(jet, crackle, steps * h) for steps in (1, 2, 1.5))
-    return parts.flat(jet, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
+    there, beyond, middle = (continued(jet, crackle, k * h) + offset(*led, k * h)[1] for k in (1, 2, 1.5))
+    return parts.flat(jet + now, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
 
 
 def _rest(A: ca.MX, B: ca.MX, C: ca.MX, push: ca.MX) -> tuple[ca.MX, ca.MX]:

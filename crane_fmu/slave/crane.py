@@ -266,12 +266,12 @@ class Slave(TableSlave):
             )  # fmt: skip
             return forces, None, False, said
         law = required(self._law)
-        memory = law.begin(before, own, h)[0] if now.memory is None else now.memory
+        memory = law.begin(before, measured, own, h)[0] if now.memory is None else now.memory
         memory, found = law.follow(
             memory, jet, before, measured, now.forces, after.values[self._channels[:_ACTUATORS]], own, h,
             settings.share, settings.limits,
         )  # fmt: skip
-        if not (np.isfinite(memory).all() and np.isfinite(found).all()):
+        if not math.isfinite(memory.sum() + found.sum()):
             said = self._told(said, "lost", time, "the feedback finds no inputs; the load is left to the feedforward")
             return forces, None, False, said
         return found, memory, False, said

@@ -29,7 +29,7 @@ class Feedback:
     Attributes
     ----------
     begin : callable
-        (jet, p, h) -> [memory].
+        (jet, measured, p, h) -> [memory].
     follow : callable
         (memory, jet, jet before, measured, acting, feedforward, p, h, share, limits) -> [memory, inputs].
     size : int
@@ -52,11 +52,12 @@ def feedbacks(text: str, library: Path) -> dict[str, Feedback]:
         File with the same as machine code; without it, or where the system cannot load it, CasADi interprets the text.
     """
     plain = json.loads(text)
-    if plain.pop("format", None) != FEEDBACK_FORMAT:
+    if plain.get("format") != FEEDBACK_FORMAT:
         raise InvalidSetting("the FMU's feedback has another format than this slave reads")
+    functions = dict(zip(plain["names"], ca.StringDeserializer(plain["functions"]).unpack(), strict=True))
     found = {}
     for time in INPUT_TIMES:
-        begin, follow = (ca.Function.deserialize(plain[f"{name}_{time}"]) for name in ("begin", "feedback"))
+        begin, follow = (functions[f"{name}_{time}"] for name in ("begin", "feedback"))
         found[time] = Feedback(_call(begin), _call(_loaded(follow, library)), follow.numel_in(0))
     return found
 

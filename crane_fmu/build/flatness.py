@@ -1,0 +1,129 @@
+"""The crane's motion as that of its load, which says it all: the crane is flat.
+
+A load that is off its path when the feedback begins is led back along an offset: delta and its derivatives are those
+measured at first, and (d/dt + a)^4 delta = 0 from then on. With y_k = (d/dt + a)^k delta: y_k' = y_(k+1) - a y_k.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+
+from crane_fmu.slave.interface import DIMENSION, ORDERS
+
+RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
+"""How a load that begins off its path is led back: accelerations in g that this may take, how far a step may go, and
+offsets that are none."""
+
+
+def flat_motion() -> ca.Function:
+    """Return (jet, p) -> (state, inputs): the crane's motion is an expression of the load's."""
+    jet = ca.SX.sym("jet", DIMENSION, len(ORDERS) + 1)
+    flat, shifted = ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])
+    bridge, trolley, load, winch, radius, gravity = ca.vertsplit(ca.SX.sym("p", 6))
+
+    def dot(of: ca.SX) -> ca.SX:
+        return ca.jtimes(of, flat, shifted)
+
+    r, fall = jet[:, 0], gravity + jet[2, 2]
+    place = r[:2] - r[2] / fall * jet[:2, 2]  # the trolley stands where the rope pulls from
+    velocity = dot(place)
+    acceleration = dot(velocity)
+    s, rope = ca.norm_2(place), ca.vertcat(r[:2] - place, r[2])
+    length = ca.norm_2(rope)
+    c, sn = place[0] / s, place[1] / s
+
+    def along(w: ca.SX) -> ca.SX:
+        return c * w[0] + sn * w[1]
+
+    def across(w: ca.SX) -> ca.SX:
+        return c * w[1] - sn * w[0]
+
+    tension = load * fall * length / -r[2]
+    pull = tension * rope / length
+    s_dot, turning, rolling = along(velocity), across(velocity) / s, dot(length)
+    turning_dot = (across(acceleration) - 2 * s_dot * turning) / s
+    swing = ca.vertcat(ca.atan2(along(rope), -r[2]), ca.atan2(across(rope), ca.norm_2(ca.vertcat(along(rope), r[2]))))
+    inputs = ca.vertcat(
+        bridge * turning_dot + s * (trolley * across(acceleration) - across(pull)),
+        trolley * along(acceleration) - along(pull),
+        winch * dot(rolling) / radius - tension * radius,
+    )
+    state = ca.vertcat(ca.atan2(place[1], place[0]), s, length, swing, turning, s_dot, rolling, dot(swing))
+    p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
+    return ca.Function(
+        "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
+    )
+
+
+def measured_state() -> ca.Function:
+    """Return what is measured -> state: phi, s, l and rates, position and velocity of the load."""
+    given = ca.SX.sym("measured", 12)
+    phi, s, length, phi_dot, s_dot, length_dot = ca.vertsplit(given[:6])
+    r, v = given[6:9], given[9:]
+    c, sn = ca.cos(phi), ca.sin(phi)
+    along, across, down = c * r[0] + sn * r[1] - s, c * r[1] - sn * r[0], -r[2]
+    along_dot = c * v[0] + sn * v[1] + phi_dot * across - s_dot
+    across_dot = c * v[1] - sn * v[0] - phi_dot * (along + s)
+    plane = ca.norm_2(ca.vertcat(along, down))
+    plane_dot = (along * along_dot - down * v[2]) / plane
+    swing_dot = (
+        (along_dot * down + along * v[2]) / plane**2,
+        (across_dot * plane - across * plane_dot) / (across**2 + plane**2),
+    )
+    state = ca.vertcat(
+        phi, s, length, ca.atan2(along, down), ca.atan2(across, plane), phi_dot, s_dot, length_dot, *swing_dot
+    )
+    return ca.Function("measured", [given], [state])
+
+
+def continued(jet: ca.MX, crackle: ca.MX, tau: Any) -> ca.MX:
+    """Continue a path by its Taylor polynomial with a fifth derivative."""
+    rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
+    moved = []
+    for k in range(len(ORDERS)):
+        value = rows[-1]
+        for j in reversed(range(k, len(ORDERS))):
+            value = rows[j] + tau / (j - k + 1) * value
+        moved.append(value)
+    return ca.vertcat(*moved)
+
+
+def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return y_0 ... y_3 and a of a motion off the path that ends as (d/dt + a)^4 delta = 0, y_k = (d/dt + a)^k delta.
+
+    What is measured tells position, velocity and, by the rope's direction, acceleration and jerk of the load.
+    """
+    phi, s, length, turning, s_dot, _ = ca.vertsplit(measured[:6])
+    r, v, gravity = measured[6:9], measured[9:], p[5]
+    fall, fall_dot = gravity + jet[8], jet[11]
+    out, round_ = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    lean, lean_dot = r[:2] - s * out, v[:2] - s_dot * out - s * turning * round_
+    acceleration = fall / r[2] * lean
+    jerk = (fall_dot * lean + fall * lean_dot - v[2] * acceleration) / r[2]
+    off = ca.horzcat(r, v, ca.vertcat(acceleration, jet[8]), ca.vertcat(jerk, jet[11])) - ca.reshape(jet[:12], 3, 4)
+    sizes = [ca.norm_2(off[:2, k]) for k in range(4)]
+    reach = RETURN_SHARE * gravity
+    snap = reach * gravity / length
+    across = [(snap / ca.fmax(math.comb(4, k) * each, 1e-12)) ** (1 / (4 - k)) for k, each in enumerate(sizes)]
+    down = [ca.sqrt(reach / ca.fmax(ca.fabs(off[2, 0]), 1e-12)), reach / ca.fmax(ca.fabs(off[2, 1]), 1e-12)]
+    a = ca.fmin(RETURN_TURN / h, ca.vertcat(*(ca.mmin(ca.vertcat(*each)) for each in (across, across, down))))
+    y = [sum(math.comb(k, j) * a ** (k - j) * off[:, j] for j in range(k + 1)) for k in range(4)]
+    return forgotten(ca.vertcat(*y)), a
+
+
+def forgotten(y: ca.MX) -> ca.MX:
+    """Return an offset, or zeros in place of one that is mere round-off: its squares would underflow one day."""
+    return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, ca.MX.zeros(y.numel()))
+
+
+def offset(y: ca.MX, a: ca.MX, tau: Any) -> tuple[ca.MX, ca.MX]:
+    """Return y_0 ... y_3 and the jet of the motion off the path so much later."""
+    rows = ca.vertsplit(y, DIMENSION)
+    later = [
+        ca.exp(-a * tau) * sum(tau**i / math.factorial(i) * each for i, each in enumerate(rows[k:])) for k in range(4)
+    ]
+    jet = [sum(math.comb(k, j) * (-a) ** (k - j) * later[j] for j in range(min(k, 3) + 1)) for k in range(len(ORDERS))]
+    return ca.vertcat(*later), ca.vertcat(*jet)
