@@ -2,6 +2,7 @@
 
 * `cycle`: set the inputs, step, get the outputs, by the bare C functions. Beside it PythonFMU's own cost, measured with
   a slave that has as many inputs and outputs and computes nothing; its cycles alternate with those of the FMU.
+* `feedback`: what a cycle takes beyond one without, with the twelve measured values set as well.
 * `instance`: the first one and a second one in a process that has imported NumPy and CasADi already.
 
 Times are the smallest of many short runs, ratios the median over runs that followed each other: machines are busy.
@@ -27,6 +28,8 @@ from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.build import build_fmu
+from crane_fmu.build.flatness import flat_motion
+from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 BATCHES, CYCLES, STEP = 200, 20, 0.005
 SETTINGS: dict[str, dict[str, str]] = {
@@ -35,6 +38,12 @@ SETTINGS: dict[str, dict[str, str]] = {
     "generalized, reduced": {"model": "generalized"},
     "bodies, reduced": {"model": "bodies"},
 }
+
+FEEDBACK = {
+    "with feedback, input_time start": {},
+    "with feedback, input_time end": {"input_time": "end"},
+}
+"""To be compared with the first of the settings."""
 
 BASE = "PythonFMU, nothing computed"
 
@@ -77,7 +86,7 @@ class Driven:
             references, values = (c_uint * 1)(by_name[name].valueReference), (ctypes.c_int * 1)(number)
             self._dll.fmi2SetInteger(self._component, references, c_size_t(1), values)
         connected = [each.valueReference for each in description.modelVariables if each.causality == "input"]
-        connected = connected[: inputs.shape[1]]  # the path; what can be measured is not
+        connected = connected[: inputs.shape[1]]  # the path first, then what is measured
         outputs = [each.valueReference for each in description.modelVariables if each.causality == "output"]
         self._u, self._y = (c_uint * len(connected))(*connected), (c_uint * len(outputs))(*outputs)
         self._values = [(c_double * len(connected))(*row) for row in inputs]
@@ -112,6 +121,14 @@ def path() -> np.ndarray:
     back = there[::-1].copy()
     back[:, 1::2] *= -1.0  # odd derivatives of the path run backwards
     return np.concatenate([there, back]).reshape(2 * len(t), -1)
+
+
+def with_measured(inputs: np.ndarray) -> np.ndarray:
+    """Return inputs with what is measured of a crane that is on its path."""
+    crane = sc.scenes.rotary_crane().parameter_values()
+    p = [crane[name] for name in CRANE_PARAMETERS]
+    states = np.array(flat_motion().map(len(inputs))(inputs.T, np.tile(np.array(p)[:, None], len(inputs)))[0]).T
+    return np.hstack([inputs, states[:, :3], states[:, 5:8], inputs[:, :6]])
 
 
 @contextmanager
@@ -154,12 +171,14 @@ def measure(file: Path) -> dict[str, object]:
         folder = Path(str(fmpy.extract(str(file), scratch)))
         inputs = path()
         driven = {name: Driven(folder, inputs, texts) for name, texts in SETTINGS.items()}
+        driven |= {name: Driven(folder, with_measured(inputs), texts) for name, texts in FEEDBACK.items()}
         driven[BASE] = Driven(nothing, inputs)
         cycles = microseconds({name: each.cycle for name, each in driven.items()})
         starts = [instantiation(folder) for _ in range(3)]
     return {
         "cycle": {name: float(each.min()) for name, each in cycles.items()},
         "ratio": {name: float(np.median(each / cycles[BASE])) for name, each in cycles.items()},
+        "feedback": {name: float(cycles[name].min() - cycles[next(iter(SETTINGS))].min()) for name in FEEDBACK},
         "first instance": min(first for first, _ in starts),
         "second instance": min(second for _, second in starts),
     }
@@ -179,6 +198,8 @@ def main(arguments: list[str]) -> None:
     assert isinstance(ratios, dict)
     for name in cycles:
         print(f"{name:32} {cycles[name]:8.1f} {ratios[name]:8.2f}")
+    for name, more in found["feedback"].items():  # type: ignore[attr-defined]
+        print(f"{name:32} takes {more:.1f} us more")
     print(f"first instance {found['first instance']:.0f} ms, second {found['second instance']:.0f} ms")
 
 
