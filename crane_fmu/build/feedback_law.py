@@ -35,8 +35,9 @@ import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
-WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 1.0
-"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z."""
+WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE, NEAR_AXIS = 4000.0, 2.0, 1.0, 250.0
+"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z; by
+the square of the trolley's distance in m from the axis, where bridge angles grow too large for a linear law."""
 
 EFFORT = (1.5, 0.7, 1.0)
 """How freely bridge, trolley and winch are used."""
@@ -186,9 +187,9 @@ def _efforts(p: Any, s: Any) -> Any:
     return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
 
 
-def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
+def _weights(h: ca.MX, strain: ca.MX, s: ca.MX) -> ca.MX:
     """Return what an error of the load in x, y and z weighs."""
-    level = ca.fmin(WEIGHT, WEIGHT_TIMES_SQUARE / h**2)
+    level = ca.fmin(ca.fmin(WEIGHT, NEAR_AXIS * s**2), WEIGHT_TIMES_SQUARE / h**2)
     return ca.exp(-EASE * strain) * ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
 
 
@@ -203,7 +204,7 @@ def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, t
     state, inputs = parts.flat(jet, p)
     A, first, second, E, C = parts.sampled(state, inputs, p, h)
     new, old = (second, first - second) if time == "end" else (first + second, -second)
-    return A, new, old, E, C, _efforts(p, state[1]), _weights(h, strain)
+    return A, new, old, E, C, _efforts(p, state[1]), _weights(h, strain, state[1])
 
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
