@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import casadi as ca
 import numpy as np
 import pytest
-from fmu_host import Host, extracted, fmu_file
+from fmu_host import Host
+from loop_information import smallest_distance
+from loop_stability import laws, sensitivity, transition_norms
 from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, jets_of, random_case
 
 import servocore as sc
-from crane_fmu.slave.feedback import feedbacks
-from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
 
 MASTERS = ("start", "end")
 GUSTS = ("gust[1]", "gust[2]")
@@ -120,80 +117,31 @@ def test_outputs_stay_within_the_limits_without_feedback_too(name):
 # Stability -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def laws():
-    """The functions that the FMU carries."""
-    (text,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{FEEDBACK_FILE}")
-    return feedbacks(text.read_text(), text.with_suffix(".so"))
-
-
-def transition(law, at, h):
-    """Yield the closed loop's transition matrices over steps of the default manoeuvre, by differences.
-
-    The state is that of the crane, the inputs of this step and of the one before, and the feedback's memory but for
-    the cost-to-go; the plant is the law's own, so what is proven is the law.
-    """
-    path, names = CRANE.reference, CRANE.parameter_values()
-    p = np.array([names[each] for each in CRANE_PARAMETERS])
-    plant = plant_step()
-    count = round((path.duration + 4.0) / h)
-    t = h * np.arange(count + 2)
-    jets = path.jet(np.minimum(t, path.end_time), 4)
-    jets[t > path.end_time, 1:] = 0.0
-    jets = jets.reshape(len(t), 15)
-    x = np.array([0.0, 5.0, 5.0, *[0.0] * 7])
-    (memory,) = law.begin(jets[0], seen(x), p, h)
-    u = before = np.array([0.0, 0.0, -98.1])
-
-    def step(values, k):
-        x, u, before, rest = np.split(values, [10, 13, 16])
-        full = np.concatenate([memory[:100], rest])
-        told, old = (jets[k + 1], jets[k]) if at == "end" else (jets[k], jets[k])
-        full, new = law.follow(full, told, old, seen(x), u, u, p, h, 1.0, [1e9] * 3)
-        slope = (new - u) / h if at == "end" else (u - before) / h
-        return np.concatenate([plant(x, u, slope, p, h), new, u, full[100:]]), full[:100]
-
-    values = np.concatenate([x, u, before, memory[100:]])
-    moving = list(range(16 + 3 + 10 + 3 + 1))  # snap, step and offset that are remembered do not depend on the state
-    for k in range(count):
-        after, cost = step(values, k)
-        if k:
-            columns = []
-            for j in moving:
-                shifted = values.copy()
-                size = 1e-6 * (1.0 + abs(values[j]))
-                shifted[j] += size
-                columns.append((step(shifted, k)[0] - after)[moving] / size)
-            yield np.array(columns).T
-        values, memory = after, np.concatenate([cost, after[16:]])
-
-
-def plant_step():
-    plant, none = sc.compile_plant(CRANE.model("generalized")), np.zeros(3)
-
-    def step(x, u, slope, p, h):
-        middle = plant.advance(x, u, slope, none, p, h / 2)
-        return plant.advance(middle, u + slope * h / 2, slope, none, p, h / 2)
-
-    return step
-
-
-_Q, _V = ca.SX.sym("q", 5), ca.SX.sym("v", 5)
-_PLACE = ca.substitute(CRANE.model("generalized").output, CRANE.model("generalized").q, _Q)
-_LOAD = ca.Function("load", [ca.vertcat(_Q, _V)], [ca.vertcat(_PLACE, ca.jtimes(_PLACE, _Q, _V))])
-
-
-def seen(x):
-    """Return what is measured of a state."""
-    return np.concatenate([x[:3], x[5:8], np.array(_LOAD(x)).ravel()])
-
-
 @pytest.mark.parametrize("h", [0.1])
 @pytest.mark.parametrize("at", MASTERS)
-def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(laws, at, h):
+def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(at, h):
     """Frozen eigenvalues prove nothing for a crane that moves: the product over the path has to become small."""
-    product, norms = np.eye(33), []
-    for each in transition(laws[at], at, h):
-        product = each @ product
-        norms.append(np.linalg.norm(product, 2))
-    assert norms[-1] < 1e-4 * max(norms)
+    norms = list(transition_norms(laws()[at], at, h))
+    assert norms[-1] < 1e-10 * max(norms)
+
+
+@pytest.mark.parametrize(("at", "bound"), [("start", 5.5), ("end", 3.1)])
+def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at, bound):
+    law = laws()[at]
+    for h in (0.1, 0.01):
+        for place in CRANE.reference.jet(np.array([0.0, 10.0, 20.0]), 0)[:, 0]:
+            assert sensitivity(law, at, h, place) < bound
+
+
+# What is not known in time -------------------------------------------------------------------------------------------
+
+
+def test_a_jump_of_crackle_costs_what_no_jacobi_master_can_save():
+    """The law stays within a dozen times of the least that any inputs could reach, those without bounds included."""
+    assert smallest_distance() == pytest.approx(1.33, abs=0.01)
+    assert smallest_distance(most=5.0) == pytest.approx(2.66, abs=0.01)
+    assert smallest_distance(first=1) < 0.15
+    path = sc.rest_to_rest([5.0, 2.0, -5.0], [2.0, 6.0, -4.0], 10.0, sc.three_phase())
+    jump = float(np.linalg.norm(path.jet(np.zeros(1), 5)[0, 5]))
+    found = 1e-3 * deviation(Case(path), 0.1) / (jump * 0.1**5)
+    assert 1.33 < found < 16.0

@@ -1,0 +1,122 @@
+"""The loop that `loops` closes through FMUs, as machine code: the same law, plant and masters, ten times faster."""
+
+from __future__ import annotations
+
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from loops import CRANE, STEPS, Case, jets_of
+
+import servocore as sc
+from crane_fmu.build.feedback_law import SIZES, feedback_functions
+from crane_fmu.build.flatness import flat_motion
+from crane_fmu.build.machine_code import c_compiler
+from crane_fmu.slave.interface import CRANE_PARAMETERS
+from crane_fmu.slave.paths import continued
+
+_SYSTEM = CRANE.model("generalized")
+_PLANT_STEP = 0.005  # of the Runge-Kutta method, in s
+_MEMORY, _STATE, _INPUTS, _JET = sum(SIZES.values()), 10, 3, 15
+_PARAMETERS = {"p": 6, "mass_error": 1, "h": 1, "share": 1}
+
+
+def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1.0) -> float:
+    """Largest distance in mm of the load from its path, also a second after it; infinite where the rope goes slack.
+
+    A gust begins and ends at communication points.
+    """
+    jets = jets_of(case.reference, h).reshape(-1, _JET)
+    count = len(jets) - 1
+    values = CRANE.parameter_values() | case.crane
+    p = np.array([values[name] for name in CRANE_PARAMETERS])
+    functions = _compiled(at)
+    state, inputs = (np.array(each).ravel() for each in functions["flat"](jets[0], p))
+    memory = np.array(functions[f"begin_{at}"](jets[0], _seen()(state, p), p, h)).ravel()
+    begin = np.concatenate([memory, state, inputs, inputs])
+    error = case.disturbance.get("mass_error", 0.0)
+    fixed = np.concatenate([p, [error, h, share]])[:, None].repeat(count, axis=1)
+    run = functions[f"cycle_{_parts(h)}"].mapaccum(count)
+    _, found = run(begin, jets[:-1].T, jets[1:].T, _forces(case, h, count), fixed)
+    found = np.array(found)
+    if not (np.isfinite(found).all() and found[3].min() > 0.0):
+        return float("inf")
+    return 1e3 * float(np.linalg.norm(found[:3].T - jets[1:, :3], axis=1).max())
+
+
+def _forces(case: Case, h: float, count: int) -> np.ndarray:
+    told, t = case.disturbance, h * np.arange(count) + 1e-9
+    begin = told.get("gust_start", 0.0)
+    blows = (begin <= t) & (t < begin + told.get("gust_duration", 0.0))
+    return np.stack([told.get(f"wind[{k}]", 0.0) + blows * told.get(f"gust[{k}]", 0.0) for k in (1, 2, 3)])
+
+
+@cache
+def _plant() -> sc.Plant:
+    return sc.compile_plant(_SYSTEM)
+
+
+@cache
+def _seen() -> ca.Function:
+    """Return (state, p) -> what is measured."""
+    x, p = ca.MX.sym("x", _STATE), ca.MX.sym("p", len(CRANE_PARAMETERS))
+    plant = _plant()
+    names = [each.name for each in plant.channels]
+    values = plant.observe(x, ca.MX.zeros(_INPUTS), ca.MX.zeros(3), p)
+    load = [values[names.index(f"{axis}{dot}")] for dot in ("", "_dot") for axis in "xyz"]
+    return ca.Function("seen", [x, p], [ca.vertcat(x[:3], x[5:8], *load)])
+
+
+def _parts(h: float) -> int:
+    """Into how many steps the plant divides a communication step."""
+    return max(2, round(h / _PLANT_STEP))
+
+
+@cache
+def _compiled(at: str) -> dict[str, ca.Function]:
+    """Return one step of the whole loop and what begins it, as machine code."""
+    law = feedback_functions(_SYSTEM)
+    cycles = (_cycle(law[f"feedback_{at}"], at, parts) for parts in sorted({_parts(h) for h in STEPS}))
+    functions = [*cycles, law[f"begin_{at}"], flat_motion()]
+    generator = ca.CodeGenerator("loop.c")
+    for each in functions:
+        generator.add(each)
+    compiler = c_compiler()
+    if compiler is None:
+        return {each.name(): each for each in functions}
+    folder = Path(tempfile.mkdtemp(prefix="loop "))
+    source, library = folder / "loop.c", folder / "loop.so"
+    source.write_text(generator.dump())
+    options = ["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
+    subprocess.run([*compiler, *options, str(source), "-o", str(library), "-lm"], check=True)
+    return {each.name(): ca.external(each.name(), str(library)) for each in functions}
+
+
+def _cycle(law: ca.Function, at: str, parts: int) -> ca.Function:
+    """Return (loop, jet, next jet, force, fixed) -> (loop a step later, the load's place and the rope's tension)."""
+    loop = ca.MX.sym("loop", _MEMORY + _STATE + 2 * _INPUTS)
+    jet, following, force = ca.MX.sym("jet", _JET), ca.MX.sym("next", _JET), ca.MX.sym("d", 3)
+    fixed = ca.MX.sym("fixed", sum(_PARAMETERS.values()))
+    p, error, h, share = ca.vertsplit(fixed, np.cumsum([0, *_PARAMETERS.values()]).tolist())
+    ends = np.cumsum([0, _MEMORY, _STATE, _INPUTS, _INPUTS]).tolist()
+    memory, x, u, before = ca.vertsplit(loop, ends)
+    flat, plant = flat_motion(), _plant()
+    true_p = ca.vertcat(p[:2], p[2] * (1.0 + error), p[3:])
+    told, forward = (following, following) if at == "end" else (jet, ca.vertcat(*continued(ca.vertsplit(jet, 3), h)))
+    given = _seen()(x, true_p)
+    limits = ca.DM([1e9] * _INPUTS)
+    memory, new = law(memory, told, jet, given, u, flat(forward, p)[1], p, h, share, limits)
+    slope = (new - u) / h if at == "end" else (u - before) / h
+    for k in range(parts):
+        x = plant.step(x, u + slope * (k * h / parts), slope, force, true_p, h / parts)
+    names = [each.name for each in plant.channels]
+    values = plant.observe(x, u + slope * h, force, true_p)
+    place, acceleration = (ca.vertcat(*(values[names.index(axis + dots)] for axis in "xyz")) for dots in ("", "_ddot"))
+    trolley = ca.vertcat(x[1] * ca.cos(x[0]), x[1] * ca.sin(x[0]), 0)
+    pull = true_p[2] * (acceleration + ca.vertcat(0, 0, true_p[5])) - force
+    tension = ca.dot(pull, trolley - place) / x[2]
+    after = ca.densify(ca.vertcat(memory, x, new, u))
+    return ca.Function(f"cycle_{parts}", [loop, jet, following, force, fixed], [after, ca.vertcat(place, tension)])

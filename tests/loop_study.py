@@ -1,0 +1,199 @@
+"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]]``.
+
+Random manoeuvres run in machine code (`compiled_loop`); the default manoeuvre and one case in twenty also in the FMUs,
+which have to agree. Distributions and the loop's stability go to the standard output, every run into feedback.csv, the
+picture beside it.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+from compiled_loop import compiled_deviation
+from loop_information import smallest_distance
+from loop_stability import laws, sensitivity, transition_norms
+from loops import BOUNDS, STEPS, Case, deviation, fastest, random_case
+
+from crane_fmu.slave.feedback import LARGEST_TURN
+
+TARGET = Path(__file__).parents[1] / "docs" / "pictures"
+MASTERS = {"start": "Jacobi", "end": "Gauss-Seidel"}
+NOMINAL, ANY, HARD, DISTURBED = "default crane", "any crane", "any crane, any snap", "5 % mass error and gust"
+BOUND_OF_OTHERS, BOUND_DISTURBED, DISTURBED_STEP = 3.0, 10.0, 0.01
+ONE_IN, AGREEMENT = 20, (0.05, 1e-6)  # relative, and in mm: the FMUs round otherwise
+
+
+@dataclass(frozen=True)
+class Run:
+    """A manoeuvre at a step, and the largest distance of its load in mm, with and without feedback."""
+
+    kind: str
+    master: str
+    step: float
+    manoeuvre: str
+    jump: float
+    distance: float
+    without: float
+
+
+def cases_of(kind: str, count: int) -> list[Case]:
+    rng = np.random.default_rng(7)
+    choice: dict[str, Any] = {"any_crane": kind in (ANY, HARD), "disturbed": kind == DISTURBED}
+    if kind == HARD:
+        choice["snap"] = np.inf
+    return [random_case(rng, **choice) for _ in range(count)]
+
+
+def jump(case: Case) -> float:
+    """Largest jump of the fifth derivative of a path, in m/s5: at rest's ends and where phases meet."""
+    path = case.reference
+    inner = np.array(getattr(path, "knots", ())[1:-1])
+    ends = path.jet(np.array([path.start_time, path.end_time]), 5)[:, 5]
+    both = path.jet(np.concatenate([inner - 1e-9, inner + 1e-9]), 5)[:, 5].reshape(2, -1, 3)
+    return float(np.linalg.norm(np.concatenate([ends, both[1] - both[0]]), axis=1).max())
+
+
+def runs(count: int) -> Iterator[list[Run]]:
+    """Yield the runs of each kind, master and step."""
+    for kind in (NOMINAL, ANY, HARD, DISTURBED):
+        cases = cases_of(kind, count)
+        jumps = [jump(each) for each in cases]
+        for at, master in MASTERS.items():
+            steps = (DISTURBED_STEP,) if kind == DISTURBED else STEPS[:2] if kind == HARD else STEPS
+            for h in steps if (kind, at) != (HARD, "end") else ():
+                found = []
+                for case, jumped in zip(cases, jumps, strict=True):
+                    if fastest(case) * h <= LARGEST_TURN:
+                        distance = compiled_deviation(case, h, at)
+                        without = compiled_deviation(case, h, at, 0.0) if kind == DISTURBED else np.nan
+                        found.append(Run(kind, master, h, case.name, jumped, distance, without))
+                yield found
+
+
+def broken(found: Sequence[Run]) -> bool:
+    """Return whether runs of a kind break what must hold."""
+    first, largest = found[0], max(each.distance for each in found)
+    if first.kind == HARD:
+        return not np.isfinite(largest)
+    if first.kind == DISTURBED:
+        return largest > BOUND_DISTURBED or any(each.distance > each.without for each in found)
+    return largest > BOUNDS[first.step] * (BOUND_OF_OTHERS if first.kind == ANY else 1.0)
+
+
+def sentence(found: Sequence[Run]) -> str:
+    """Return the distribution of runs of a kind."""
+    first, sizes = found[0], np.sort([each.distance for each in found])
+    worst = max(found, key=lambda each: each.distance)
+    said = (
+        f"{first.kind}, {first.master}, {first.step:g} s: {len(found)} runs, median {np.median(sizes):.2e},"
+        f" 90 % {sizes[int(0.9 * len(sizes))]:.2e}, largest {sizes[-1]:.2e} mm ({worst.manoeuvre})"
+    )
+    if first.kind == HARD:
+        rows = [1e-3 * each.distance / (each.jump * each.step**5) for each in found if each.jump > 1.0]
+        said += f"; {np.median(rows):.3g} J h^5 in the median, {max(rows):.3g} at most, no less than"
+        said += f" {smallest_distance():.3g} J h^5 for any"
+        said += f"; {sum(each.distance > 3 * BOUNDS[first.step] for each in found)} beyond the bound"
+    if first.kind == DISTURBED:
+        share = max(each.distance / each.without for each in found)
+        said += f"; at most {share:.2g} of what feedforward alone leaves"
+    return said + (" BROKEN" if broken(found) else "")
+
+
+def agreement(count: int) -> bool:
+    """Run the FMUs themselves, and say whether they do what the machine code does."""
+    agrees = True
+    chosen = [*cases_of(NOMINAL, count)[::ONE_IN], *cases_of(ANY, count)[::ONE_IN]]
+    for at, master in MASTERS.items():
+        rows = [(deviation(Case(), h, at), compiled_deviation(Case(), h, at), h, "default manoeuvre") for h in STEPS]
+        for k, case in enumerate(chosen):
+            h = STEPS[k % 4]
+            if fastest(case) * h <= LARGEST_TURN:
+                rows.append((deviation(case, h, at), compiled_deviation(case, h, at), h, case.name))
+        for by_fmus, compiled, h, name in rows:
+            equal = bool(np.isclose(by_fmus, compiled, *AGREEMENT))
+            agrees &= equal
+            print(f"FMUs, {master}, {h:g} s: {by_fmus:.3e} mm, compiled {compiled:.3e} mm ({name})"
+                  f"{'' if equal else ' DIFFERENT'}", flush=True)  # fmt: skip
+    return agrees
+
+
+def stability() -> bool:
+    """Print norms of transition matrices and sensitivities at every step, and return whether the norms decay."""
+    decays = True
+    for at, master in MASTERS.items():
+        for h in STEPS:
+            norms = list(transition_norms(laws()[at], at, h))
+            decays &= norms[-1] < 1e-10 * max(norms)
+            places = Case().reference.jet(np.linspace(0.0, 20.0, 5), 0)[:, 0]
+            grown = max(sensitivity(laws()[at], at, h, place) for place in places)
+            fallen = norms[-1] / max(norms)
+            print(f"stability, {master}, {h:g} s: the transition matrix falls to {fallen:.0e} of"
+                  f" its largest norm; a disturbance at the inputs grows {grown:.2g} times", flush=True)  # fmt: skip
+    return decays
+
+
+def draw(found: Sequence[Run], file: Path) -> None:
+    """Draw the share of runs that stay within a distance."""
+    style: Any = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True,
+                  "grid.alpha": 0.25, "savefig.dpi": 160}  # fmt: skip
+    with plt.rc_context(style):
+        figure, axes = plt.subplots(2, 3, figsize=(9.0, 5.2), sharey=True, layout="constrained")
+        for row, master in zip(axes, MASTERS.values(), strict=True):
+            for axis, kind in zip(row, (NOMINAL, ANY, DISTURBED), strict=True):
+                _draw_kind(axis, [each for each in found if (each.kind, each.master) == (kind, master)])
+                axis.set_title(f"{kind}, {master}", loc="left", fontsize=9)
+            row[0].set_ylabel("share of manoeuvres")
+        figure.supxlabel("largest distance of the load from its path [mm]", fontsize=9)
+        figure.savefig(file, metadata={"Software": None})
+        plt.close(figure)
+
+
+def _draw_kind(axis: Any, found: Sequence[Run]) -> None:
+    colours = dict(zip(STEPS, plt.get_cmap("viridis")(np.linspace(0.0, 0.85, len(STEPS))), strict=True))
+    lines = [(h, "distance", colours[h], f"{h:g} s") for h in STEPS if any(each.step == h for each in found)]
+    bounds = {h: BOUNDS[h] * (BOUND_OF_OTHERS if found[0].kind == ANY else 1.0) for h in STEPS[:-1]}
+    if found[0].kind == DISTURBED:
+        lines = [(DISTURBED_STEP, "distance", colours[DISTURBED_STEP], f"{DISTURBED_STEP:g} s"),
+                 (DISTURBED_STEP, "without", "0.5", "feedforward alone")]  # fmt: skip
+        bounds = {DISTURBED_STEP: BOUND_DISTURBED}
+    for h, name, colour, label in lines:
+        sizes = np.sort([getattr(each, name) for each in found if each.step == h])
+        axis.step(sizes, np.arange(1, len(sizes) + 1) / len(sizes), where="post", color=colour, label=label, lw=1.5)
+    for h, bound in bounds.items():
+        axis.plot([bound, bound], [0.93, 1.05], color=colours[h], lw=2.5, solid_capstyle="butt")
+    axis.set(xscale="log", ylim=(0.0, 1.05))
+    axis.legend(loc="center" if found[0].kind == DISTURBED else "lower right", fontsize=7, frameon=False)
+
+
+def main(count: int, folder: Path) -> int:
+    """Run, print and draw everything; returns 1 if a bound is broken or FMUs do something else."""
+    everything: list[Run] = []
+    status = 0
+    for found in runs(count):
+        print(sentence(found), flush=True)
+        status |= broken(found)
+        everything += found
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "feedback.csv").open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file)
+        table.writerow([each.name for each in fields(Run)])
+        table.writerows([[f"{value:.3e}" if isinstance(value, float) else value for value in vars(each).values()]
+                         for each in everything])  # fmt: skip
+    draw(everything, folder / "feedback.png")
+    return status | (not agreement(count)) | (not stability())
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+    sys.exit(main(int(given[0]) if given else 200, Path(given[1]) if given[1:] else TARGET))
