@@ -86,7 +86,7 @@ import sys
 from ecospy import EcosSimulation
 with EcosSimulation(ssp_path=sys.argv[1], step_size=0.01) as simulation:
     simulation.init()
-    simulation.step(1000)
+    simulation.step(int(sys.argv[2]))
     for name in ("trajectory", "plant"):
         print("place", *(simulation.get_real(f"{name}::load.position[{k}]") for k in (1, 2, 3)), flush=True)
 """
@@ -97,7 +97,7 @@ from libcosimpy.CosimObserver import CosimObserver
 execution = CosimExecution.from_ssp_file(sys.argv[1], 10_000_000)
 observer = CosimObserver.create_last_value()
 execution.add_observer(observer)
-assert all(execution.step() for _ in range(1000))
+assert all(execution.step() for _ in range(int(sys.argv[2])))
 for name in ("trajectory", "plant"):
     number = execution.slave_index_from_instance_name(name)
     known = {each.name.decode(): each.reference for each in execution.slave_variables(number)}
@@ -106,13 +106,21 @@ for name in ("trajectory", "plant"):
 """
 
 
-@pytest.mark.parametrize(("package", "script"), [("ecospy", ECOS), ("libcosimpy", LIBCOSIM)])
-def test_other_masters_run_it_as_well(package, script):
+MASTERS = {"ecospy": ECOS, "libcosimpy": LIBCOSIM}
+
+
+def places(package, file, steps):
+    """Where trajectory and plant have the load after so many steps in another master."""
     if find_spec(package) is None or in_a_process(f"import {package}").returncode:
         pytest.skip(f"{package} is not installed or does not load")
-    done = in_a_process(script, system())
-    places = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("place")]
-    wanted, found = np.array(places, dtype=float)
+    done = in_a_process(MASTERS[package], file, str(steps))
+    found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("place")]
+    return np.array(found, dtype=float)
+
+
+@pytest.mark.parametrize("package", MASTERS)
+def test_other_masters_run_it_as_well(package):
+    wanted, found = places(package, system(), 1000)
     np.testing.assert_allclose(wanted, sc.scenes.rotary_crane().reference.jet(10.0, 0)[0], atol=1e-9)
     assert 1e3 * np.linalg.norm(wanted - found) < 0.01
 
@@ -186,24 +194,42 @@ def test_a_trajectory_without_a_table_says_where_one_belongs():
         assert "needs a table resources/path.csv" in host.messages[0]
 
 
-def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    goal = [4.0, 2.0, -5.0]
-    path = sc.through([[6.0, -1.0, -5.0], [5.0, 1.0, -4.0], goal], duration=10.0)
-    (tmp_path / "path.csv").write_text(table_of(path))
-    (tmp_path / "crane.toml").write_text("load_mass = 140.0\nbridge_inertia = 600.0\n")
-    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "path.csv", "--parameters", "crane.toml"])
+GOAL = (4.0, 2.0, -5.0)
+
+
+@cache
+def own_system():
+    """Made by the command from a path and a crane of one's own."""
+    folder = scratch() / "own"
+    folder.mkdir()
+    path = sc.through([[6.0, -1.0, -5.0], [5.0, 1.0, -4.0], GOAL], duration=10.0)
+    files = {"path.csv": table_of(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    wishes = ["--reference", str(folder / "path.csv"), "--parameters", str(folder / "crane.toml")]
+    result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), *wishes])
     assert result.exit_code == 0, result.output
+    return folder / "out" / "Crane.ssp"
+
+
+def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master():
     with forgotten_modules(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
-        rows = simulate_ssp(str(tmp_path / "out" / "Crane.ssp"), stop_time=11.0, step_size=STEP)
+        rows = simulate_ssp(str(own_system()), stop_time=11.0, step_size=STEP)
     found = [rows[f"plant.load.position[{k}]"][-1] for k in (1, 2, 3)]
-    assert np.linalg.norm(np.array(found) - goal) < 1e-4
-    with zipfile.ZipFile(tmp_path / "out" / "Crane.ssp") as archive:
+    assert np.linalg.norm(np.array(found) - GOAL) < 1e-4
+    with zipfile.ZipFile(own_system()) as archive:
         root = ET.fromstring(archive.read("SystemStructure.ssd"))
     bound = {each.get("name"): each[0].get("value") for each in root.iter() if each.tag.endswith("}Parameter")}
     assert bound["load_mass"] == "140.0"
     assert bound["start.position[1]"] == "6.0"
+
+
+@pytest.mark.parametrize("package", MASTERS)
+def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package):
+    wanted, found = places(package, own_system(), 1100)
+    np.testing.assert_allclose(wanted, GOAL, atol=1e-9)
+    assert np.linalg.norm(found - GOAL) < 1e-4
 
 
 @pytest.mark.parametrize(
