@@ -277,7 +277,8 @@ class Slave(TableSlave):
         return found, memory, False, said
 
     def _limited(self, motion: Snapshot, settings: Settings) -> Array:
-        forces: Array = np.clip(motion.values[self._channels[:_ACTUATORS]], -settings.limits, settings.limits)
+        wanted, most = motion.values[self._channels[:_ACTUATORS]], settings.limits
+        forces: Array = np.minimum(np.maximum(wanted, -most), most)  # `clip` takes three times as long
         return forces
 
     def _contradicted(self, now: CraneState, heard: Sequence[float], time: float) -> tuple[tuple[str, ...], bool]:
