@@ -42,7 +42,7 @@ ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bar
 load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 	SERVOCORE_LOAD=full $(RUN) pytest -s --durations=0 tests/test_load.py
 
-loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (some 20 minutes)
+loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (half an hour or more)
 	$(BIN)/python tests/loop_study.py
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
