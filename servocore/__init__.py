@@ -14,6 +14,7 @@ from servocore.errors import (
     InvalidModel,
     InvalidReference,
     InvalidSetting,
+    PlanningFailed,
     ServocoreError,
     ServocoreWarning,
 )
@@ -41,6 +42,8 @@ from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
+from servocore.planning.fastest import fastest
+from servocore.planning.report import PlanReport
 from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
@@ -90,6 +93,8 @@ __all__ = [
     "InvalidSetting",
     "Limit",
     "Original",
+    "PlanReport",
+    "PlanningFailed",
     "Plant",
     "Potential",
     "Profile",
@@ -110,6 +115,7 @@ __all__ = [
     "analyse",
     "compile_plant",
     "export_fmu",
+    "fastest",
     "figure_of_eight",
     "from_csv",
     "periodic",

@@ -35,6 +35,10 @@ class IntegrationFailed(ServocoreError):
     """A time step was not solved; the sentence names time, step, the worst equation and likely causes."""
 
 
+class PlanningFailed(ServocoreError):
+    """No law was found that keeps all limits and that the solver and a finer grid agree about."""
+
+
 def described(value: object) -> str:
     """Return what messages call an argument that is of the wrong kind: the text 'a', the class A, a casadi.MX."""
     if value is None:

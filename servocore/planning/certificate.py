@@ -1,0 +1,100 @@
+"""Whether a plan keeps its limits: looked at by the exact inversion itself, at twenty thousand instants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from servocore.checks.limits import require_feasible
+from servocore.checks.motion_limits import compile_watched, motion_limits
+from servocore.model.limits import Limit
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem
+from servocore.solvers.following import prepared_table
+from servocore.solvers.within_limits import exact_states
+
+_INSTANTS = 20_001
+_ACTIVE = 0.01  # of the range: so near to its bound a quantity holds the plan back
+
+
+@dataclass(frozen=True)
+class Active:
+    """A limit that a plan touches: which, its bound, and from when to when."""
+
+    quantity: str
+    bound: float
+    unit: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a look at many instants of a plan found.
+
+    Attributes
+    ----------
+    violation : float
+        Largest excess over any limit, divided by half its range; 0 if all are kept.
+    worst : str
+        The limit that is nearest to its bound, or broken most.
+    instants : int
+        How many were looked at.
+    active : tuple of Active
+        What holds the plan back, and when.
+    """
+
+    violation: float
+    worst: str
+    instants: int
+    active: tuple[Active, ...]
+
+
+def certify(problems: tuple[Problem, ...]) -> Certificate:
+    """Look at the path of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
+    found = [_certify(each) for each in problems]
+    worst = max(found, key=lambda each: each.violation)
+    active = tuple(dict.fromkeys(each for one in found for each in one.active))
+    return Certificate(worst.violation, worst.worst, _INSTANTS, active)
+
+
+def _certify(problem: Problem) -> Certificate:
+    require_feasible(problem)
+    limits, path = motion_limits(problem), problem.reference
+    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
+    states, jets = exact_states(problem, prepared_table(problem))(t), path.jet(t, watched.order)
+    (values,) = at_instants(watched.function, states, jets=jets, p=problem.p)
+    worst, name, active = -np.inf, "", list[Active]()
+    for limit, wraps, row in zip(limits, watched.wraps, values, strict=True):
+        quantity = np.unwrap(row) if wraps else row
+        for bound, over in sides(limit, quantity):
+            excess = float(
+                np.max(np.where(np.isnan(over) & limit.rate, -np.inf, np.where(np.isnan(over), np.inf, over)))
+            )
+            if excess > worst:
+                worst, name = excess, limit.quantity
+            active += _spells(limit, bound, t, over > -_ACTIVE)
+    return Certificate(max(worst, 0.0), name, _INSTANTS, tuple(active))
+
+
+def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
+    """Return each bound of a limit, and by how much values are beyond it, divided by half the range."""
+    low, high = limit.bound, limit.upper
+    both = np.isfinite(low) and np.isfinite(high)
+    found = []
+    for bound, over in ((low, low - values), (high, values - high)):
+        if np.isfinite(bound):
+            found.append((bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0)))
+    return found
+
+
+def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:
+    """Return from when to when a limit is touched."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], touched.astype(int), [0]])))
+    return [
+        Active(limit.quantity, bound, limit.unit, float(t[begin]), float(t[end - 1]))
+        for begin, end in zip(edges[::2], edges[1::2], strict=True)
+    ]

@@ -1,0 +1,132 @@
+"""Curves to be passed through as fast as limits allow: P(s), 0 <= s <= 1, of pieces, never at rest in s."""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidReference
+from servocore.numerics.calls import Array
+from servocore.references.base import Reference
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.rest_to_rest import RestToRest
+
+_DEGREE = 7
+_SAMPLES = (9, 13, 17, 25, 33)  # pieces cost time: no more of them than the curve needs
+_DEVIATION = 1e-5  # of the length
+_LOOKED_AT = 2001
+
+
+def through_points(waypoints: Array) -> PiecewisePolynomial:
+    """Return the natural spline of degree 7 through waypoints (n, m), by chord length; a line through two.
+
+    Raises
+    ------
+    InvalidReference
+        If two waypoints that follow one another coincide.
+    """
+    chords = np.linalg.norm(np.diff(waypoints, axis=0), axis=1)
+    repeated = np.flatnonzero(chords == 0.0)
+    if len(waypoints) < 2:
+        raise InvalidReference("a path needs two waypoints or more, not one")
+    if repeated.size:
+        raise InvalidReference(f"waypoints {repeated[0]} and {repeated[0] + 1} coincide: the path does not move there")
+    if len(waypoints) == 2:
+        middle, way = (waypoints[0] + waypoints[1]) / 2.0, waypoints[1] - waypoints[0]
+        return _curve(np.array([0.0, 1.0]), np.stack([middle, way])[None])
+    natural = [(order, np.zeros(waypoints.shape[1])) for order in (4, 5, 6)]
+    return _spline(waypoints, chords, (natural, natural))
+
+
+def along(reference: Reference) -> PiecewisePolynomial:
+    """Return the curve that a reference passes through, without its times.
+
+    Raises
+    ------
+    InvalidReference
+        If a spline does not come close enough: the curve has a corner, or turns back.
+    """
+    if isinstance(reference, RestToRest):
+        return through_points(np.array([reference.start, reference.end]))
+    t = np.linspace(reference.start_time, reference.end_time, _LOOKED_AT)
+    places = reference.jet(t, 0)[:, 0]
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    if not way[-1] > 0.0:
+        raise InvalidReference("the path stays where it is: there is nothing to be passed through")
+    moving = np.append(True, np.diff(way) > 0.0)
+    way, t = way[moving], t[moving]
+    deviation = np.inf
+    for count in _SAMPLES:
+        at = np.interp(np.linspace(0.0, way[-1], count), way, t)
+        chosen = reference.jet(at, 0)[:, 0]
+        curve = _spline(chosen, np.interp(at, t, way), None)
+        finer = np.interp(np.linspace(0.0, way[-1], 20 * count), way, t)
+        s = np.interp(finer, t, way) / way[-1]
+        deviation = float(_distance(curve, reference.jet(finer, 0)[:, 0], s).max()) / way[-1]
+        if deviation <= _DEVIATION:
+            return curve
+    raise InvalidReference(
+        f"no smooth curve follows the path: a spline of degree {_DEGREE} leaves it by {deviation * way[-1]:.3g} m,"
+        f" which a corner or a place where it turns back explains"
+    )
+
+
+def _distance(curve: PiecewisePolynomial, places: Array, s: Array) -> Array:
+    """Return how far places are from a curve, across it: where along it each belongs is known to a little only."""
+    for _ in range(3):
+        found = curve.jet(np.clip(s, 0.0, 1.0), 1)
+        away = places - found[:, 0]
+        s = s + np.sum(away * found[:, 1], axis=1) / np.sum(found[:, 1] ** 2, axis=1)
+    return np.asarray(np.linalg.norm(places - curve.jet(np.clip(s, 0.0, 1.0), 0)[:, 0], axis=1))
+
+
+def _spline(points: Array, chords: Array, ends: Any) -> PiecewisePolynomial:
+    """Interpolate points; `chords` are the distances between them, or the ways to them."""
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 - the library is imported where SciPy is not
+
+    s = np.append(0.0, np.cumsum(chords)) if len(chords) < len(points) else chords
+    spline = make_interp_spline(s / s[-1], points, k=_DEGREE, bc_type=ends)
+    knots = np.unique(spline.t)
+    middle, length = (knots[1:] + knots[:-1]) / 2.0, np.diff(knots)
+    taylor = [spline(middle, nu=k) * (length**k / factorial(k))[:, None] for k in range(_DEGREE + 1)]
+    return _curve(knots, np.stack(taylor, axis=1))
+
+
+def _curve(knots: Array, coefficients: Array) -> PiecewisePolynomial:
+    degree, dimension = coefficients.shape[1] - 1, coefficients.shape[2]
+    signs = np.array([[(-0.5) ** k for k in range(degree + 1)], [0.5**k for k in range(degree + 1)]])
+    return PiecewisePolynomial(
+        start_time=0.0,
+        end_time=1.0,
+        dimension=dimension,
+        max_order=degree,
+        smoothness=99 if len(knots) == 2 else degree - 1,
+        knots=knots,
+        coefficients=coefficients,
+        ends=np.stack([signs[0] @ coefficients[0], signs[1] @ coefficients[-1]]),
+        rests_before=False,
+        rests_after=False,
+    )
+
+
+def slopes_at(curve: PiecewisePolynomial, s: ca.SX, order: int) -> list[ca.SX]:
+    """Return P and its derivatives by s up to an order as expressions of s, columns (m, 1)."""
+    knots, factors = curve.knots, curve.coefficients
+    degree, count = factors.shape[1] - 1, len(knots) - 1
+
+    def piecewise(values: Array) -> ca.SX:
+        return ca.pw_const(s, ca.DM(knots[1:-1]), ca.DM(values)) if count > 1 else ca.SX(float(values[0]))
+
+    length = piecewise(np.diff(knots))
+    u = (s - piecewise((knots[1:] + knots[:-1]) / 2.0)) / length
+    terms = [ca.vertcat(*[piecewise(factors[:, k, row]) for row in range(curve.dimension)]) for k in range(degree + 1)]
+    found = []
+    for nu in range(order + 1):
+        value = ca.SX.zeros(curve.dimension)
+        for k in range(degree, nu - 1, -1):
+            value = value * u + terms[k] * (factorial(k) // factorial(k - nu))
+        found.append(value / length**nu)
+    return found

@@ -1,0 +1,109 @@
+"""Laws that are known beforehand, as fast as limits allow them: what a plan starts from and is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from servocore.numerics.calls import Array
+from servocore.planning.chains import Law, sampled_law
+from servocore.planning.transcription import Task
+from servocore.references.profiles import DEGREE9, DEGREE13, PolynomialProfile, Profile, polynomial, three_phase
+
+_COARSE, _FINE = 201, 2001
+_FACTOR = 1.04
+_TRIED = 120
+_LONGEST = 1e6  # s
+_HALVINGS = 24
+_RAMPS = (0.02, 0.5)
+_TRIED_RAMPS, _ROUNDS = 13, 4
+
+Shape = Callable[[Array, int], Array]
+"""(parts of the duration (n,), order) -> s and its derivatives at duration one, shape (n, order + 1)."""
+
+
+def shape_of(profile: Profile) -> Shape:
+    """Return a profile at duration one."""
+    return lambda parts, order: np.asarray(profile.jet(parts, 1.0 - parts, 1.0, order))
+
+
+def smooth_polynomial(length: int) -> PolynomialProfile:
+    """Return the polynomial law from rest to rest with as many derivatives zero at its ends as a chain is long."""
+    return {4: DEGREE9, 6: DEGREE13}.get(length) or polynomial(2 * length + 1)
+
+
+def peaks(shape: Shape, order: int) -> Array:
+    """Return the largest derivatives 0 to `order`."""
+    return np.asarray(np.abs(shape(np.linspace(0.0, 1.0, _FINE), order)).max(axis=0))
+
+
+def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
+    """Return a law of one shape for all chains, on a grid."""
+    found = shape(np.linspace(0.0, 1.0, intervals + 1), task.length).T / duration ** np.arange(task.length + 1)[:, None]
+    jets = found[:, :, None] * (task.end - task.start)
+    jets[0] += task.start
+    return sampled_law(jets, duration, task.length)
+
+
+def shortest(task: Task, shape: Shape) -> float:
+    """Return the shortest duration at which a law keeps all limits; infinite if there is none.
+
+    A longer one may break a limit again, so that durations are tried from short to long.
+    """
+    coarse, fine = (_jets(task, shape, count) for count in (_COARSE, _FINE))
+    longest = 1.0
+    while not _kept(task, fine, longest):
+        longest *= 2.0
+        if longest > _LONGEST:
+            return np.inf
+    for duration in longest * _FACTOR ** np.arange(-_TRIED, 1):
+        if _kept(task, coarse, duration) and _kept(task, fine, duration):
+            break
+    return _between(task, fine, duration / _FACTOR, float(duration), _HALVINGS)
+
+
+def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
+    """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
+    found = dict[float, float]()
+    low, high = _RAMPS
+    for _ in range(_ROUNDS):
+        for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
+            if ramp not in found:
+                found[ramp] = _shortest_near(task, shape_of(three_phase(ramp)), near)
+        best = min(found, key=lambda each: found[each])
+        reach = (high - low) / (_TRIED_RAMPS - 1)
+        low, high = max(best - reach, _RAMPS[0]), min(best + reach, _RAMPS[1])
+    return shortest(task, shape_of(three_phase(best))), best
+
+
+def _shortest_near(task: Task, shape: Shape, near: float) -> float:
+    """Return roughly the shortest duration at which a law keeps all limits, if it is not far above `near`."""
+    jets = _jets(task, shape, _COARSE)
+    for duration in near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8):
+        if _kept(task, jets, duration):
+            return _between(task, jets, duration / _FACTOR, float(duration), _HALVINGS // 3)
+    return np.inf
+
+
+def _between(task: Task, jets: Array, bad: float, good: float, halvings: int) -> float:
+    for _ in range(halvings):
+        middle = (bad + good) / 2.0
+        bad, good = (bad, middle) if _kept(task, jets, middle) else (middle, good)
+    return good
+
+
+def _jets(task: Task, shape: Shape, count: int) -> Array:
+    """Return the chains' derivatives at duration one, shape (C, orders, count)."""
+    found = shape(np.linspace(0.0, 1.0, count), task.orders - 1).T
+    jets = (task.end - task.start)[:, None, None] * found
+    jets[:, 0] += task.start[:, None]
+    return np.asarray(jets)
+
+
+def _kept(task: Task, jets: Array, duration: float) -> bool:
+    """Whether a law keeps the limits themselves, without the room that a plan leaves to them."""
+    stretched = jets / duration ** np.arange(jets.shape[1])[:, None]
+    bounds = np.where(np.isfinite(task.lower), -1.0, -np.inf)[:, None]
+    values = task.values(stretched)
+    return bool(((values <= 1.0) & (values >= bounds)).all())

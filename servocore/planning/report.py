@@ -1,0 +1,69 @@
+"""What is known about a plan besides its path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from servocore.planning.certificate import Active, Certificate
+
+
+@dataclass(frozen=True)
+class PlanReport:
+    """How good a plan is, and how it is known.
+
+    Attributes
+    ----------
+    duration : float
+        In s.
+    degree9, three_phase : float
+        Shortest durations of the polynomial law that is as smooth as the plan (degree 9 for most) and of the best
+        three-phase law along the same way within the same limits, in s; infinite where a law cannot keep them, NaN
+        where it is not smooth enough or was not asked for.
+    certificate : Certificate
+        A look at twenty thousand instants by the exact inversion.
+    grid_error : float
+        By how much the duration fell when the grid was made twice as fine, in s; what another doubling would gain is
+        about half of that.
+    status : str
+        The solver's own word.
+    iterations, rounds : int
+        Of the solver in all, and how often it was called again with bounds narrowed where something went beyond them
+        between two points of the grid.
+    start : str
+        The law that the solver started from.
+    """
+
+    duration: float
+    degree9: float
+    three_phase: float
+    certificate: Certificate
+    grid_error: float
+    status: str
+    iterations: int
+    rounds: int
+    start: str
+
+    @property
+    def active(self) -> tuple[Active, ...]:
+        """What holds the plan back, and when."""
+        return self.certificate.active
+
+    @property
+    def violation(self) -> float:
+        """Largest excess over any limit, divided by half its range; 0 if all are kept."""
+        return self.certificate.violation
+
+    def __str__(self) -> str:
+        lines = [
+            f"duration        {self.duration:.4g} s",
+            f"degree 9        {self.degree9:.4g} s",
+            f"three-phase     {self.three_phase:.4g} s",
+            f"violation       {self.violation:.1e} of half a range at {self.certificate.instants} instants",
+            f"grid            {self.grid_error:.2g} s longer on half as many intervals",
+            f"solver          {self.status}, {self.iterations} iterations, from {self.start}",
+        ]
+        lines += [
+            f"active          {each.begin:.3f} s to {each.end:.3f} s: {each.quantity} at {each.bound:g} {each.unit}"
+            for each in self.active
+        ]
+        return "\n".join(lines)

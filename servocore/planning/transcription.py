@@ -1,0 +1,202 @@
+"""The fastest law as a nonlinear program: lifted chains in physical time, the duration free.
+
+Unknowns are the states of the chains at the knots and the snaps, each divided by its peak in a polynomial law, and
+theta = T/T0. The duration enters the steps from knot to knot only; what limits compare is local. Limits are kept at a
+few points of every interval; `fastest` looks between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.calls import Array, mapped
+from servocore.planning.chains import Law, advanced
+
+_OPTIONS = {
+    "print_time": False,
+    "ipopt.print_level": 0,
+    "ipopt.sb": "yes",
+    "ipopt.mu_strategy": "adaptive",
+    "ipopt.tol": 1e-6,
+}
+_SHORTEST, _LONGEST = 0.02, 50.0  # theta
+SOLVED = "Solve_Succeeded"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What a law must do, whatever the grid.
+
+    Attributes
+    ----------
+    rows : casadi.Function
+        (jets of the chains (C, orders)) -> rows, between their bounds.
+    lower, upper : ndarray, shape (rows,)
+        Bounds.
+    start, end : ndarray, shape (C,)
+        Where the chains rest.
+    length : int
+        K, of the chains.
+    peaks : ndarray, shape (K + 1, C)
+        Largest derivatives of a polynomial law of duration one.
+    forward : bool
+        Whether no chain turns back.
+    """
+
+    rows: ca.Function
+    lower: Array
+    upper: Array
+    start: Array
+    end: Array
+    length: int
+    peaks: Array
+    forward: bool
+
+    @property
+    def orders(self) -> int:
+        """How many columns the jets have that the rows take."""
+        return int(self.rows.size2_in(0))
+
+    def values(self, jets: Array) -> Array:
+        """Return the rows (rows, n) of jets (C, K + 2, n)."""
+        given = jets[:, : self.orders].transpose(0, 2, 1)
+        count = given.shape[1]
+        return mapped(self.rows, count)(given.reshape(len(given), -1))[0].reshape(-1, count, order="F")
+
+    def excess(self, jets: Array) -> Array:
+        """Return by how much rows are beyond their bounds (rows, n); infinite where there is no number."""
+        values = self.values(jets)
+        over: Array = np.maximum(values - self.upper[:, None], self.lower[:, None] - values)
+        return np.where(np.isfinite(values), over, np.inf)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the solver returned: a law, its own word, and the iterations it took."""
+
+    law: Law
+    status: str
+    iterations: int
+
+    @property
+    def solved(self) -> bool:
+        """Whether the solver reports success."""
+        return self.status == SOLVED
+
+
+@dataclass(frozen=True, eq=False)
+class Transcription:
+    """A task on a grid.
+
+    Attributes
+    ----------
+    task : Task
+        What a law must do.
+    intervals, checks : int
+        N, and how many points of each interval the rows are kept at.
+    scale : float
+        T0, in s.
+    """
+
+    task: Task
+    intervals: int
+    checks: int
+    scale: float
+    _solver: ca.Function
+
+    @classmethod
+    def of(cls, task: Task, intervals: int, checks: int, scale: float, iterations: int = 300) -> Transcription:
+        """Write the program down."""
+        problem = _program(task, intervals, checks, scale)
+        solver = ca.nlpsol("sc_plan", "ipopt", problem, {**_OPTIONS, "ipopt.max_iter": iterations})
+        return cls(task, intervals, checks, scale, solver)
+
+    @property
+    def parts(self) -> Array:
+        """Where in an interval the rows are kept."""
+        return np.arange(self.checks) / self.checks
+
+    def solve(self, start: Law, tightened: Array, progress: Callable[[str], None] | None = None) -> Outcome:
+        """Solve from a law.
+
+        Parameters
+        ----------
+        start : Law
+            On this grid.
+        tightened : ndarray, shape (rows, N * checks)
+            By how much bounds are narrowed.
+        progress : callable, optional
+            Told what is under way.
+        """
+        if progress is not None:
+            progress(f"solving on {self.intervals} intervals")
+        lower, upper = self._bounds()
+        defects = np.zeros(self.intervals * self.task.length * len(self.task.start))
+        low = (self.task.lower[:, None] + tightened).ravel(order="F")
+        high = (self.task.upper[:, None] - tightened).ravel(order="F")
+        found = self._solver(
+            x0=np.clip(self._packed(start), lower, upper),
+            lbx=lower,
+            ubx=upper,
+            lbg=np.append(defects, low),
+            ubg=np.append(defects, high),
+        )
+        statistics = self._solver.stats()
+        law = self._unpacked(np.asarray(found["x"]).ravel())
+        return Outcome(law, str(statistics["return_status"]), int(statistics["iter_count"]))
+
+    def _scales(self) -> Array:
+        """Return what the states and snaps are divided by, shape (K + 1, C)."""
+        orders = np.arange(self.task.length + 1)[:, None]
+        return self.task.peaks / self.scale**orders
+
+    def _packed(self, law: Law) -> Array:
+        states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
+        return np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
+
+    def _unpacked(self, unknowns: Array) -> Law:
+        task = self.task
+        table = unknowns[:-1].reshape(self.intervals + 1, len(task.start), task.length + 1)
+        snaps = table[:, :, -1] * self._scales()[-1]
+        return Law(float(unknowns[-1]) * self.scale, task.start, task.end, snaps, task.length).resting()
+
+    def _bounds(self) -> tuple[Array, Array]:
+        task = self.task
+        low = np.full((self.intervals + 1, len(task.start), task.length + 1), -np.inf)
+        if task.forward and task.length > 1:
+            low[1:-1, :, 1] = 0.0  # at the ends it is zero already: a bound there would have no inside
+        high = np.where(low == 0.0, np.inf, np.inf)
+        for knot, place in ((0, task.start), (-1, task.end)):
+            low[knot] = high[knot] = 0.0
+            low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
+        return np.append(low.ravel(), _SHORTEST), np.append(high.ravel(), _LONGEST)
+
+
+def _program(task: Task, intervals: int, checks: int, scale: float) -> dict[str, ca.MX]:
+    """Return x, f, g of the program for CasADi's solvers."""
+    C, K = len(task.start), task.length
+    scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
+    here, there, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
+    begin, end = (ca.reshape(each * scales, K + 1, C).T for each in (here, there))  # (C, K + 1)
+    states, u, change = [begin[:, d] for d in range(K)], begin[:, K], end[:, K] - begin[:, K]
+    arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
+    defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
+    step = ca.Function("sc_step", [here, there, h], [ca.vec(defect.T)])
+    looked = []
+    for part in np.arange(checks) / checks:
+        jets = ca.horzcat(*advanced(states, u, change, float(part), h)[: task.orders])
+        looked.append(task.rows(jets))
+    local = ca.Function("sc_local", [here, there, h], [ca.vertcat(*looked)], {"cse": True})
+    knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
+    length = ca.repmat(theta * (scale / intervals), 1, intervals)
+    given = knots[:, :-1], knots[:, 1:], length
+    steps, rows = step.map(intervals)(*given), local.map(intervals)(*given)
+    return {
+        "x": ca.vertcat(ca.vec(knots), theta),
+        "f": ca.log(theta),
+        "g": ca.vertcat(ca.vec(steps), ca.vec(rows)),
+    }

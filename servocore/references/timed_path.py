@@ -1,0 +1,83 @@
+"""A curve and a time law along it: gamma(t) = P(s(t)), with exact derivatives by the rule of Faa di Bruno."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+import numpy as np
+
+from servocore.references.base import FloatArray, Reference
+from servocore.references.piecewise import PiecewisePolynomial
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimedPath(Reference):
+    """A curve P(s), 0 <= s <= 1, that is passed through by a law s(t) from rest to rest.
+
+    Attributes
+    ----------
+    curve : PiecewisePolynomial
+        P, in m, by s in the place of a time.
+    law : PiecewisePolynomial
+        s(t), with one component.
+    """
+
+    curve: PiecewisePolynomial
+    law: PiecewisePolynomial
+
+    @classmethod
+    def of(cls, curve: PiecewisePolynomial, law: PiecewisePolynomial) -> TimedPath:
+        """Pass through a curve by a law; as smooth as the rougher of both."""
+        return cls(
+            start_time=law.start_time,
+            end_time=law.end_time,
+            dimension=curve.dimension,
+            max_order=law.max_order,
+            smoothness=min(law.smoothness, curve.smoothness),
+            curve=curve,
+            law=law,
+        )
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the law, and where pieces of the curve meet."""
+        inner = self.curve.knots[1:-1]
+        if not len(inner):
+            return self.law.stretches
+        t = np.linspace(self.start_time, self.end_time, 20 * len(self.law.knots))
+        s = np.maximum.accumulate(self.law.jet(t, 0)[:, 0, 0])
+        return np.unique([*self.law.stretches, *np.interp(inner, s, t)])
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        s = self.law.jet(t, order)[:, :, 0]
+        known = min(order, self.curve.max_order)
+        along = self.curve.jet(np.clip(s[:, 0], 0.0, 1.0), known)
+        slopes = [along[:, k] if k <= known else np.zeros_like(along[:, 0]) for k in range(order + 1)]
+        return np.stack(chained(slopes, [s[:, k, None] for k in range(order + 1)]), axis=1)
+
+
+def chained(slopes: list[Any], inner: list[Any]) -> list[Any]:
+    """Return f(s(t)) and its derivatives by t: arrays and expressions of CasADi alike.
+
+    Parameters
+    ----------
+    slopes : list
+        f and its derivatives by s, at s(t).
+    inner : list
+        s and its derivatives by t, as many.
+    """
+    # partial[n][k] is the Bell polynomial B_nk of s', s'', ...: the factor of the k-th slope in the n-th derivative.
+    partial: list[list[Any]] = [[1.0]]
+    for n in range(1, len(inner)):
+        row: list[Any] = [0.0]
+        for k in range(1, n + 1):
+            terms = [comb(n - 1, i - 1) * inner[i] * partial[n - i][k - 1] for i in range(1, n - k + 2)]
+            row.append(sum(terms[1:], terms[0]))
+        partial.append(row)
+    found = [slopes[0]]
+    for n in range(1, len(inner)):
+        terms = [slopes[k] * partial[n][k] for k in range(1, n + 1)]
+        found.append(sum(terms[1:], terms[0]))
+    return found

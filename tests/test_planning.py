@@ -1,0 +1,222 @@
+"""Plans keep all limits, are as fast as independent bounds and answers allow, and what cannot be kept is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import servocore as sc
+from servocore.planning.chains import advanced
+from servocore.planning.fastest import corner_problems, curve_of, task_along
+from servocore.planning.laws import law_of, shape_of, shortest
+from servocore.planning.rows import rounded
+from servocore.planning.transcription import Transcription
+
+CRANE = sc.scenes.rotary_crane()
+OVERHEAD = sc.scenes.overhead_crane()
+LINE = [(5, 0, -5), (-2, 2, -2)]
+DEFAULT = {"M_b": 1000, "F": 60, "swing": "5 deg"}
+LEVEL = [(0, -4), (5, -4)]
+QUICK = 40
+"""Intervals: half as many as usual, a tenth of the time, some two per cent slower plans."""
+
+
+def largest_excess(scene, path, limits):
+    """Return by how much the closed form of a crane exceeds symmetric limits, divided by them."""
+    t = np.linspace(0.0, path.duration, 20_001)
+    exact = scene.with_reference(path).exact(t)
+    return max(np.abs(exact[name]).max() / bound - 1.0 for name, bound in limits.items())
+
+
+@pytest.fixture(scope="module")
+def default_plan():
+    return sc.fastest(CRANE, LINE, DEFAULT, intervals=QUICK)
+
+
+class TestDefaultManoeuvre:
+    """The crane's line under limits of slewing torque, trolley force and swing."""
+
+    def test_is_as_fast_as_the_best_known_on_such_a_grid(self, default_plan):
+        _, report = default_plan
+        assert report.duration == pytest.approx(7.284, rel=3e-3)
+        assert report.degree9 == pytest.approx(10.694, abs=1e-3)
+        assert report.three_phase == pytest.approx(10.293, rel=1e-3)
+        assert report.status == "Solve_Succeeded"
+        assert 0.0 < report.grid_error < 0.5
+
+    def test_keeps_its_limits_by_the_closed_form(self, default_plan):
+        path, report = default_plan
+        assert largest_excess(CRANE, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
+        assert report.violation == 0.0
+
+    def test_touches_every_limit_at_some_time(self, default_plan):
+        _, report = default_plan
+        assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
+        assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
+
+    def test_is_a_path_that_everything_takes(self, default_plan):
+        path, report = default_plan
+        scene = CRANE.with_reference(path).with_limits(**DEFAULT)
+        solution = sc.solve(scene, step=report.duration / 100)
+        inputs = sc.ExactInversion(scene)(solution.t)
+        assert np.abs(inputs[:, 1] - solution["F"]).max() < 1e-7
+        np.testing.assert_allclose(inputs[[0, -1]], [[0.0, 0.0, -98.1]] * 2, atol=1e-6)
+
+    def test_has_exact_derivatives(self, default_plan):
+        path, _ = default_plan
+        t, h = np.linspace(0.3, path.duration - 0.3, 37) + 0.011, 1e-4
+        for order in range(5):
+            slope = (path.jet(t + h, order)[:, order] - path.jet(t - h, order)[:, order]) / (2 * h)
+            exact = path.jet(t, 5)[:, order + 1]
+            kink = np.abs(exact).max() if order == 4 else 1.0  # the fifth jumps at knots
+            assert np.median(np.abs(slope - exact)) < 1e-6 * max(kink, 1.0)
+
+
+class TestIndependentAnswers:
+    """Momentum, a linear program and other starts say how fast a plan can be."""
+
+    def test_level_overhead_crane_takes_what_a_linear_program_takes(self):
+        _, report = sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=QUICK)
+        assert report.duration == pytest.approx(linear_optimum(QUICK), rel=1e-3)
+        assert report.duration >= 2.0 * math.sqrt(110.0 * 5.0 / 200.0)
+
+    def test_swing_alone_is_not_faster_than_momentum_allows(self):
+        _, report = sc.fastest(CRANE, LINE, {"M_b": 3000, "F": 500, "swing": "3 deg"}, intervals=QUICK)
+        level = math.hypot(7.0, 2.0)
+        assert report.duration >= 2.0 * math.sqrt(level / (9.81 * math.tan(math.radians(3.0))))
+        assert report.duration <= 1.05 * 7.811
+
+    def test_seven_starts_agree(self):
+        (problem,) = corner_problems(OVERHEAD.with_limits(F=200), None, {})
+        task = task_along(curve_of(LEVEL, 2, "crane"), [problem], 4)
+        polynomial = shortest(task, shape_of(sc.DEGREE9))
+        program = Transcription.of(task, QUICK, 3, 1.02 * polynomial)
+        shapes = [shape_of(sc.DEGREE9), shape_of(sc.three_phase()), shape_of(sc.DEGREE13), ramp, skewed]
+        begun = [(shapes[0], 0.5), (shapes[0], 3.0), *((shape, 1.0) for shape in shapes)]
+        free = np.zeros((len(task.upper), QUICK * 3))
+        found = [program.solve(law_of(task, shape, factor * polynomial, QUICK), free) for shape, factor in begun]
+        durations = [each.law.duration for each in found]
+        assert all(each.solved for each in found)
+        assert max(durations) <= 1.002 * min(durations)
+
+
+def ramp(parts, order):
+    """Return s = t/T, which does not even rest."""
+    found = np.zeros((len(parts), order + 1))
+    found[:, 0], found[:, 1] = parts, 1.0
+    return found
+
+
+def skewed(parts, order):
+    """Return a sum of two laws of which one is over before the other."""
+    whole, early = (shape_of(sc.DEGREE9)(np.minimum(parts * factor, 1.0), order) for factor in (1.0, 1.5))
+    early[:, 1:] *= (1.5 ** np.arange(1, order + 1)) * (parts < 1 / 1.5)[:, None]
+    return 0.5 * whole + 0.5 * early
+
+
+def linear_optimum(intervals):
+    """Return the shortest time for a level way of 5 m with |F| <= 200 N, F = (m + m_t) x'' + m_t h/g x''''."""
+    low, high = 2.0, 6.0
+    while high - low > 1e-4 * high:
+        middle = (low + high) / 2.0
+        low, high = (low, middle) if feasible(intervals, middle) else (middle, high)
+    return high
+
+
+def feasible(intervals, duration):
+    """Say whether snaps at knots exist; x and its derivatives are linear in them."""
+    h, units = duration / intervals, np.eye(intervals + 1)[:, 1:-1]
+    here, rows = [np.zeros(intervals - 1) for _ in range(4)], []
+    for u, change in zip(units[:-1], np.diff(units, axis=0), strict=True):
+        for part in np.linspace(0.0, 1.0, 4)[:-1]:
+            jet = advanced(here, u, change, part, h)
+            rows.append(110.0 * jet[2] + 10.0 * 4.0 / 9.81 * jet[4])
+        here = advanced(here, u, change, 1.0, h)[:4]
+    force, scale = np.array(rows) / 200.0, duration ** np.arange(4)[:, None]
+    ends = np.array(here) * scale
+    found = linprog(
+        np.zeros(intervals - 1),
+        A_ub=np.concatenate([force, -force]) * 600.0,
+        b_ub=np.full(2 * len(force), 600.0),
+        A_eq=ends,
+        b_eq=[5.0, 0.0, 0.0, 0.0],
+        bounds=(None, None),
+    )
+    return found.status == 0
+
+
+class TestRefusals:
+    """What no law can keep, or nobody can plan, is said in a sentence."""
+
+    def test_a_limit_that_is_broken_at_rest_is_named_with_the_place(self):
+        with pytest.raises(sc.InvalidReference, match=re.escape("(5, 0, -5) it is -98.1 N.m")):
+            sc.fastest(CRANE, LINE, {"M_w": 90})
+
+    def test_a_rope_that_is_too_long_on_the_way_is_named(self):
+        with pytest.raises(sc.InvalidReference, match=r"limit of l: even at rest at .* it is 4\.\d+ m"):
+            sc.fastest(CRANE, [(5, 0, -4), (3, 3, -4.6), (-2, 3, -4)], {"l": 4.5, "F": 60})
+
+    def test_without_limits_there_is_no_fastest_law(self):
+        with pytest.raises(sc.InvalidSetting, match="has no limits"):
+            sc.fastest(CRANE, LINE)
+
+    def test_internal_dynamics_cannot_be_planned(self):
+        with pytest.raises(sc.InvalidModel, match="internal dynamics"):
+            sc.fastest(sc.scenes.mass_on_car(), [(0.0,), (1.0,)], {"u": 10})
+
+    def test_waypoints_need_as_many_numbers_as_outputs(self):
+        with pytest.raises(sc.InvalidReference, match="3 components, this one has 2"):
+            sc.fastest(CRANE, LEVEL, DEFAULT)
+
+    def test_an_odd_grid_is_refused(self):
+        with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
+            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
+
+
+def test_a_bar_of_index_seven_has_six_smooth_derivatives():
+    bar = sc.scenes.elastic_bar()
+    (name,) = [each.name for each in bar.model().inputs]
+    path, report = sc.fastest(bar, [(0.0,), (1.0,)], {name: 50.0}, intervals=20)
+    assert path.smoothness == 6
+    peak = np.abs(bar.with_reference(path).exact(np.linspace(0.0, path.duration, 4001))[name]).max()
+    assert 0.97 * 50.0 < peak <= 50.0
+    assert report.duration < report.degree9
+
+
+def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass():
+    nominal = sc.fastest(CRANE, LINE, DEFAULT, intervals=QUICK)[1].duration
+    path, report = sc.fastest(CRANE, LINE, DEFAULT, robust={"load_mass": (90.0, 110.0)}, intervals=QUICK)
+    assert 1.02 * nominal < report.duration < 1.05 * nominal
+    for mass in (90.0, 97.0, 110.0):
+        crane = CRANE.with_parameters(load_mass=mass)
+        assert largest_excess(crane, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
+
+
+def test_a_curve_through_waypoints_is_followed_to_its_end():
+    points = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
+    path, report = sc.fastest(CRANE, points, DEFAULT, intervals=QUICK)
+    t = np.linspace(0.0, path.duration, 4001)
+    places = path.jet(t, 0)[:, 0]
+    for point in points:
+        assert np.linalg.norm(places - point, axis=1).min() < 2e-3
+    assert report.duration < 1.03 * 7.265
+
+
+def test_the_way_of_a_reference_counts_and_not_its_times():
+    slow = sc.fastest(OVERHEAD, sc.rest_to_rest(*LEVEL, 50.0), {"F": 200}, intervals=QUICK)[1]
+    assert slow.duration == pytest.approx(
+        sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=QUICK)[1].duration, rel=1e-6
+    )
+
+
+def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer():
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    smooth = rounded(ca.atan2(ca.norm_2(ca.vertcat(x, y)), 2.0))
+    slope = ca.Function("slope", [x, y], [ca.gradient(smooth, x), smooth])
+    assert float(slope(0.0, 0.0)[0]) == 0.0
+    assert 0.0 < float(slope(0.3, 0.4)[1]) - math.atan(0.25) < 1e-9
