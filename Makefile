@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -77,6 +77,9 @@ chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, 
 
 atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)
 	$(RUN) benchmarks.atlas
+
+planning: $(INSTALLED)  ## plan ten manoeuvres within limits, into docs/planning (a minute)
+	$(RUN) benchmarks.planning
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
