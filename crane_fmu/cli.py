@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -99,8 +99,12 @@ Limits = Annotated[
     list[str] | None,
     _crane("--limit", metavar="NAME=VALUE",
            help="A limit that the motion must keep, any number of times:"
-           " F=60, M_w=-104:-92, 'swing=5 deg', s.rate=1.2."),
+           " F=60, M_w=-104..-92, swing=5deg, s.rate=1.2."),
 ]  # fmt: skip
+LimitsFile = Annotated[
+    Path | None,
+    _crane("--limits", metavar="FILE.toml", help='More of them: F = 60, M_w = [-104, -92], swing = "5 deg".'),
+]
 OutputFile = Annotated[
     Path | None,
     _results("--output", "-o", metavar="FILE.csv",
@@ -142,6 +146,7 @@ def feedforward(
     atol: AbsoluteTolerance = None,
     output_step: OutputStep = None,
     limit: Limits = None,
+    limits: LimitsFile = None,
     output: OutputFile = None,
     plot: PlotFile = None,
 ) -> None:
@@ -154,14 +159,14 @@ def feedforward(
     """
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
     path = path_request(reference, tolerance, line)
-    require_places({"--output": output, "--plot": plot}, [reference, parameters])
+    require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
     if plot is not None and plot.suffix.lower() not in ff.PICTURES:
         raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, route, progress, ff.limits_from(limit or ()))
+        solution = ff.feedforward(path, changed, route, progress, limits_given(limit, limits))
         table, far_off = ff.table(solution), ff.far_off(solution, path, changed, route)
         if far_off:
             notes.clear()  # one sentence says it all
@@ -254,6 +259,8 @@ def drive(
     ramp: Ramp = None,
     parameters: ParametersFile = None,
     step: Step = None,
+    limit: Limits = None,
+    limits: LimitsFile = None,
     output: OutputFile = None,
 ) -> None:
     """Drive a crane of your own, an FMU, by our inputs, and say how far its load leaves the path.
@@ -265,11 +272,11 @@ def drive(
 
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
     path = path_request(reference, tolerance, line)
-    require_places({"--output": output}, [reference, parameters, plant])
+    require_places({"--output": output}, [reference, parameters, plant, limits])
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     names, starts = driving.signals(mapped or ()), driving.settings(settings or ())
     with PatientProgress("driving the plant"):
-        found = driving.drive(plant, path, names, changed, starts, step)
+        found = driving.drive(plant, path, names, changed, starts, step, limits_given(limit, limits))
     if output is not None:
         write_together({output: found.table()})
     print(*found.sentences(), sep="\n")
@@ -299,6 +306,11 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
+
+
+def limits_given(texts: Sequence[str] | None, file: Path | None) -> dict[str, Any]:
+    """Return the limits of a file and of --limit, which replace those of the file."""
+    return {**({} if file is None else sc.read_limits(file)), **sc.limits_of_texts(texts or ())}
 
 
 def path_request(

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -129,6 +130,7 @@ def drive(
     parameters: Mapping[str, float],
     starts: Mapping[str, float],
     step: float | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> Driven:
     """Drive a plant along a path by the inputs of the exact inversion.
 
@@ -146,6 +148,8 @@ def drive(
         The plant's start values.
     step : float, optional
         Communication step in s; must divide the duration.
+    limits : mapping, optional
+        What the motion must keep, as `servocore.Scene.with_limits` takes it.
 
     Raises
     ------
@@ -161,7 +165,7 @@ def drive(
             raise sc.InvalidSetting(f"{plant.name} has no variable {name!r} to set")
     reference = path()
     step = reference.duration / np.ceil(reference.duration / STEP) if step is None else step
-    inputs = ff.feedforward(lambda: reference, parameters, ff.Route(step=step))
+    inputs = ff.feedforward(lambda: reference, parameters, ff.Route(step=step), limits=limits)
     rows = np.rec.fromarrays(
         [inputs.t, *(inputs[name] for name in GIVEN)],
         dtype=[("time", float), *((theirs[name], float) for name in GIVEN)],

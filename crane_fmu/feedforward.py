@@ -125,7 +125,7 @@ def feedforward(
     ------
     ServocoreError
         If a name, the path, a parameter, a limit or the step cannot be used, the motion breaks a limit, or a step is
-        not solved.
+        not solved. Where a limit is broken, the sentence has the shortest duration at which the same law keeps all.
     """
     scene = sc.scenes.rotary_crane().with_parameters(**parameters).with_limits(**(limits or {}))
     chosen(scene.models, route.model, "model")
@@ -139,15 +139,29 @@ def feedforward(
             raise sc.InvalidSetting(
                 f"a step of {row:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
             )
-        return sc.solve(
-            scene,
-            formulation,
-            method,
-            step=accuracy,
-            output_step=route.output_step,
-            model=route.model,
-            progress=progress,
-        )
+        try:
+            return sc.solve(
+                scene,
+                formulation,
+                method,
+                step=accuracy,
+                output_step=route.output_step,
+                model=route.model,
+                progress=progress,
+            )
+        except sc.LimitBroken as error:
+            raise sc.LimitBroken(f"{error}; {slower(scene, route.model)}") from None
+
+
+def slower(scene: sc.Scene, model: str | None = None) -> str:
+    """Say, as part of a sentence, how long the law of a path must take to keep all limits of its scene."""
+    try:
+        shortest = sc.shortest_duration(scene, model)
+    except sc.LimitBroken:
+        return "no duration helps, for a limit is broken even at rest somewhere on that path"
+    except sc.ServocoreError:
+        return "no duration is known at which it is kept"
+    return f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
 
 
 FAR_OFF = 0.5
@@ -187,21 +201,6 @@ def far_off(
         f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} and should be {exact[worst][k]:.4g} {unit};"
         f" with --formulation {default} they are exact"
     )
-
-
-def limits_from(texts: Sequence[str]) -> dict[str, Any]:
-    """Return limits from texts such as ``F=60``, ``M_w=-104:-92`` or ``swing=5 deg``; raises `InvalidSetting`."""
-    found: dict[str, Any] = {}
-    for text in texts:
-        name, equals, bounds = (each.strip() for each in text.partition("="))
-        lower, pair, upper = (each.strip() for each in bounds.partition(":"))
-        if not (name and equals and bounds) or name in found:
-            raise sc.InvalidSetting(
-                f"--limit {text!r} is not NAME=NUMBER or NAME=LOWER:UPPER, each name once, such as F=60, M_w=-104:-92,"
-                f" swing=5 deg or s.rate=1.2"
-            )
-        found[name] = (lower or None, upper or None) if pair else lower
-    return found
 
 
 def table(solution: sc.Solution) -> str:

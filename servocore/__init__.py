@@ -14,6 +14,7 @@ from servocore.errors import (
     InvalidModel,
     InvalidReference,
     InvalidSetting,
+    LimitBroken,
     PlanningFailed,
     ServocoreError,
     ServocoreWarning,
@@ -33,6 +34,7 @@ from servocore.methods import (
     Trapezoidal,
 )
 from servocore.model.generalise import generalise
+from servocore.model.limit_files import limits_of_texts, read_limits
 from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters
 from servocore.model.potentials import Potential
@@ -42,6 +44,7 @@ from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
+from servocore.planning.durations import shortest_duration
 from servocore.planning.fastest import fastest
 from servocore.planning.report import PlanReport
 from servocore.problem import Problem
@@ -62,7 +65,7 @@ from servocore.references import (
     through,
     waypoints_from_csv,
 )
-from servocore.solution import Solution, Statistics
+from servocore.solution import Margin, Solution, Statistics
 from servocore.solvers import Adaptive, BoundaryValue, EnergyMomentum, ExactInversion, Route, simulate, solve
 from servocore.stepping.forward_dynamics import compile_plant
 from servocore.stepping.plant import Plant
@@ -92,6 +95,8 @@ __all__ = [
     "InvalidReference",
     "InvalidSetting",
     "Limit",
+    "LimitBroken",
+    "Margin",
     "Original",
     "PlanReport",
     "PlanningFailed",
@@ -118,11 +123,14 @@ __all__ = [
     "fastest",
     "figure_of_eight",
     "from_csv",
+    "limits_of_texts",
     "periodic",
+    "read_limits",
     "read_parameters",
     "rest_to_rest",
     "sampled",
     "scenes",
+    "shortest_duration",
     "simulate",
     "solve",
     "three_phase",

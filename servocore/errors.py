@@ -23,6 +23,10 @@ class InvalidReference(ServocoreError):
     """A load path cannot be followed or read: not finite, too rough, slack rope, load above the girder."""
 
 
+class LimitBroken(InvalidReference):
+    """A motion breaks a limit of the scene; another law on the same way, or a slower one, may keep it."""
+
+
 class InvalidSetting(ServocoreError):
     """A numerical setting makes no sense: a step that is not positive or does not divide the duration."""
 

@@ -104,6 +104,27 @@ class ErrorEstimate(Mapping[str, "float | None"]):
         return len(self.absolute)
 
 
+@dataclass(frozen=True)
+class Margin:
+    """How much a limit leaves.
+
+    Attributes
+    ----------
+    left : float
+        Distance from the nearer bound where it is least, negative beyond it.
+    time, value, bound : float
+        When that is, the quantity then, and that bound.
+    unit : str
+        Of all but the time.
+    """
+
+    left: float
+    time: float
+    value: float
+    bound: float
+    unit: str
+
+
 NOTHING_KNOWN = ErrorEstimate({}, {}, "nobody compared these values with better ones")
 
 
@@ -131,6 +152,8 @@ class Solution:
         What the analysis said when it chose the formulation; empty when the caller chose.
     estimator : callable or None
         What computes `error`, given this solution; left out of copies in files.
+    margins : mapping of str to Margin
+        What every limit of the scene that is no limit of the path leaves, by its name; at the instants of the solution.
     """
 
     t: Array
@@ -141,6 +164,7 @@ class Solution:
     fit_error: float | None = None
     advice: str = ""
     estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
+    margins: Mapping[str, Margin] = field(default_factory=dict)
 
     @cached_property  # it may take longer than the solution did, and is asked for again and again
     def error(self) -> ErrorEstimate:

@@ -165,7 +165,7 @@ class TestFeedforward:
         assert share >= 50.0
 
     def test_limits_that_the_motion_keeps_change_nothing(self):
-        limits = ["--limit", "F=60", "--limit", "M_w=-104:-92", "--limit", "swing=5 deg", "--limit", "s.rate=1.2"]
+        limits = ["--limit", "F=60", "--limit", "M_w=-104..-92", "--limit", "swing=5deg", "--limit", "s.rate=1.2"]
         limited = run("feedforward", *LINE, *limits)
         assert limited.exit_code == 0
         assert limited.stdout == run("feedforward", *LINE).stdout
@@ -179,7 +179,7 @@ class TestFeedforward:
                 "swing = 1 deg",
                 "at t = 13.5794 s swing goes beyond its upper limit of 0.0174533 rad; it reaches 0.0175113",
             ),
-            ("F", "--limit 'F' is not NAME=NUMBER or NAME=LOWER:UPPER"),
+            ("F", "--limit 'F' is not NAME=NUMBER or NAME=LOW..HIGH"),
             ("F=1:2:3", "the limit of F is given in :3, which is no unit known here"),
             ("torque=3", "reports nothing called torque that could have a limit"),
             ("F=3 m", "the limit of F is given in m, but its unit is N"),
@@ -188,6 +188,22 @@ class TestFeedforward:
     def test_a_limit_that_is_broken_or_none_is_refused(self, limit, sentence):
         assert_refused(run("feedforward", *LINE, "--limit", limit, "--output", "inputs.csv"), sentence)
         assert os.listdir() == []
+
+    def test_the_shortest_duration_that_a_refusal_names_keeps_the_limits(self):
+        limits, way = ["--limit", "M_b=1000", "--limit", "F=60"], ["--from", 5, 0, -5, "--to", -2, 2, -2]
+        refused = run("feedforward", *way, "--duration", 2, *limits)
+        assert refused.exit_code == 2
+        shortest = float(refused.stderr.split("keeps all limits is ")[1].split(" s")[0])
+        assert run("feedforward", *way, "--duration", shortest, *limits).exit_code == 0
+        assert run("feedforward", *way, "--duration", 0.999 * shortest, *limits).exit_code == 2
+
+    def test_limits_from_a_file_count_and_options_replace_them(self):
+        Path("limits.toml").write_text('F = 17\nM_w = [-104, -92]\nswing = "5 deg"\ns.rate = 1.2\n')
+        assert_refused(run("feedforward", *LINE, "--limits", "limits.toml"), "F goes beyond its lower limit of -17 N")
+        assert run("feedforward", *LINE, "--limits", "limits.toml", "--limit", "F=60").exit_code == 0
+
+    def test_a_limit_that_is_broken_at_rest_is_told_apart(self):
+        assert_refused(run("feedforward", *LINE, "--limit", "M_w=50"), "no duration helps")
 
     def test_what_code_1_advises_helps(self):
         advised = run("feedforward", *LINE, "--formulation", "reduced", "--method", "gauss1", "--step", 0.1)

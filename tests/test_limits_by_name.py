@@ -403,3 +403,39 @@ def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch):
     for make in (sc.scenes.rotary_crane, sc.scenes.overhead_crane, sc.scenes.gantry_crane, sc.scenes.cars):
         sc.solve(make())
     assert looked == []
+
+
+class TestWhatIsLeft:
+    """A solution tells how much its limits leave, and how long its law must take at least."""
+
+    def test_margins_are_those_of_the_closed_form(self):
+        scene = CRANE.with_limits(F=60, swing="5 deg", M_w=(-104, None), **{"s.rate": 1.2})
+        solution = sc.solve(scene)
+        exact = scene.exact(solution.t)
+        left = solution.margins
+        assert set(left) == {"F", "swing", "M_w", "s.rate"}
+        assert left["F"].left == pytest.approx(60.0 - np.abs(exact["F"]).max(), abs=1e-9)
+        assert left["swing"].left == pytest.approx(np.radians(5.0) - exact["swing"].max(), abs=1e-9)
+        assert left["M_w"].left == pytest.approx(exact["M_w"].min() + 104.0, abs=1e-9)
+        k = int(np.abs(exact["F"]).argmax())
+        assert (left["F"].time, left["F"].value) == pytest.approx((solution.t[k], exact["F"][k]))
+        assert 0.0 < left["s.rate"].left < 1.2
+
+    def test_without_limits_there_are_no_margins(self):
+        assert sc.solve(CRANE).margins == {}
+
+    def test_the_shortest_duration_keeps_all_and_a_shorter_one_does_not(self):
+        scene = CRANE.with_limits(M_b=1000, F=60, swing="5 deg")
+        shortest = sc.shortest_duration(scene)
+        line = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)
+        assert shortest == pytest.approx(10.694, abs=0.01)
+        sc.ExactInversion(scene.with_reference(sc.rest_to_rest(*line, shortest)))
+        with pytest.raises(sc.LimitBroken):
+            sc.ExactInversion(scene.with_reference(sc.rest_to_rest(*line, 0.999 * shortest)))
+
+    @pytest.mark.parametrize("text", ["F = true", "F = [1, 2, 3]", "s = 1979-05-27", "F ="])
+    def test_a_file_of_limits_that_holds_something_else_is_refused(self, text, tmp_path):
+        file = tmp_path / "limits.toml"
+        file.write_text(text)
+        with pytest.raises(sc.InvalidModel, match=r"limits\.toml"):
+            sc.read_limits(file)

@@ -51,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def by_closed_form(case: Case, path: sc.Reference) -> float:
-    """Return the largest excess over a limit by the scene's closed form, by half the range; rates are left to others."""
+    """Return the largest excess over a limit by half its range, by the closed form of the scene, which has no rates."""
     scene = sc.scenes.REGISTRY[case.scene]().with_reference(path).with_limits(**case.limits)
     exact = scene.exact(np.linspace(0.0, path.duration, 20_001))
     excess = [0.0]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.instants import survey
-from servocore.errors import InvalidModel, InvalidReference
+from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
@@ -51,7 +51,7 @@ def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -
 
 
 def require_limits(problem: Problem, states: States) -> None:
-    """Raise `InvalidReference` if a path leads a flat problem beyond a limit at any time, with the first.
+    """Raise `LimitBroken` if a path leads a flat problem beyond a limit at any time, with the first.
 
     Parameters
     ----------
@@ -175,12 +175,12 @@ class _Survey:
     evaluate: Callable[[Array], Array]
 
     def require(self, t: Array) -> None:
-        """Raise `InvalidReference` for the limit that is broken first; `t` are instants to begin with."""
+        """Raise `LimitBroken` for the limit that is broken first; `t` are instants to begin with."""
         t, values = self._dense(t)
         broken = [(*found, row) for row in range(len(self.limits)) if (found := self._broken(row, t, values[row]))]
         if broken:
             first, worst, value, row = min(broken)
-            raise InvalidReference(_sentence(self.name, self.limits[row], first, worst, value))
+            raise LimitBroken(_sentence(self.name, self.limits[row], first, worst, value))
 
     def _dense(self, t: Array) -> tuple[Array, Array]:
         """Return instants between which no quantity changes much, and the values there."""
@@ -308,7 +308,7 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
 
 
 def judged(problem: Problem, solution: Solution) -> Solution:
-    """Return a solution of a problem `with_watched` as its user wants it; raise `InvalidReference` if it breaks limits.
+    """Return a solution of a problem `with_watched` as its user wants it; raise `LimitBroken` if it breaks limits.
 
     Rates of forces and inputs are those of their differences from instant to instant.
     """
@@ -324,13 +324,13 @@ def judged(problem: Problem, solution: Solution) -> Solution:
         broken += _first_at(limit, at, values)
     if broken:
         first, value, limit = min(broken, key=lambda each: each[0])
-        raise InvalidReference(_sentence(problem.name, limit, first, first, value))
+        raise LimitBroken(_sentence(problem.name, limit, first, first, value))
     shown = [k for k in range(len(solution.channels)) if k not in hidden]
     return replace(solution, channels=tuple(solution.channels[k] for k in shown), values=solution.values[:, shown])
 
 
 def require_reported(problem: Problem, solution: Solution) -> None:
-    """Raise `InvalidReference` if what a solution of a flat problem reports under a name breaks its limit.
+    """Raise `LimitBroken` if what a solution of a flat problem reports under a name breaks its limit.
 
     The exact motion keeps it by then; a step that errs may not.
     """
@@ -338,7 +338,7 @@ def require_reported(problem: Problem, solution: Solution) -> None:
         name = limit.expression.name if isinstance(limit.expression, Named) else ""
         if not limit.rate and name in solution:
             for first, value, _ in _first_at(limit, solution.t, solution[name]):
-                raise InvalidReference(
+                raise LimitBroken(
                     f"{_sentence(solution.route, limit, first, first, value)}; the exact motion keeps that limit"
                 )
 

@@ -33,7 +33,7 @@ def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
     path = Path(path)
     declared = {each.name: each for each in scene.model().parameters.declared}
     values: dict[str, float] = {}
-    for key, value in _read_table(path).items():
+    for key, value in read_table(path).items():
         if key not in declared:
             raise InvalidModel(f"{path}: no parameter is called {key!r}; there are {', '.join(declared)}")
         values[key] = _number(path, key, value)
@@ -44,7 +44,9 @@ def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
     return values
 
 
-def _read_table(path: Path) -> dict[str, object]:
+def read_table(path: Path) -> dict[str, object]:
+    """Return what a TOML file holds; raises `InvalidModel` if it cannot be read."""
+    path = Path(path)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:

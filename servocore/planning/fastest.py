@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed
-from servocore.model.limits import Bounds, Limit
+from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.certificate import certify
 from servocore.planning.curves import along, slopes_at, through_points
 from servocore.planning.laws import peaks, shape_of, shortest_three_phase, smooth_polynomial
 from servocore.planning.report import PlanReport
-from servocore.planning.rows import Rows, limit_rows
+from servocore.planning.rows import limit_rows, require_at_rest
 from servocore.planning.search import EXCESS, planned
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
@@ -153,10 +153,10 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
     """Return what a law along a curve must do; raises `InvalidReference` if a limit cannot be kept at rest."""
-    begin = curve.ends[0]
+    begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
     every = [limit_rows(each, begin) for each in corners]
     for rows, each in zip(every, corners, strict=True):
-        _require_at_rest(rows, each, curve)
+        require_at_rest(rows, each, places, _ROOM)
     orders = 1 + max(length, *(each.order for each in every))
     s = ca.SX.sym("s", 1, orders)
     inner = [s[:, k] for k in range(orders)]
@@ -178,30 +178,4 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
         length=length,
         peaks=peaks(shape, length)[:, None],
         forward=True,
-    )
-
-
-def _require_at_rest(rows: Rows, problem: Problem, curve: PiecewisePolynomial) -> None:
-    """Raise `InvalidReference` if a limit is broken where nothing moves: then no speed keeps it."""
-    s = np.linspace(0.0, 1.0, _REST_POINTS)
-    still = np.zeros((curve.dimension, rows.order + 1, _REST_POINTS))
-    still[:, 0] = curve.jet(s, 0)[:, 0].T
-    given = still.transpose(0, 2, 1).reshape(curve.dimension, -1)
-    values, scaled = (
-        np.asarray(each.map(_REST_POINTS)(given, ca.repmat(ca.DM(problem.p), 1, _REST_POINTS)))
-        for each in (rows.values, rows.function)
-    )
-    for k, limit in enumerate(rows.limits):
-        bad = np.flatnonzero(~((scaled[k] < 1.0 - _ROOM) & (scaled[k] > rows.lower[k] + _ROOM)))
-        if len(bad):
-            raise InvalidReference(_resting_sentence(problem.name, limit, curve, s[bad[0]], values[k, bad[0]]))
-
-
-def _resting_sentence(name: str, limit: Limit, curve: PiecewisePolynomial, s: float, value: float) -> str:
-    low = value - limit.bound < limit.upper - value
-    side, bound = ("lower", limit.bound) if low else ("upper", limit.upper)
-    place = ", ".join(f"{each:.4g}" for each in curve.jet(s, 0)[0])
-    return (
-        f"{name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {value:.6g} {limit.unit},"
-        f" and its {side} limit is {bound:.6g} {limit.unit}"
     )

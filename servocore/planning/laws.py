@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -47,20 +48,32 @@ def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
 
 
 def shortest(task: Task, shape: Shape) -> float:
+    """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
+    coarse, fine = (_jets(task, shape, count) for count in (_COARSE, _FINE))
+    return shortest_kept(partial(_kept, task, fine), partial(_kept, task, coarse))
+
+
+def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool] | None = None) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none.
 
     A longer one may break a limit again, so that durations are tried from short to long.
+
+    Parameters
+    ----------
+    kept : callable
+        Whether a law of a duration keeps all limits.
+    roughly : callable, optional
+        The same at less cost; False must be right.
     """
-    coarse, fine = (_jets(task, shape, count) for count in (_COARSE, _FINE))
     longest = 1.0
-    while not _kept(task, fine, longest):
+    while not kept(longest):
         longest *= 2.0
         if longest > _LONGEST:
             return np.inf
     for duration in longest * _FACTOR ** np.arange(-_TRIED, 1):
-        if _kept(task, coarse, duration) and _kept(task, fine, duration):
+        if (roughly is None or roughly(duration)) and kept(duration):
             break
-    return _between(task, fine, duration / _FACTOR, float(duration), _HALVINGS)
+    return _between(kept, float(duration) / _FACTOR, float(duration), _HALVINGS)
 
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
@@ -82,14 +95,14 @@ def _shortest_near(task: Task, shape: Shape, near: float) -> float:
     jets = _jets(task, shape, _COARSE)
     for duration in near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8):
         if _kept(task, jets, duration):
-            return _between(task, jets, duration / _FACTOR, float(duration), _HALVINGS // 3)
+            return _between(partial(_kept, task, jets), duration / _FACTOR, float(duration), _HALVINGS // 3)
     return np.inf
 
 
-def _between(task: Task, jets: Array, bad: float, good: float, halvings: int) -> float:
+def _between(kept: Callable[[float], bool], bad: float, good: float, halvings: int) -> float:
     for _ in range(halvings):
         middle = (bad + good) / 2.0
-        bad, good = (bad, middle) if _kept(task, jets, middle) else (middle, good)
+        bad, good = (bad, middle) if kept(middle) else (middle, good)
     return good
 
 

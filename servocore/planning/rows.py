@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, LimitBroken
 from servocore.model.limits import Limit, Named, reported
-from servocore.numerics.calls import Array
+from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
@@ -65,6 +65,38 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
         If its inversion is no expression of the path.
     """
     return problem.resolved.once(_compile_rows, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
+
+
+def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0.0) -> None:
+    """Raise `LimitBroken` if a limit is broken where nothing moves: then no speed keeps it.
+
+    Parameters
+    ----------
+    rows : Rows
+        The limits.
+    problem : Problem
+        Whose they are.
+    places : ndarray, shape (n, m)
+        Of the way.
+    room : float
+        What must be left, as a part of half the range.
+    """
+    still = np.zeros((len(places), rows.order + 1, places.shape[1]))
+    still[:, 0] = places
+    (values,) = at_instants(rows.values, jets=still, p=problem.p)
+    (scaled,) = at_instants(rows.function, jets=still, p=problem.p)
+    for limit, value, row, low in zip(rows.limits, values, scaled, rows.lower, strict=True):
+        bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
+        if not len(bad):
+            continue
+        found = float(value[bad[0]])
+        below = found - limit.bound < limit.upper - found
+        side, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
+        place = ", ".join(f"{each:.4g}" for each in places[bad[0]])
+        raise LimitBroken(
+            f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {found:.6g}"
+            f" {limit.unit}, and its {side} limit is {bound:.6g} {limit.unit}"
+        )
 
 
 def quantities(resolved: ResolvedSystem, limits: Sequence[Limit]) -> tuple[list[ca.SX], ca.SX]:

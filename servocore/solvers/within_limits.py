@@ -22,7 +22,7 @@ from servocore.errors import IntegrationFailed
 from servocore.model.limits import Named
 from servocore.numerics.calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
-from servocore.solution import Solution
+from servocore.solution import Margin, Solution
 from servocore.solvers.following import BranchTable, prepared_table
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
@@ -57,6 +57,35 @@ def require_exact_within_limits(problem: Problem, table: BranchTable | None) -> 
     """
     if motion_limits(problem):
         require_limits(problem, exact_states(problem, table))
+
+
+def margins_left(problem: Problem, solution: Solution) -> dict[str, Margin]:
+    """Return what limits leave at the instants of a solution, by name.
+
+    Without internal dynamics the exact motion tells all of them; elsewhere those of what the solution reports.
+    """
+    limits, t = motion_limits(problem), solution.t
+    if not limits:
+        return {}
+    if problem.flat and not problem.follow_branch:
+        watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
+        states = exact_states(problem, prepared_table(problem))(t)
+        jets = problem.reference.jet(t, watched.order)
+        (values,) = at_instants(watched.function, states, jets=jets, p=problem.p)
+        known = {
+            k: np.unwrap(row) if wraps else row
+            for k, (row, wraps) in enumerate(zip(values, watched.wraps, strict=True))
+        }
+    else:
+        known = {k: solution[each.quantity] for k, each in enumerate(limits) if each.quantity in solution}
+    found = {}
+    for k, values in known.items():
+        limit = limits[k]
+        left = np.minimum(values - limit.bound, limit.upper - values)
+        least = int(np.nanargmin(left))
+        bound = limit.bound if values[least] - limit.bound < limit.upper - values[least] else limit.upper
+        found[limit.quantity] = Margin(float(left[least]), float(t[least]), float(values[least]), bound, limit.unit)
+    return found
 
 
 def exact_states(problem: Problem, table: BranchTable | None) -> States:

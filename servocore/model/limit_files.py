@@ -1,0 +1,81 @@
+"""Limits from texts and files: what command lines are given, as `Scene.with_limits` takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.model.limits import Bounds
+from servocore.model.parameter_files import read_table
+
+
+def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
+    """Return limits from texts such as ``F=60``, ``M_w=-104..-92`` or ``swing=5 deg``.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        One a limit; ``LOW:HIGH`` is understood as well.
+
+    Raises
+    ------
+    InvalidSetting
+        If a text is none, or a name is given twice.
+    """
+    found: dict[str, Bounds] = {}
+    for text in texts:
+        name, equals, bounds = (each.strip() for each in text.partition("="))
+        lower, pair, upper = (each.strip() for each in bounds.partition(".." if ".." in bounds else ":"))
+        if not (name and equals and bounds) or name in found:
+            raise InvalidSetting(
+                f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, each name once, such as F=60, M_w=-104..-92,"
+                f" swing=5deg or s.rate=1.2"
+            )
+        found[name] = (lower or None, upper or None) if pair else lower
+    return found
+
+
+def read_limits(path: Path) -> dict[str, Bounds]:
+    """Read limits from a TOML file: ``F = 60``, ``M_w = [-104, -92]``, ``swing = "5 deg"``, ``s.rate = 1.2``.
+
+    Parameters
+    ----------
+    path : Path
+        Names at top level, or in a table ``[limits]``.
+
+    Returns
+    -------
+    dict
+        For `Scene.with_limits`, which knows the names.
+
+    Raises
+    ------
+    InvalidModel
+        If the file cannot be read or is not TOML, or a value is no number, text or pair of these.
+    """
+    table = read_table(path)
+    inner = table.get("limits")
+    if isinstance(inner, Mapping) and len(table) == 1:
+        table = dict(inner)
+    found: dict[str, Bounds] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping):  # TOML takes s.rate for a table s
+            found |= {f"{name}.{each}": _bounds(path, f"{name}.{each}", inside) for each, inside in value.items()}
+        else:
+            found[name] = _bounds(path, name, value)
+    return found
+
+
+def _bounds(path: Path, name: str, value: object) -> Bounds:
+    if isinstance(value, list) and len(value) == 2 and all(_is_bound(each) for each in value):
+        return (value[0], value[1])
+    if isinstance(value, float | int | str) and _is_bound(value):
+        return value
+    raise InvalidModel(
+        f"{path}: the limit of {name} must be a number, a text with a unit or two of these, not {value!r}"
+    )
+
+
+def _is_bound(value: object) -> bool:
+    return isinstance(value, int | float | str) and not isinstance(value, bool)

@@ -1,0 +1,76 @@
+"""How long a given law must take: stretched evenly until it keeps all limits."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+
+import numpy as np
+
+from servocore.checks.instants import survey
+from servocore.errors import LimitBroken, PlanningFailed
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.calls import Array, at_instants
+from servocore.planning.laws import shortest_kept
+from servocore.planning.rows import Rows, limit_rows, require_at_rest
+from servocore.problem import Problem
+from servocore.references.stretched import Stretched
+from servocore.solvers.exact_inversion import ExactInversion
+
+_DIGITS = 4
+_MOST_BUMPS = 20
+
+
+def shortest_duration(scene: Scene, model: str | None = None) -> float:
+    """Return the shortest duration at which the law of a scene's path keeps all limits, rounded up to four digits.
+
+    The law is slowed down or sped up evenly. A longer duration may break a limit again: the speed of a trolley above a
+    swinging load is a sum of powers of the duration with both signs.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without internal dynamics, with limits.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+
+    Returns
+    -------
+    float
+        In s.
+
+    Raises
+    ------
+    InvalidReference
+        If a limit is broken at rest somewhere on the path: then no duration helps.
+    InvalidModel
+        If no formula gives the motion from the path.
+    PlanningFailed
+        If no duration was found.
+    """
+    require_scene(scene, "shortest_duration")
+    problem, path = Problem.of(scene, model), scene.reference
+    t = survey(path)
+    places = path.jet(t, 0)[:, 0]
+    rows = limit_rows(problem, places[0])
+    require_at_rest(rows, problem, places)
+    jets = path.jet(t, rows.order)
+    duration = shortest_kept(partial(_kept, rows, problem.p, jets, path.duration))
+    for _ in range(_MOST_BUMPS):
+        if not math.isfinite(duration):
+            break
+        step = 10.0 ** (math.floor(math.log10(duration)) + 1 - _DIGITS)
+        rounded = round(math.ceil(duration / step) * step, 12)
+        try:
+            ExactInversion(scene.with_reference(Stretched.to(path, rounded)), model)
+        except LimitBroken:  # between two of the instants looked at
+            duration = rounded + 0.5 * step
+        else:
+            return rounded
+    raise PlanningFailed(f"{scene.name}: no duration was found at which the law keeps all limits")
+
+
+def _kept(rows: Rows, p: Array, jets: Array, own: float, duration: float) -> bool:
+    stretched = jets * (own / duration) ** np.arange(jets.shape[1])[:, None]
+    (values,) = at_instants(rows.function, jets=stretched, p=p)
+    return bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())

@@ -1,0 +1,50 @@
+"""Another reference in more time or less: the same curve, every law slowed down evenly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from servocore.references.base import FloatArray, Reference
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stretched(Reference):
+    """gamma(t) = path(t0 + (t - t0)/factor): `factor` times as long.
+
+    Attributes
+    ----------
+    path : Reference
+        What is stretched.
+    factor : float
+        Positive.
+    """
+
+    path: Reference
+    factor: float
+
+    @classmethod
+    def to(cls, path: Reference, duration: float) -> Stretched:
+        """Stretch a path to a duration in s."""
+        return cls(
+            start_time=path.start_time,
+            end_time=path.start_time + duration,
+            dimension=path.dimension,
+            max_order=path.max_order,
+            smoothness=path.smoothness,
+            fit_error=path.fit_error,
+            path=path,
+            factor=duration / path.duration,
+        )
+
+    @property
+    def stretches(self) -> FloatArray:
+        """Those of the path."""
+        inner = self.start_time + (self.path.stretches[1:-1] - self.start_time) * self.factor
+        return np.array([self.start_time, *inner, self.end_time])
+
+    def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
+        own = self.start_time + (t - self.start_time) / self.factor
+        own = np.where(t >= self.end_time, np.maximum(own, self.path.end_time), own)
+        return self.path.jet(own, order) / self.factor ** np.arange(order + 1)[:, None]
