@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -166,7 +166,7 @@ def feedforward(
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, route, progress, limits_given(limit, limits))
+        solution = ff.feedforward(path, changed, route, progress, ff.limits_given(limit, limits))
         table, far_off = ff.table(solution), ff.far_off(solution, path, changed, route)
         if far_off:
             notes.clear()  # one sentence says it all
@@ -182,6 +182,67 @@ def feedforward(
         write_to_stdout(table)
     if far_off:
         end_as_of_no_use(NAME, far_off)
+
+
+Robust = Annotated[
+    list[str] | None,
+    _crane("--robust", metavar="NAME=LOW..HIGH",
+           help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1."),
+]  # fmt: skip
+LargestStep = Annotated[
+    float | None, _crane("--step", metavar="H", help="Largest time between rows (s). Default: duration/200.")
+]
+_PLAN_EXAMPLE = """[bold]Example[/bold]
+
+[cyan]crane-fmu plan --from 5 0 -5 --to -2 2 -2 --limit M_b=1000 --limit F=60 --limit swing=5deg -o plan.csv[/cyan]
+"""
+
+
+@app.command(epilog=_PLAN_EXAMPLE)
+def plan(
+    reference: ReferenceFile = None,
+    tolerance: Tolerance = None,
+    start: Start = None,
+    end: End = None,
+    parameters: ParametersFile = None,
+    limit: Limits = None,
+    limits: LimitsFile = None,
+    robust: Robust = None,
+    step: LargestStep = None,
+    output: OutputFile = None,
+    plot: PlotFile = None,
+) -> None:
+    """Find the fastest motion of the load along a line, or the curve of a path in a file, within limits.
+
+    The table is that of feedforward with the swing angle behind it. With --output, how good the plan is and how it is
+    known that it keeps the limits is printed.
+    """
+    if (reference is None) == (start is None or end is None):
+        raise sc.InvalidSetting("the way is given either by --reference or by --from and --to")
+    require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
+    if plot is not None and plot.suffix.lower() not in ff.PICTURES:
+        raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
+    scene = sc.scenes.rotary_crane()
+    if parameters is not None:
+        scene = scene.with_parameters(**sc.read_parameters(parameters, scene))
+    way = (start, end) if reference is None else sc.from_csv(reference, tolerance)
+    with PatientProgress("planning") as progress:
+        wanted = ff.Plan(way, ff.limits_given(limit, limits), sc.factors_of_texts(robust or ()), step)
+        solution, report = ff.plan(scene, wanted, progress.describe)
+        contents: dict[Path, str | bytes] = {}
+        if plot is not None:
+            from crane_fmu.report.style import picture  # noqa: PLC0415
+            from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
+
+            contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower(), solution.route)
+    table = ff.table(solution, (*ff.COLUMNS, "swing"))
+    if output is not None:
+        contents[output] = table
+    write_together(contents)
+    if output is None:
+        write_to_stdout(table)
+    else:
+        print(report)
 
 
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]
@@ -276,7 +337,7 @@ def drive(
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     names, starts = driving.signals(mapped or ()), driving.settings(settings or ())
     with PatientProgress("driving the plant"):
-        found = driving.drive(plant, path, names, changed, starts, step, limits_given(limit, limits))
+        found = driving.drive(plant, path, names, changed, starts, step, ff.limits_given(limit, limits))
     if output is not None:
         write_together({output: found.table()})
     print(*found.sentences(), sep="\n")
@@ -306,11 +367,6 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)
-
-
-def limits_given(texts: Sequence[str] | None, file: Path | None) -> dict[str, Any]:
-    """Return the limits of a file and of --limit, which replace those of the file."""
-    return {**({} if file is None else sc.read_limits(file)), **sc.limits_of_texts(texts or ())}
 
 
 def path_request(

@@ -34,7 +34,7 @@ from servocore.methods import (
     Trapezoidal,
 )
 from servocore.model.generalise import generalise
-from servocore.model.limit_files import limits_of_texts, read_limits
+from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
 from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters
 from servocore.model.potentials import Potential
@@ -120,6 +120,7 @@ __all__ = [
     "analyse",
     "compile_plant",
     "export_fmu",
+    "factors_of_texts",
     "fastest",
     "figure_of_eight",
     "from_csv",

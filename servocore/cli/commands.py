@@ -23,6 +23,8 @@ from servocore.cli.export import export_scene
 from servocore.cli.level import Level
 from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
+from servocore.cli.plan import PointsCommand, plan_scene
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
@@ -37,9 +39,9 @@ app = typer.Typer(
     cls=SentenceGroup,
     help="""Servo constraint problems: the inputs that make a mechanical system's output follow a path.
 
-These commands look at the scenes that come with the library, and export them
-for other tools. Inputs are computed from Python (servocore.solvers.solve), for
-the rotary crane also by the command crane-fmu.""",
+These commands look at the scenes that come with the library, plan their fastest
+motions, and export them for other tools. Inputs are computed from Python
+(servocore.solvers.solve), for the rotary crane also by the command crane-fmu.""",
     **SETTINGS,
 )
 
@@ -207,6 +209,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
     return shlex.join([*words, "--markdown", str(markdown)])
 
 
+app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 
 

@@ -36,6 +36,30 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     return found
 
 
+def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Return factors of parameters from texts such as ``load_mass=0.9..1.1``.
+
+    Parameters
+    ----------
+    texts : iterable of str
+        One a parameter.
+
+    Raises
+    ------
+    InvalidSetting
+        If a text is none.
+    """
+    found: dict[str, tuple[float, float]] = {}
+    for text in texts:
+        name, _, both = (each.strip() for each in text.partition("="))
+        low, _, high = both.partition("..")
+        try:
+            found[name] = (float(low), float(high))
+        except ValueError:
+            raise InvalidSetting(f"--robust {text!r} is not NAME=LOW..HIGH, such as load_mass=0.9..1.1") from None
+    return found
+
+
 def read_limits(path: Path) -> dict[str, Bounds]:
     """Read limits from a TOML file: ``F = 60``, ``M_w = [-104, -92]``, ``swing = "5 deg"``, ``s.rate = 1.2``.
 

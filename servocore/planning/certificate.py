@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -11,45 +9,14 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import compile_watched, motion_limits
 from servocore.model.limits import Limit
 from servocore.numerics.calls import Array, at_instants
+from servocore.planning.report import Active, Certificate
 from servocore.problem import Problem
 from servocore.solvers.following import prepared_table
 from servocore.solvers.within_limits import exact_states
 
 _INSTANTS = 20_001
+_MOMENT = 0.02  # of the duration
 _ACTIVE = 0.01  # of the range: so near to its bound a quantity holds the plan back
-
-
-@dataclass(frozen=True)
-class Active:
-    """A limit that a plan touches: which, its bound, and from when to when."""
-
-    quantity: str
-    bound: float
-    unit: str
-    begin: float
-    end: float
-
-
-@dataclass(frozen=True)
-class Certificate:
-    """What a look at many instants of a plan found.
-
-    Attributes
-    ----------
-    violation : float
-        Largest excess over any limit, divided by half its range; 0 if all are kept.
-    worst : str
-        The limit that is nearest to its bound, or broken most.
-    instants : int
-        How many were looked at.
-    active : tuple of Active
-        What holds the plan back, and when.
-    """
-
-    violation: float
-    worst: str
-    instants: int
-    active: tuple[Active, ...]
 
 
 def certify(problems: tuple[Problem, ...]) -> Certificate:
@@ -92,8 +59,10 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
 
 
 def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:
-    """Return from when to when a limit is touched."""
+    """Return from when to when a limit is touched; what is left for a moment only counts as one spell."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], touched.astype(int), [0]])))
+    short = np.flatnonzero(edges[2::2] - edges[1:-1:2] < _MOMENT * len(t))
+    edges = np.delete(edges, [*(2 * short + 1), *(2 * short + 2)])
     return [
         Active(limit.quantity, bound, limit.unit, float(t[begin]), float(t[end - 1]))
         for begin, end in zip(edges[::2], edges[1::2], strict=True)

@@ -59,7 +59,8 @@ def fastest(
     smooth : int
         How many derivatives of the inputs shall be continuous, besides the inputs themselves.
     robust : mapping of str to pair, optional
-        Ranges of parameters by name: the limits are kept at all corners.
+        Factors of parameters by name, a smallest and a largest: the limits are kept at all corners as well, as with
+        ``{"load_mass": (0.9, 1.1)}`` by a load ten per cent lighter or heavier.
     model : str, optional
         Model of the scene; its smallest when not given.
     intervals : int
@@ -137,8 +138,17 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
     """Return the problem at the scene's own parameters and at all corners of ranges of some of them."""
     for name, ends in robust.items():
         if not (isinstance(ends, tuple | list) and len(ends) == 2 and ends[0] <= ends[1]):
-            raise InvalidSetting(f"the range of {name} must be a smallest and a largest value, not {ends!r}")
-    corners = [dict(zip(robust, each, strict=True)) for each in product(*robust.values())] if robust else []
+            raise InvalidSetting(f"the range of {name} must be a smallest and a largest factor, not {ends!r}")
+        if name not in scene.parameter_values():
+            raise InvalidSetting(
+                f"{scene.name} has no parameter {name}; there are {', '.join(scene.parameter_values())}"
+            )
+    own = scene.parameter_values()
+    corners = (
+        [{k: factor * own[k] for k, factor in zip(robust, each, strict=True)} for each in product(*robust.values())]
+        if robust
+        else []
+    )
     found = [Problem.of(each, model) for each in (scene, *(scene.with_parameters(**corner) for corner in corners))]
     first = found[0]
     if not first.flat or first.follow_branch:

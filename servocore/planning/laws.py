@@ -11,8 +11,9 @@ from servocore.numerics.calls import Array
 from servocore.planning.chains import Law, sampled_law
 from servocore.planning.transcription import Task
 from servocore.references.profiles import DEGREE9, DEGREE13, PolynomialProfile, Profile, polynomial, three_phase
+from servocore.references.timed_path import TimedPath
 
-_COARSE, _FINE = 201, 2001
+_COARSE, _FINE, _DRAWN = 201, 2001, 400
 _FACTOR = 1.04
 _TRIED = 120
 _LONGEST = 1e6  # s
@@ -45,6 +46,13 @@ def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
     jets = found[:, :, None] * (task.end - task.start)
     jets[0] += task.start
     return sampled_law(jets, duration, task.length)
+
+
+def polynomial_path(path: TimedPath, duration: float, length: int) -> TimedPath:
+    """Return the curve of a path with the polynomial law in another duration, for pictures: nearly exact."""
+    found = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, _DRAWN + 1), length).T
+    jets = found[:, :, None] / duration ** np.arange(length + 1)[:, None, None]
+    return TimedPath.of(path.curve, sampled_law(jets, duration, length).path())
 
 
 def shortest(task: Task, shape: Shape) -> float:

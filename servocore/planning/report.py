@@ -4,7 +4,38 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from servocore.planning.certificate import Active, Certificate
+
+@dataclass(frozen=True)
+class Active:
+    """A limit that a plan touches: which, its bound, and from when to when."""
+
+    quantity: str
+    bound: float
+    unit: str
+    begin: float
+    end: float
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What a look at many instants of a plan found.
+
+    Attributes
+    ----------
+    violation : float
+        Largest excess over any limit, divided by half its range; 0 if all are kept.
+    worst : str
+        The limit that is nearest to its bound, or broken most.
+    instants : int
+        How many were looked at.
+    active : tuple of Active
+        What holds the plan back, and when.
+    """
+
+    violation: float
+    worst: str
+    instants: int
+    active: tuple[Active, ...]
 
 
 @dataclass(frozen=True)

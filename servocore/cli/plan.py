@@ -1,0 +1,206 @@
+"""The command ``servocore plan``: the fastest law along a way within limits, as a table."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from typer.core import TyperCommand
+
+from servocore.cli.choice import chosen
+from servocore.cli.console import PatientProgress, write_to_stdout
+from servocore.errors import InvalidSetting
+from servocore.files import require_places, write_together
+from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
+from servocore.model.limits import Bounds
+from servocore.model.scene import Scene
+from servocore.planning.fastest import fastest
+from servocore.references.base import Reference
+from servocore.references.csv_file import from_csv
+from servocore.solution import Solution
+from servocore.solvers.solve import solve
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore plan rotary_crane --from 5 0 -5 --to -2 2 -2 --limit M_b=1000
+--limit F=60 --limit swing=5deg -o plan.csv[/cyan]
+
+[cyan]servocore plan overhead_crane --from 0 -4 --to 5 -4 --limit F=200
+--robust load_mass=0.9..1.1 --plot plan.png[/cyan]
+"""
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?")
+_POINTS = ("--from", "--to", "--by")
+_ROWS = 200
+_MOST_ROWS = 1e7
+_PICTURES = (".png", ".svg", ".pdf")
+
+
+class PointsCommand(TyperCommand):
+    """A command whose points have as many numbers as stand there: ``--from 5 0 -5``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the numbers of a point together before they are read."""
+        joined: list[str] = []
+        for each in args:
+            last = joined[-1] if joined else ""
+            if _NUMBER.fullmatch(each) and last in _POINTS:
+                joined[-1] = f"{last}={each}"
+            elif _NUMBER.fullmatch(each) and last.partition("=")[0] in _POINTS:
+                joined[-1] = f"{last} {each}"
+            else:
+                joined.append(each)
+        found: list[str] = super().parse_args(ctx, joined)
+        return found
+
+
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
+]
+Start = Annotated[
+    str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
+]
+End = Annotated[str | None, typer.Option("--to", metavar="X Y ...", help="End.")]
+Between = Annotated[
+    list[str] | None, typer.Option("--by", metavar="X Y ...", help="A point on the way, any number of times.")
+]
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--reference",
+        metavar="FILE.csv",
+        help="The curve of this path: its header is time and the outputs' names. Its times do not count.",
+    ),
+]
+LimitTexts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--limit", metavar="NAME=VALUE", help="F=60, M_w=-104..-92, swing=5deg, s.rate=1.2, as many as there are."
+    ),
+]
+LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
+Model = Annotated[
+    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
+]
+Parameters = Annotated[
+    Path | None, typer.Option("--parameters", metavar="FILE.toml", help="Other data of the scene in SI units.")
+]
+Robust = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--robust",
+        metavar="NAME=LOW..HIGH",
+        help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1.",
+    ),
+]
+Step = Annotated[
+    float | None, typer.Option("--step", metavar="H", help=f"Largest time between rows (s). Default: duration/{_ROWS}.")
+]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option("--plot", metavar="FILE.png", help=f"Draw what is limited; {', '.join(_PICTURES)} are known."),
+]
+
+
+def plan_scene(
+    scene: SceneName,
+    start: Start = None,
+    end: End = None,
+    between: Between = None,
+    reference: ReferenceFile = None,
+    limit: LimitTexts = None,
+    limits: LimitsFile = None,
+    parameters: Parameters = None,
+    model: Model = None,
+    robust: Robust = None,
+    step: Step = None,
+    output: Output = None,
+    plot: Plot = None,
+) -> None:
+    """Find the fastest law along a way that keeps all limits, and write it as a table.
+
+    The way is a line (--from, --to), a smooth curve through more points (--by),
+    or the curve of a path in a file (--reference). Everything starts and ends at
+    rest, inputs without a jump. The table has one row every --step: time,
+    inputs, what the model reports, the path. How good the plan is, and how it is
+    known that it keeps the limits, is printed when the table goes into a file.
+    """
+    subject = chosen(scene, parameters)
+    require_places({"--output": output, "--plot": plot}, [parameters, limits, reference])
+    if plot is not None and plot.suffix.lower() not in _PICTURES:
+        raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
+    bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
+    way = _way(subject, start, end, between or [], reference)
+    ranges = factors_of_texts(robust or ())
+    with PatientProgress("planning") as progress:
+        path, report = fastest(subject, way, bounds, robust=ranges, model=model, progress=progress.describe)
+        solution = planned_motion(subject, path, bounds, step, model)
+        contents: dict[Path, str | bytes] = {}
+        if plot is not None:
+            from servocore.cli.plan_figure import plan_figure  # noqa: PLC0415 - slow to import
+
+            contents[plot] = plan_figure(subject.with_limits(**bounds), path, report, plot.suffix[1:].lower())
+    table = _table(subject, solution, model)
+    if output is not None:
+        contents[output] = table
+    write_together(contents)
+    if output is None:
+        write_to_stdout(table)
+    else:
+        print(report)
+
+
+def planned_motion(
+    scene: Scene, path: Reference, bounds: Mapping[str, Bounds], step: float | None, model: str | None = None
+) -> Solution:
+    """Return inputs and motion of a plan, in equal rows that are no more than a step apart."""
+    if step is not None and not (math.isfinite(step) and step > 0.0):
+        raise InvalidSetting(f"--step must be a positive time, not {step:g} s")
+    if step is not None and path.duration / step > _MOST_ROWS:
+        raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
+    rows = _ROWS if step is None else math.ceil(path.duration / step * (1.0 - 1e-12))
+    return solve(scene.with_reference(path).with_limits(**bounds), step=path.duration / rows, model=model)
+
+
+def _way(
+    scene: Scene, start: str | None, end: str | None, between: Sequence[str], reference: Path | None
+) -> Reference | np.ndarray:
+    """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
+    names = [each.name for each in scene.model().outputs]
+    if reference is not None:
+        if start is not None or end is not None or between:
+            raise InvalidSetting("a way is given either by --reference or by --from and --to, not by both")
+        return from_csv(reference, columns=names)
+    if start is None or end is None:
+        raise InvalidSetting("no way is given: use --from and --to, or --reference")
+    given = [("--from", start), *(("--by", each) for each in between), ("--to", end)]
+    return np.array([_point(option, text, names) for option, text in given])
+
+
+def _point(option: str, text: str, names: Sequence[str]) -> list[float]:
+    try:
+        found = [float(each) for each in text.replace(",", " ").split()]
+    except ValueError:
+        found = []
+    if len(found) != len(names):
+        raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
+    return found
+
+
+def _table(scene: Scene, solution: Solution, model: str | None) -> str:
+    """Return time, inputs, what the model reports and the outputs as a CSV file."""
+    system = scene.model(model)
+    named = [*system.inputs, *system.observables, *system.outputs]
+    names = list(dict.fromkeys(each.name for each in named if each.name in solution))
+    table = np.column_stack([solution.t, *[solution[name] for name in names]])
+    return "\n".join([",".join(("time", *names)), *(",".join(map(repr, row)) for row in table.tolist()), ""])

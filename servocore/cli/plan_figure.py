@@ -1,0 +1,95 @@
+"""What is limited over time: the plan, beside the polynomial law that takes longer, between the limits."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from servocore.checks.motion_limits import compile_watched, motion_limits
+from servocore.model.limits import Limit
+from servocore.model.scene import Scene
+from servocore.numerics.calls import Array, at_instants
+from servocore.planning.laws import polynomial_path
+from servocore.planning.report import PlanReport
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.timed_path import TimedPath
+from servocore.solvers.following import prepared_table
+from servocore.solvers.within_limits import exact_states
+
+_INSTANTS = 1001
+_PLAN, _OTHER, _ACTIVE, _BOUND = "#0072b2", "#999999", "#d55e00", "#000000"
+
+
+def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) -> bytes:
+    """Return a picture of the limited quantities of a plan, active limits coloured, beside the degree-9 law.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the limits.
+    path, report
+        What `fastest` returned.
+    kind : str
+        ``png``, ``svg`` or ``pdf``.
+    """
+    problem = Problem.of(scene.with_reference(path))
+    limits, t, values = _limited(problem)
+    other = None
+    if isinstance(path, TimedPath) and np.isfinite(report.degree9):
+        slower = polynomial_path(path, report.degree9, problem.array.reference_order)
+        other = _limited(replace(problem, reference=slower))
+    columns = 1 if len(limits) <= 3 else 2
+    rows = -(-len(limits) // columns)
+    figure = Figure(figsize=(8.0 if columns == 1 else 11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
+    panels = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    for k, (axes, limit) in enumerate(zip(panels, limits, strict=False)):
+        factor, unit = (180.0 / np.pi, limit.unit.replace("rad", "deg")) if "rad" in limit.unit else (1.0, limit.unit)
+        if other is not None:
+            axes.plot(other[1], factor * other[2][k], color=_OTHER, linewidth=1.2, linestyle="--", label="degree 9")
+        axes.plot(t, factor * values[k], color=_PLAN, linewidth=1.6, label="fastest")
+        _mark(axes, limit, report, t, factor * values[k], factor)
+        axes.set_title(f"{limit.quantity} ({unit})", fontsize="medium", loc="left")
+        axes.margins(x=0.01)
+    for axes in panels[len(limits) :]:
+        axes.set_visible(False)
+    for axes in panels[max(len(limits) - columns, 0) : len(limits)]:
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("time (s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
+    return _saved(figure, kind)
+
+
+def _limited(problem: Problem) -> tuple[tuple[Limit, ...], Array, Array]:
+    """Return limits, instants, and the quantities there (limits, N)."""
+    limits, path = motion_limits(problem), problem.reference
+    t = np.linspace(path.start_time, path.end_time, _INSTANTS)
+    watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
+    jets = path.jet(t, watched.order)
+    (values,) = at_instants(watched.function, exact_states(problem, prepared_table(problem))(t), jets=jets, p=problem.p)
+    return limits, t, values
+
+
+def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array, factor: float) -> None:
+    """Draw bounds, and where the plan touches them."""
+    for bound in (limit.bound, limit.upper):
+        if np.isfinite(bound):
+            axes.axhline(factor * bound, color=_BOUND, linewidth=0.8, linestyle=":", label="_limit")
+    label = "held back by this limit"
+    for each in report.active:
+        if each.quantity == limit.quantity:
+            during = (t >= each.begin) & (t <= each.end)
+            axes.plot(t[during], values[during], color=_ACTIVE, linewidth=3.5, label=label, solid_capstyle="round")
+            label = "_more"
+
+
+def _saved(figure: Figure, kind: str) -> bytes:
+    stream = io.BytesIO()
+    metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
+    figure.savefig(stream, format=kind, metadata=metadata)
+    return stream.getvalue()

@@ -1,0 +1,70 @@
+"""The commands `servocore plan` and `crane-fmu plan` write the fastest motion as a table, or refuse in a sentence."""
+
+from __future__ import annotations
+
+import csv
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_lines import CommandLine
+
+import crane_fmu.cli
+from servocore.cli import commands
+
+run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
+LEVEL = ["--from", 0, -4, "--to", 5, -4]
+
+
+@pytest.fixture(autouse=True)
+def _empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def read(file):
+    with Path(file).open(encoding="utf-8") as stream:
+        rows = list(csv.reader(stream))
+    return dict(zip(rows[0], np.array(rows[1:], dtype=float).T, strict=True))
+
+
+def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
+    result = run("plan", "overhead_crane", *LEVEL, "--limit", "F=200", "--step", 0.05, "-o", "p.csv", "--plot", "p.png")
+    assert result.exit_code == 0
+    assert "3.46" in result.stdout.splitlines()[0]
+    table = read("p.csv")
+    assert list(table) == ["time", "F", "M_w", "tension", "swing", "x", "z"]
+    assert np.abs(table["F"]).max() <= 200.0
+    assert table["x"][[0, -1]].tolist() == [0.0, 5.0]
+    steps = np.diff(table["time"])
+    assert steps.max() <= 0.05
+    assert np.ptp(steps) < 1e-9
+    assert Path("p.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing():
+    way = ["--from", 5, 0, -5, "--to", -2, 2, -2]
+    result = crane("plan", *way, "--limit", "M_b=1000", "--limit", "F=60", "--limit", "swing=5deg")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0] == "time,M_b,F,M_w,phi,s,l,x,y,z,tension,swing"
+    assert len(lines) == 202
+    assert 7.1 < float(lines[-1].split(",")[0]) < 7.2
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ([*LEVEL, "--limit", "M_w=50"], "no law keeps the limit of M_w: even at rest at (0, -4)"),
+        ([*LEVEL], "has no limits"),
+        (["--from", 0, -4, 1, "--to", 5, -4, "--limit", "F=200"], "--from 0 -4 1: it needs 2 numbers, x, z"),
+        (["--from", 0, -4, "--limit", "F=200"], "no way is given"),
+        ([*LEVEL, "--reference", "a.csv"], "not by both"),
+        ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=heavy"], "is not NAME=LOW..HIGH"),
+        ([*LEVEL, "--limit", "F=200", "--robust", "load=0.9..1.1"], "no parameter load"),
+        ([*LEVEL, "--limit", "F=200", "--plot", "p.txt"], "cannot draw p.txt"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence):
+    run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
+    assert os.listdir() == []
