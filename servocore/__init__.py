@@ -47,6 +47,7 @@ from servocore.numerics.square_systems import SquareSystem
 from servocore.planning.durations import shortest_duration
 from servocore.planning.fastest import fastest
 from servocore.planning.report import PlanReport
+from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
@@ -109,6 +110,7 @@ __all__ = [
     "Reduced",
     "Reference",
     "Scene",
+    "Sensitivities",
     "ServocoreError",
     "ServocoreWarning",
     "Solution",
@@ -131,6 +133,7 @@ __all__ = [
     "rest_to_rest",
     "sampled",
     "scenes",
+    "sensitivities",
     "shortest_duration",
     "simulate",
     "solve",

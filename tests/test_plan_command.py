@@ -68,3 +68,15 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
 def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence):
     run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
     assert os.listdir() == []
+
+
+def test_sensitivities_are_a_table_a_file_and_a_picture():
+    result = run("sensitivities", "overhead_crane", "--wrt", "load_mass", "-o", "s.csv", "--plot", "s.svg")
+    assert result.exit_code == 0
+    assert "by load_mass" in result.stdout
+    assert "x drift" in result.stdout
+    table = read("s.csv")
+    assert list(table) == ["time", *(f"{each}/load_mass" for each in ("F", "M_w", "x drift", "z drift"))]
+    assert table["M_w/load_mass"][0] == pytest.approx(-0.981)
+    assert "<svg" in Path("s.svg").read_text(encoding="utf-8")
+    run.assert_refused(run("sensitivities", "cars", "--wrt", "load"), "has no parameter load; there are")

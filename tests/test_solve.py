@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from problems import as_scene, car_chain, polynomial_path, problem, scene, solved
 
 import servocore as sc
+from servocore.checks.instants import time_grid
 from servocore.solvers.loop import CHUNK
-from servocore.solvers.solve import time_grid
 
 CRANE = scene("rotary_crane")
 

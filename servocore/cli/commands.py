@@ -25,6 +25,8 @@ from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
 from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
 from servocore.cli.plan import PointsCommand, plan_scene
+from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
+from servocore.cli.sensitivities import show_sensitivities
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
@@ -210,6 +212,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
 
 
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
+app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 
 

@@ -1,4 +1,4 @@
-"""What is limited over time: the plan, beside the polynomial law that takes longer, between the limits."""
+"""Pictures: a plan between its limits, beside the polynomial law that takes longer; effects of parameters."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from servocore.model.scene import Scene
 from servocore.numerics.calls import Array, at_instants
 from servocore.planning.laws import polynomial_path
 from servocore.planning.report import PlanReport
+from servocore.planning.sensitivities import Sensitivities
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.timed_path import TimedPath
@@ -93,3 +94,25 @@ def _saved(figure: Figure, kind: str) -> bytes:
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     figure.savefig(stream, format=kind, metadata=metadata)
     return stream.getvalue()
+
+
+def sensitivities_figure(found: Sensitivities, kind: str) -> bytes:
+    """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
+    rows = -(-len(found.quantities) // 2)
+    figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    for axes, each in zip(panels, found.quantities, strict=False):
+        for k, (name, size) in enumerate(zip(found.parameters, found.sizes, strict=True)):
+            look = ("-", "--", "-.", ":")[k % 4]
+            axes.plot(found.t, found[each.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
+        axes.set_title(f"{each.name} ({each.unit})", fontsize="medium", loc="left")
+        axes.margins(x=0.01)
+    for axes in panels[len(found.quantities) :]:
+        axes.set_visible(False)
+    for axes in panels[max(len(found.quantities) - 2, 0) : len(found.quantities)]:
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("time (s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    title = "effect of one per cent more of"
+    figure.legend(handles, labels, loc="outside upper center", ncols=6, frameon=False, title=title)
+    return _saved(figure, kind)

@@ -12,6 +12,7 @@ from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
+from servocore.checks.instants import time_grid
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
@@ -25,7 +26,6 @@ from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array
 from servocore.problem import Problem
-from servocore.references.base import Reference
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
@@ -40,8 +40,6 @@ from servocore.stepping.arguments import require_callable, require_formulation, 
 from servocore.stepping.given_starts import require_start
 from servocore.structure.inversion import inversion
 
-_DEFAULT_STEPS = 200
-_MOST_STEPS = 10**8
 _MORE = 212  # a prime number of steps: none ends in the middle or at a third, where paths are special
 _FEW = 150  # instants: where nothing that happens between them shows
 _BETTER = RadauIIA(5)
@@ -262,36 +260,3 @@ def recommended(problem: Problem) -> tuple[Method | BoundaryValue, str]:
     """Return the method that the analysis recommends for the reduced form, and what it says."""
     kind = internal_dynamics(problem).kind
     return BoundaryValue() if kind == NON_MINIMUM_PHASE else RadauIIA(3), f"{kind}: {ADVICE[kind]}"
-
-
-def time_grid(reference: Reference, step: float | None) -> Array:
-    """Return the instants from start to end, a whole number of equal steps.
-
-    Raises
-    ------
-    InvalidSetting
-        If the step is not positive, exceeds the duration or does not divide it.
-    """
-    duration = reference.duration
-    if step is None:
-        step = duration / _DEFAULT_STEPS
-    if not 0.0 < step < float("inf"):
-        raise InvalidSetting(f"the step must be positive and finite, not {step} s")
-    if step > duration * (1 + 1e-9):
-        raise InvalidSetting(f"the step of {step:g} s is larger than the duration of {duration:g} s")
-    count = round(duration / step)
-    if count > _MOST_STEPS:
-        raise InvalidSetting(
-            f"the step of {step:g} s divides the duration of {duration:g} s into {count:.2g} steps, more than"
-            f" {_MOST_STEPS:.0e}"
-        )
-    if abs(count * step - duration) > 1e-6 * step:
-        below, above = duration / np.ceil(duration / step), duration / max(1, np.floor(duration / step))
-        raise InvalidSetting(
-            f"the step of {step:g} s does not divide the duration of {duration:g} s;"
-            f" the nearest that do are {below:.10g} s and {above:.10g} s"
-        )
-    # k * step rather than a running sum; the last instant is the end of the path to the last bit.
-    t: Array = reference.start_time + np.arange(count + 1, dtype=np.float64) * (duration / count)
-    t[-1] = reference.end_time
-    return t

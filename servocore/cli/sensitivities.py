@@ -1,0 +1,101 @@
+"""The command ``servocore sensitivities``: how inputs and load change with the parameters, as table and figure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import rich.box
+import rich.table
+import typer
+
+from servocore.cli.choice import chosen
+from servocore.cli.console import PatientProgress, table_console
+from servocore.errors import InvalidSetting
+from servocore.files import require_places, write_together
+from servocore.planning.sensitivities import Sensitivities, sensitivities
+from servocore.references.csv_file import from_csv
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore sensitivities rotary_crane[/cyan]
+
+[cyan]servocore sensitivities overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png[/cyan]
+"""
+_PICTURES = (".png", ".svg", ".pdf")
+
+SceneName = Annotated[
+    str,
+    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
+]
+ByParameters = Annotated[
+    list[str] | None, typer.Option("--wrt", metavar="NAME", help="A parameter, any number of times. Default: all.")
+]
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
+]
+Model = Annotated[
+    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
+]
+Parameters = Annotated[
+    Path | None, typer.Option("--parameters", metavar="FILE.toml", help="Other data of the scene in SI units.")
+]
+Step = Annotated[
+    float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
+]
+Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="All derivatives over time.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option("--plot", metavar="FILE.png", help=f"Draw effects of one per cent; {', '.join(_PICTURES)} are known."),
+]
+
+
+def show_sensitivities(
+    scene: SceneName,
+    wrt: ByParameters = None,
+    reference: ReferenceFile = None,
+    parameters: Parameters = None,
+    model: Model = None,
+    step: Step = None,
+    output: Output = None,
+    plot: Plot = None,
+) -> None:
+    """Say how inputs and load change with the parameters.
+
+    The derivatives are exact. The table tells the largest effect of one per cent
+    more of each parameter: on the inputs that the path asks for, and on where
+    the load goes (drift) if the inputs stay as they were.
+    """
+    subject = chosen(scene, parameters)
+    require_places({"--output": output, "--plot": plot}, [parameters, reference])
+    if plot is not None and plot.suffix.lower() not in _PICTURES:
+        raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
+    if reference is not None:
+        subject = subject.with_reference(from_csv(reference, columns=[e.name for e in subject.model().outputs]))
+    with PatientProgress("differentiating"):
+        found = sensitivities(subject, wrt or None, step=step, model=model)
+        contents: dict[Path, str | bytes] = {}
+        if output is not None:
+            contents[output] = found.table()
+        if plot is not None:
+            from servocore.cli.plan_figure import sensitivities_figure  # noqa: PLC0415 - slow to import
+
+            contents[plot] = sensitivities_figure(found, plot.suffix[1:].lower())
+    write_together(contents)
+    table_console().print(_table(found), "Largest effect of one per cent more of a parameter.")
+
+
+def _table(found: Sensitivities) -> rich.table.Table:
+    table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column("of")
+    for name in found.parameters:
+        table.add_column(f"by {name}", justify="right")
+    for each in found.quantities:
+        effects = [
+            found[each.name, name] * size / 100.0 for name, size in zip(found.parameters, found.sizes, strict=True)
+        ]
+        shown = [f"{effect[np.abs(effect).argmax()]:.3g} {each.unit}" for effect in effects]
+        table.add_row(each.name, *shown)
+    return table

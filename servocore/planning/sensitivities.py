@@ -1,0 +1,196 @@
+"""How inputs, and the motion under inputs that stay, change with the parameters: exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from servocore.checks.instants import time_grid
+from servocore.checks.limits import require_feasible
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.solvers.following import prepared_table
+from servocore.solvers.within_limits import exact_states
+from servocore.stepping.forward_dynamics import forward_rate
+
+_STEPS = 2000
+"""Least number of steps in which the linearised plant is integrated, by the classical method of order four."""
+
+DRIFT = " drift"
+"""How the name of an output's deviation ends."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Derivatives by parameters over time: ``found["F", "load_mass"]`` in N/kg.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times in s.
+    quantities : tuple of Quantity
+        The inputs that the path asks for, and each output with `DRIFT` behind its name: where the load goes instead
+        if the inputs stay as they were, by the linearised plant.
+    parameters : tuple of str
+        Names.
+    units : tuple of str
+        Of the parameters.
+    values : ndarray, shape (N, quantities, parameters)
+        The derivatives.
+    sizes : ndarray, shape (parameters,)
+        The parameters themselves: an effect of one per cent is a hundredth of size times derivative.
+    """
+
+    t: Array
+    quantities: tuple[Quantity, ...]
+    parameters: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sizes: Array
+
+    def __getitem__(self, names: tuple[str, str]) -> Array:
+        quantity, parameter = names
+        known = [each.name for each in self.quantities]
+        if quantity not in known or parameter not in self.parameters:
+            raise KeyError(f"{quantity}, {parameter}; there are {', '.join(known)} by {', '.join(self.parameters)}")
+        found: Array = self.values[:, known.index(quantity), self.parameters.index(parameter)]
+        return found
+
+    def table(self) -> str:
+        """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass."""
+        names = [f"{each.name}/{parameter}" for each in self.quantities for parameter in self.parameters]
+        rows = np.column_stack([self.t, self.values.reshape(len(self.t), -1)])
+        return "\n".join([",".join(("time", *names)), *(",".join(map(repr, row)) for row in rows.tolist()), ""])
+
+
+def sensitivities(
+    scene: Scene, wrt: Sequence[str] | None = None, *, step: float | None = None, model: str | None = None
+) -> Sensitivities:
+    """Return exact derivatives of inputs, and of the motion under given inputs, by parameters.
+
+    The inputs follow from the equations and their derivatives at an instant, so that the implicit function theorem
+    gives their derivatives; the motion under the inputs of the present parameters follows the linearised plant, from
+    the state in which the path asks the plant to start.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without internal dynamics.
+    wrt : sequence of str, optional
+        Parameters by name; all of them when not given.
+    step : float, optional
+        Time between instants in s; must divide the duration of the path, of which it is a 200th when not given.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+
+    Returns
+    -------
+    Sensitivities
+
+    Raises
+    ------
+    InvalidModel
+        If the model has internal dynamics, or its equations hold the time.
+    InvalidReference
+        If the path is out of reach.
+    InvalidSetting
+        If there is no such parameter, or the step does not fit.
+
+    Examples
+    --------
+    >>> found = sc.sensitivities(crane, wrt=("load_mass",))
+    >>> found["F", "load_mass"]
+    """
+    require_scene(scene, "sensitivities")
+    problem = Problem.of(scene, model)
+    if not problem.flat or problem.system.time.numel():
+        why = "has internal dynamics" if not problem.flat else "holds the time"
+        raise InvalidModel(f"{scene.name} {why}: its inputs do not follow from the path at the same instant")
+    declared = {each.name: each for each in problem.system.parameters.declared}
+    names = tuple(declared) if wrt is None else tuple([wrt] if isinstance(wrt, str) else wrt)
+    for each in names:
+        if each not in declared:
+            raise InvalidSetting(f"{scene.name} has no parameter {each}; there are {', '.join(declared)}")
+    require_feasible(problem)
+    t = time_grid(problem.reference, step)
+    columns = [list(declared).index(each) for each in names]
+    between = -(-_STEPS // (len(t) - 1))
+    fine = np.append((t[:-1, None] + np.diff(t)[:, None] * np.arange(2 * between) / (2 * between)).ravel(), t[-1])
+    states, inputs, starts = _by_implicit_function(problem, fine, columns)
+    drifts = _drifts(problem, fine, states, starts, columns)[::between]
+    system = problem.system
+    drifted = tuple(replace(each, name=each.name + DRIFT) for each in system.outputs)
+    return Sensitivities(
+        t=t,
+        quantities=(*system.inputs, *drifted),
+        parameters=names,
+        units=tuple(declared[each].unit for each in names),
+        values=np.concatenate([inputs[:: 2 * between], drifts], axis=1),
+        sizes=problem.p[columns],
+    )
+
+
+def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tuple[Array, Array, Array]:
+    """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
+    array, system = problem.array, problem.system
+    n, m = len(system.coordinates), len(system.inputs)
+    found = exact_states(problem, prepared_table(problem))(t)
+    jets = problem.reference.jet(t, array.reference_order)
+    (slopes,) = at_instants(problem.resolved.once(_implicit), found, jets=jets, p=problem.p)
+    slopes = slopes.reshape(len(found), len(t), -1)[:, :, columns]
+    rows = [*((j, 0) for j in range(n)), *((j, 1) for j in range(n))]
+    rows += [(n + system.lam.numel() + k, 0) for k in range(m)]
+    places = array.places(rows)
+    return found[places], slopes[places[2 * n :]].transpose(1, 0, 2), slopes[places[: 2 * n], 0]
+
+
+def _implicit(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (unknowns of the array, gamma, p) -> their derivatives by p."""
+    array, system = resolved.array, resolved.system
+    column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
+    terms = ca.Function(
+        "sc_by_p", [column, gamma, system.p], [ca.jacobian(array.residual, each) for each in (column, system.p)]
+    )
+    given = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
+    J, right = terms(*given)
+    return ca.Function("sc_implicit", given, [ca.densify(ca.solve(J, -right, "qr"))])
+
+
+def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: list[int]) -> Array:
+    """Return doutputs/dp (steps + 1, m, k) under inputs that stay, by the plant linearised along the motion.
+
+    `t` holds the ends and the middle of every step.
+    """
+    n = len(problem.system.coordinates)
+    function = problem.resolved.once(_linearised)
+    found = [each.reshape(each.shape[0], len(t), -1).transpose(1, 0, 2) for each in at_instants(
+        function, motion[: 2 * n], motion[2 * n :], jets=np.zeros((len(t), 1, 1)), p=problem.p)]  # fmt: skip
+    A, b, C, d = found[0], found[1][:, :, columns], found[2], found[3][:, :, columns]
+    S, steps = start, np.diff(t[::2])
+    held = [C[0] @ S + d[0]]
+    for k, h in enumerate(steps):
+        first = A[2 * k] @ S + b[2 * k]
+        second = A[2 * k + 1] @ (S + h / 2 * first) + b[2 * k + 1]
+        third = A[2 * k + 1] @ (S + h / 2 * second) + b[2 * k + 1]
+        fourth = A[2 * k + 2] @ (S + h * third) + b[2 * k + 2]
+        S = S + h / 6 * (first + 2 * second + 2 * third + fourth)
+        held.append(C[2 * k + 2] @ S + d[2 * k + 2])
+    return np.array(held)
+
+
+def _linearised(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (state, u, nothing, p) -> derivatives of state_dot by state and p, and of the outputs by both."""
+    system, rate = resolved.system, forward_rate(resolved.system, held=False)
+    state, u, p = (ca.MX.sym(*each) for each in (
+        ("x", 2 * len(system.coordinates)), ("u", len(system.inputs)), ("p", system.p.numel())))  # fmt: skip
+    moved = rate(state, u, ca.DM.zeros(len(system.outputs)), p)[0]
+    output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)
+    results = [ca.jacobian(moved, state), ca.jacobian(moved, p), ca.jacobian(output, state), ca.jacobian(output, p)]
+    nothing = ca.MX.sym("nothing", 1, 1)
+    return ca.Function("sc_linearised", [state, u, nothing, p], [ca.densify(each) for each in results])
