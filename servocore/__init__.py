@@ -48,6 +48,7 @@ from servocore.planning.durations import shortest_duration
 from servocore.planning.fastest import fastest
 from servocore.planning.report import PlanReport
 from servocore.planning.sensitivities import Sensitivities, sensitivities
+from servocore.planning.space import Box, Space, Sphere
 from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
@@ -86,6 +87,7 @@ __all__ = [
     "Adaptive",
     "BackwardEuler",
     "BoundaryValue",
+    "Box",
     "EnergyMomentum",
     "ExactInversion",
     "Gauss",
@@ -114,6 +116,8 @@ __all__ = [
     "ServocoreError",
     "ServocoreWarning",
     "Solution",
+    "Space",
+    "Sphere",
     "Statistics",
     "StepReport",
     "Stepper",

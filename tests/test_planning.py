@@ -12,9 +12,9 @@ from scipy.optimize import linprog
 
 import servocore as sc
 from servocore.planning.chains import advanced
-from servocore.planning.fastest import corner_problems, curve_of, task_along
 from servocore.planning.laws import law_of, shape_of, shortest
 from servocore.planning.rows import rounded
+from servocore.planning.tasks import corner_problems, curve_of, task_along
 from servocore.planning.transcription import Transcription
 
 CRANE = sc.scenes.rotary_crane()
@@ -22,8 +22,8 @@ OVERHEAD = sc.scenes.overhead_crane()
 LINE = [(5, 0, -5), (-2, 2, -2)]
 DEFAULT = {"M_b": 1000, "F": 60, "swing": "5 deg"}
 LEVEL = [(0, -4), (5, -4)]
-QUICK = 40
-"""Intervals: half as many as usual, a tenth of the time, some two per cent slower plans."""
+QUICK, COARSE = 40, 20
+"""Intervals: half and a quarter of what is usual; plans are some two and five per cent slower."""
 
 
 def largest_excess(scene, path, limits):
@@ -207,6 +207,17 @@ def test_a_curve_through_waypoints_is_followed_to_its_end():
     assert report.duration < 1.03 * 7.265
 
 
+@pytest.mark.parametrize("count", [2, 3, 4, 5, 9])
+def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(count):
+    angle = np.linspace(0.0, 1.0, count)
+    points = np.column_stack([np.cos(angle), np.sin(angle), 0.1 * angle])
+    s = np.linspace(0.0, 1.0, 2001)
+    places = curve_of(points, 3, "crane").jet(s, 0)[:, 0]
+    assert max(np.linalg.norm(places - point, axis=1).min() for point in points) < 1e-3
+    length = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    assert length == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), rel=0.05)
+
+
 def test_the_way_of_a_reference_counts_and_not_its_times():
     slow = sc.fastest(OVERHEAD, sc.rest_to_rest(*LEVEL, 50.0), {"F": 200}, intervals=QUICK)[1]
     assert slow.duration == pytest.approx(
@@ -220,3 +231,47 @@ def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer():
     slope = ca.Function("slope", [x, y], [ca.gradient(smooth, x), smooth])
     assert float(slope(0.0, 0.0)[0]) == 0.0
     assert 0.0 < float(slope(0.3, 0.4)[1]) - math.atan(0.25) < 1e-9
+
+
+class TestFreeWay:
+    """Between two points a plan may choose its way, clear of what stands there."""
+
+    LIMITS = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}  # noqa: RUF012
+
+    def test_is_faster_than_the_line_and_clear_of_a_box_with_load_and_rope(self):
+        box = sc.Box((2.5, -5.0), (0.3, 1.6))
+        way = [(0, -4), (5, -4)]
+        path, report = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space((box,)), intervals=QUICK)
+        jets = path.jet(np.linspace(0.0, path.duration, 5001), 2)
+        reach = -jets[:, 0, 1] / (9.81 + jets[:, 2, 1])
+        trolley = np.column_stack([jets[:, 0, 0] + reach * jets[:, 2, 0], 0.0 * reach])
+        for part in np.linspace(0.0, 1.0, 30):
+            place = (1.0 - part) * jets[:, 0] + part * trolley
+            assert (np.abs(place - (2.5, -5.0)) > (0.3, 1.6)).any(axis=1).all()
+        assert 0.0 <= report.clearance < 0.2
+        assert largest_excess(OVERHEAD, path, {"F": 200.0, "swing": math.radians(15.0)}) <= 0.0
+        assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
+
+    def test_without_obstacles_is_no_slower_than_the_line(self):
+        way = [(0, -4), (5, -1.5)]
+        free = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space(), intervals=COARSE)[1]
+        assert free.duration <= sc.fastest(OVERHEAD, way, self.LIMITS, intervals=COARSE)[1].duration * 1.001
+        assert free.clearance == math.inf
+
+    @pytest.mark.parametrize(
+        ("limits", "space", "sentence"),
+        [
+            ({"F": 200}, sc.Space(), "M_w has none"),
+            (LIMITS, sc.Space((sc.Sphere((0.0, 0.0, 0.0), 1.0),)), "2 dimensions"),
+        ],
+    )
+    def test_needs_limits_of_all_inputs_and_bodies_of_its_dimension(self, limits, space, sentence):
+        with pytest.raises(sc.InvalidSetting, match=sentence):
+            sc.fastest(OVERHEAD, LEVEL, limits, free=space)
+
+    def test_a_smooth_body_around_a_box_contains_it(self):
+        box, place = sc.Box((1.0, 2.0, 3.0), (0.4, 3.0, 1.2)), ca.SX.sym("place", 3)
+        row = ca.Function("row", [place], [box.row(place)])
+        corners = [(1.0 + 0.4 * i, 2.0 + 3.0 * j, 3.0 + 1.2 * k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
+        assert [float(row(each)) for each in corners] == pytest.approx([1.0] * 8, abs=1e-6)
+        assert box.distance(np.array([(1.0, 2.0, 5.0), (1.0, 2.0, 3.0)])).tolist() == pytest.approx([0.8, -0.4])

@@ -15,6 +15,7 @@ from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.rest_to_rest import RestToRest
 
 _DEGREE = 7
+_NATURAL = 4
 _SAMPLES = (9, 13, 17, 25, 33)  # pieces cost time: no more of them than the curve needs
 _DEVIATION = 1e-5  # of the length
 _LOOKED_AT = 2001
@@ -34,9 +35,10 @@ def through_points(waypoints: Array) -> PiecewisePolynomial:
         raise InvalidReference("a path needs two waypoints or more, not one")
     if repeated.size:
         raise InvalidReference(f"waypoints {repeated[0]} and {repeated[0] + 1} coincide: the path does not move there")
-    if len(waypoints) == 2:
-        middle, way = (waypoints[0] + waypoints[1]) / 2.0, waypoints[1] - waypoints[0]
-        return _curve(np.array([0.0, 1.0]), np.stack([middle, way])[None])
+    if len(waypoints) <= _NATURAL:  # through so few points it is one polynomial: no fourth derivative to be made small
+        u = np.append(0.0, np.cumsum(chords)) / chords.sum() - 0.5
+        factors: Array = np.linalg.solve(np.vander(u, increasing=True), waypoints).astype(np.float64)
+        return _curve(np.array([0.0, 1.0]), factors[None])
     natural = [(order, np.zeros(waypoints.shape[1])) for order in (4, 5, 6)]
     return _spline(waypoints, chords, (natural, natural))
 

@@ -4,34 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
-from typing import TypeAlias
 
-import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, PlanningFailed
+from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.certificate import certify
-from servocore.planning.curves import along, slopes_at, through_points
-from servocore.planning.laws import peaks, shape_of, shortest_three_phase, smooth_polynomial
+from servocore.planning.laws import shape_of, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.report import PlanReport
-from servocore.planning.rows import limit_rows, require_at_rest
-from servocore.planning.search import EXCESS, planned
+from servocore.planning.search import EXCESS, Found, planned
+from servocore.planning.space import Space
+from servocore.planning.tasks import Way, corner_problems, curve_of, starts_along, starts_free, task_along, task_free
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
-from servocore.references.base import Reference, points
+from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
-from servocore.references.timed_path import TimedPath, chained
+from servocore.references.timed_path import TimedPath
 
-Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
-"""A reference, of which the curve counts and not the times, or waypoints (n, m)."""
-
-_ROOM = 2e-4  # of the half range, kept free: what is planned then keeps its limits with no excess at all
-_REST_POINTS = 401
+_LOOKED_AT = 20_001
 
 
 def fastest(
@@ -39,6 +31,7 @@ def fastest(
     path: Way,
     limits: Mapping[str, Bounds | None] | None = None,
     *,
+    free: Space | None = None,
     smooth: int = 0,
     robust: Mapping[str, tuple[float, float]] | None = None,
     model: str | None = None,
@@ -56,6 +49,8 @@ def fastest(
         through more.
     limits : mapping of str to bounds, optional
         More limits, as `Scene.with_limits` takes them.
+    free : Space, optional
+        Whether the way between two points is free as well, and what it keeps clear of. Every input needs a limit then.
     smooth : int
         How many derivatives of the inputs shall be continuous, besides the inputs themselves.
     robust : mapping of str to pair, optional
@@ -102,90 +97,85 @@ def fastest(
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth
+    if free is not None:
+        return _free(bounded, curve, corners, length, free, intervals, progress)
     task = task_along(curve, corners, length)
-    found = planned(task, intervals, progress)
+    if progress is not None:
+        progress("looking for a law to start from")
+    polynomial = shortest(task, shape_of(smooth_polynomial(length)))
+    found = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
     reference = TimedPath.of(curve, found.outcome.law.path())
+    return reference, _reported(reference, corners, found, _compared(task, polynomial))
+
+
+def _free(
+    scene: Scene,
+    curve: PiecewisePolynomial,
+    corners: Sequence[Problem],
+    length: int,
+    space: Space,
+    intervals: int,
+    progress: Callable[[str], None] | None,
+) -> tuple[Reference, PlanReport]:
+    """Plan with the way free between the ends of a line."""
+    if len(curve.knots) > 2:
+        raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
+    space.require(corners[0].system, scene.tracked)
+    limited = {each.quantity for each in scene.limits}
+    for each in corners[0].system.inputs:
+        if each.name not in limited:
+            raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {each.name} has none")
+    start, end = curve.ends
+    task = task_free(start, end, corners, length, space)
+    if progress is not None:
+        progress("looking for ways to start from")
+    begun, scale = starts_free(task, corners, space, intervals // 2)
+    found = planned(task, begun, 1.02 * scale, intervals, progress)
+    reference = found.outcome.law.path()
+    gravity = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True)).get("gravity", 0.0)
+    jets = reference.jet(np.linspace(0.0, reference.duration, _LOOKED_AT), 2)
+    clearance = space.clearance(jets, gravity)
+    if clearance < 0.0:
+        raise PlanningFailed(
+            f"{scene.name}: the way that was found comes {-clearance:.2g} m into a body to keep out of"
+        )
+    try:
+        line = task_along(curve, corners, length)
+        compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
+    except LimitBroken:  # at rest on the line
+        compared = (np.inf, np.inf)
+    return reference, _reported(reference, corners, found, compared, clearance)
+
+
+def _compared(task: Task, polynomial: float) -> tuple[float, float]:
+    """Return the shortest durations of the polynomial and the best three-phase law."""
+    smooth_enough = task.length <= three_phase().smoothness and np.isfinite(polynomial)
+    return polynomial, shortest_three_phase(task, polynomial)[0] if smooth_enough else np.nan
+
+
+def _reported(
+    reference: Reference,
+    corners: Sequence[Problem],
+    found: Found,
+    compared: tuple[float, float],
+    clearance: float = np.inf,
+) -> PlanReport:
+    """Certify a plan; raises `PlanningFailed` if it breaks a limit."""
     certificate = certify(tuple(replace(each, reference=reference) for each in corners))
     if certificate.violation > EXCESS:
         raise PlanningFailed(
-            f"{scene.name}: the law that was found breaks the limit of {certificate.worst} by"
+            f"{corners[0].name}: the law that was found breaks the limit of {certificate.worst} by"
             f" {certificate.violation:.2g} of half its range between the points that the solver looked at"
         )
-    smooth_enough = length <= three_phase().smoothness and np.isfinite(found.polynomial)
-    report = PlanReport(
+    return PlanReport(
         duration=reference.duration,
-        degree9=found.polynomial,
-        three_phase=shortest_three_phase(task, found.polynomial)[0] if smooth_enough else np.nan,
+        degree9=compared[0],
+        three_phase=compared[1],
         certificate=certificate,
         grid_error=found.coarse - reference.duration,
         status=found.outcome.status,
         iterations=found.iterations,
         rounds=found.rounds,
         start=found.start,
-    )
-    return reference, report
-
-
-def curve_of(path: Way, outputs: int, name: str) -> PiecewisePolynomial:
-    """Return the curve of a reference or through waypoints; raises `InvalidReference` if it does not fit the scene."""
-    curve = along(path) if isinstance(path, Reference) else through_points(points(path, "waypoint"))
-    if curve.dimension != outputs:
-        raise InvalidReference(f"{name} needs a path with {outputs} components, this one has {curve.dimension}")
-    return curve
-
-
-def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[float, float]]) -> list[Problem]:
-    """Return the problem at the scene's own parameters and at all corners of ranges of some of them."""
-    for name, ends in robust.items():
-        if not (isinstance(ends, tuple | list) and len(ends) == 2 and ends[0] <= ends[1]):
-            raise InvalidSetting(f"the range of {name} must be a smallest and a largest factor, not {ends!r}")
-        if name not in scene.parameter_values():
-            raise InvalidSetting(
-                f"{scene.name} has no parameter {name}; there are {', '.join(scene.parameter_values())}"
-            )
-    own = scene.parameter_values()
-    corners = (
-        [{k: factor * own[k] for k, factor in zip(robust, each, strict=True)} for each in product(*robust.values())]
-        if robust
-        else []
-    )
-    found = [Problem.of(each, model) for each in (scene, *(scene.with_parameters(**corner) for corner in corners))]
-    first = found[0]
-    if not first.flat or first.follow_branch:
-        why = "follows a branch" if first.flat else "has internal dynamics"
-        raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and no plan can be made for it")
-    if first.system.time.numel():
-        raise InvalidModel(f"{scene.name}: its equations hold the time, and no plan can be made for it")
-    if not any(not each.of_path for each in first.limits):
-        raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
-    return found
-
-
-def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
-    """Return what a law along a curve must do; raises `InvalidReference` if a limit cannot be kept at rest."""
-    begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
-    every = [limit_rows(each, begin) for each in corners]
-    for rows, each in zip(every, corners, strict=True):
-        require_at_rest(rows, each, places, _ROOM)
-    orders = 1 + max(length, *(each.order for each in every))
-    s = ca.SX.sym("s", 1, orders)
-    inner = [s[:, k] for k in range(orders)]
-    gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), inner))
-    found, lower = [], []
-    for rows, each in zip(every, corners, strict=True):
-        kept = np.flatnonzero(rows.moving)
-        found.append(rows.function(gamma[:, : rows.order + 1], each.p)[kept.tolist()])
-        lower.append(rows.lower[kept])
-    function = ca.Function("sc_task", [s], [ca.densify(ca.vertcat(*found))], {"cse": True})
-    bounds = np.concatenate(lower)
-    shape = shape_of(smooth_polynomial(length))
-    return Task(
-        rows=function,
-        lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
-        upper=np.full(len(bounds), 1.0 - _ROOM),
-        start=np.zeros(1),
-        end=np.ones(1),
-        length=length,
-        peaks=peaks(shape, length)[:, None],
-        forward=True,
+        clearance=clearance,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 
@@ -62,6 +63,8 @@ class PlanReport:
         between two points of the grid.
     start : str
         The law that the solver started from.
+    clearance : float
+        Of a plan that chose its way: least distance from what it keeps out of, in m; infinite where there is nothing.
     """
 
     duration: float
@@ -73,6 +76,7 @@ class PlanReport:
     iterations: int
     rounds: int
     start: str
+    clearance: float = math.inf
 
     @property
     def active(self) -> tuple[Active, ...]:
@@ -93,6 +97,8 @@ class PlanReport:
             f"grid            {self.grid_error:.2g} s longer on half as many intervals",
             f"solver          {self.status}, {self.iterations} iterations, from {self.start}",
         ]
+        if math.isfinite(self.clearance):
+            lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [
             f"active          {each.begin:.3f} s to {each.end:.3f} s: {each.quantity} at {each.bound:g} {each.unit}"
             for each in self.active

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from servocore.errors import PlanningFailed
 from servocore.planning.chains import Law
-from servocore.planning.laws import law_of, shape_of, shortest, smooth_polynomial
 from servocore.planning.transcription import Outcome, Task, Transcription
-from servocore.references.profiles import three_phase
 
 EXCESS = 1e-4
 """Of half its range: a limit broken by less counts as kept."""
@@ -26,41 +24,55 @@ class Found:
     """A law that the solver and a finer grid agree about, and how it was found."""
 
     outcome: Outcome
-    polynomial: float
     coarse: float
     iterations: int
     rounds: int
     start: str
 
 
-def starts(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:
-    """Return laws to start from, the best first."""
-    own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
-    return [
-        (f"{own.name} law", law_of(task, shape_of(own), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, slow", law_of(task, shape_of(own), 3.0 * polynomial, intervals)),
-        ("three-phase law", law_of(task, shape_of(three_phase()), 1.5 * polynomial, intervals)),
-        (f"{far.name} law", law_of(task, shape_of(far), 1.02 * polynomial, intervals)),
-        (f"{own.name} law, fast", law_of(task, shape_of(own), 0.5 * polynomial, intervals)),
-    ]
+def planned(
+    task: Task,
+    begun: Sequence[tuple[str, Law]],
+    scale: float,
+    intervals: int,
+    progress: Callable[[str], None] | None = None,
+) -> Found:
+    """Return the fastest law for a task.
 
+    Parameters
+    ----------
+    task : Task
+        What it must do.
+    begun : sequence of (str, Law)
+        Laws on half as many intervals to start from, the best first.
+    scale : float
+        A typical duration in s.
+    intervals : int
+        Of the grid, even.
+    progress : callable, optional
+        Told what is under way.
 
-def planned(task: Task, intervals: int, progress: Callable[[str], None] | None = None) -> Found:
-    """Return the fastest law for a task; raises `PlanningFailed` with the solver's words if no start leads to one."""
-    if progress is not None:
-        progress("looking for a law to start from")
-    polynomial = shortest(task, shape_of(smooth_polynomial(task.length)))
-    scale = 1.02 * polynomial
+    Raises
+    ------
+    PlanningFailed
+        If no start leads to one, with the solver's words.
+    """
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
+    free = np.zeros((len(task.upper), half.intervals * _CHECKS))
     said = []
-    for name, start in starts(task, polynomial, intervals // 2):
-        coarse = half.solve(start, np.zeros((len(task.upper), half.intervals * _CHECKS)), progress)
-        first = coarse.law.refined() if coarse.solved else start.refined()
-        outcome, iterations, rounds = _tightened(whole, first, progress)
+    for name, start in begun:
+        coarse = half.solve(start, free, progress)
+        if not coarse.solved:
+            said.append(f"{coarse.status} from the {name}")
+            continue
+        outcome, iterations, rounds = _tightened(whole, coarse.law.refined(), progress)
         if outcome.solved:
-            longer = coarse.law.duration if coarse.solved else np.nan
-            return Found(outcome, polynomial, longer, coarse.iterations + iterations, rounds, name)
+            return Found(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
         said.append(f"{outcome.status} from the {name}")
+    for name, start in begun:  # half as many intervals may be too few
+        outcome, iterations, rounds = _tightened(whole, start.refined(), progress)
+        if outcome.solved:
+            return Found(outcome, np.nan, iterations, rounds, name)
     raise PlanningFailed(
         f"no law was found, which does not say that there is none; the solver's words: {'; '.join(said)}"
     )

@@ -1,0 +1,133 @@
+"""Where a load, its rope and the bridge above may not be: spheres and boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidSetting
+from servocore.model.symbols import Parameters
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+
+_POWER = 8
+_TIP = 1e-6
+_PLANNED, _CHECKED = 6, 41  # points on a rope, or on a bridge
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """All places nearer to a centre than a radius (m)."""
+
+    centre: tuple[float, ...]
+    radius: float
+
+    def __post_init__(self) -> None:
+        if not self.radius > 0.0:
+            raise InvalidSetting(f"the radius of a sphere must be positive, not {self.radius:g} m")
+
+    def row(self, place: ca.SX) -> ca.SX:
+        """Return an expression that is below one outside."""
+        away = (place - ca.DM(self.centre)) / self.radius
+        return 2.0 - ca.sqrt(ca.sumsqr(away) + _TIP**2)
+
+    def distance(self, places: Array) -> Array:
+        """Return how far places (..., m) are outside, in m; negative within."""
+        return np.asarray(np.linalg.norm(places - np.array(self.centre), axis=-1) - self.radius)
+
+
+@dataclass(frozen=True)
+class Box:
+    """All places that differ from a centre by less than half its sizes (m), along every axis."""
+
+    centre: tuple[float, ...]
+    half: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.half) != len(self.centre) or not min(self.half) > 0.0:
+            raise InvalidSetting(f"a box needs a positive half size along each axis, not {self.half}")
+
+    def row(self, place: ca.SX) -> ca.SX:
+        """Return an expression that is below one outside a smooth body around the box, which is a little larger."""
+        sizes = np.array(self.half) * len(self.half) ** (1.0 / _POWER)
+        away = (place - ca.DM(self.centre)) / ca.DM(sizes)
+        return 2.0 - (ca.sum1(away**_POWER) + _TIP**_POWER) ** (1.0 / _POWER)
+
+    def distance(self, places: Array) -> Array:
+        """Return how far places (..., m) are outside, in m; negative within."""
+        over = np.abs(places - np.array(self.centre)) - np.array(self.half)
+        outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
+        return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
+
+
+Body: TypeAlias = Sphere | Box
+_PARTS = ("load", "rope", "bridge")
+
+
+@dataclass(frozen=True)
+class Space:
+    """What a plan that chooses its own way keeps clear of; bounds of the space are limits of the outputs.
+
+    Parameters
+    ----------
+    keep_out : tuple of Sphere or Box
+        Bodies.
+    parts : tuple of str
+        What keeps clear of them: ``load``, ``rope`` (from the load to the trolley), ``bridge`` (from the origin to the
+        trolley). Rope and bridge are those of a load that hangs from a trolley at height zero.
+    """
+
+    keep_out: tuple[Body, ...] = ()
+    parts: tuple[str, ...] = ("load", "rope")
+
+    def __post_init__(self) -> None:
+        if not all(isinstance(each, Sphere | Box) for each in self.keep_out):
+            raise InvalidSetting("what a plan keeps out of must be a tuple of Sphere and Box")
+        for each in self.parts:
+            if each not in _PARTS:
+                raise InvalidSetting(f"{each} is no part that can keep clear; there are {', '.join(_PARTS)}")
+
+    def require(self, system: MechanicalSystem, tracked: str) -> None:
+        """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies."""
+        dimension = len(system.outputs)
+        for each in self.keep_out:
+            if len(each.centre) != dimension:
+                raise InvalidSetting(f"{each} has not the {dimension} dimensions of {system.name}")
+        hangs = tracked == "load" and "gravity" in system.parameters.names
+        if self.keep_out and not hangs and set(self.parts) - {"load"}:
+            raise InvalidSetting(f"{system.name} has no rope or bridge that is known: plan with parts=('load',)")
+
+    def rows(self, gamma: ca.SX, parameters: Parameters) -> ca.SX:
+        """Return expressions of the path's derivatives that are below one where everything is clear."""
+        if not self.keep_out:
+            return ca.SX(0, 1)
+        gravity = parameters["gravity"] if "gravity" in parameters.names else ca.SX(0)
+        jets = [gamma[:, 0], gamma[:, 2]]
+        places = self._places(jets[0], jets[1], gravity, _PLANNED)
+        return ca.vertcat(*[body.row(ca.vertcat(*place)) for body in self.keep_out for place in places])
+
+    def clearance(self, jets: Array, gravity: float) -> float:
+        """Return the least distance of anything from a body along jets (N, orders, m), in m; infinite without any."""
+        columns = jets[:, 0].T, jets[:, 2].T
+        places = self._places(*columns, gravity, _CHECKED)
+        found = [float(body.distance(np.stack(place, axis=-1)).min()) for body in self.keep_out for place in places]
+        return min(found, default=np.inf)
+
+    def _places(self, load: Any, force: Any, gravity: Any, count: int) -> list[list[Any]]:
+        """Return the points looked at, by coordinates: expressions, or arrays for many instants."""
+        dimension = load.shape[0]
+        here = [load[k] for k in range(dimension)]
+        found = [here] if "load" in self.parts else []
+        if not set(self.parts) - {"load"}:
+            return found
+        reach = -here[-1] / (gravity + force[dimension - 1])
+        above = [*(here[k] + reach * force[k] for k in range(dimension - 1)), 0.0 * here[-1]]
+        parts = np.linspace(0.0, 1.0, count)
+        if "rope" in self.parts:
+            found += [[(1 - f) * a + f * b for a, b in zip(here, above, strict=True)] for f in parts[1:].tolist()]
+        if "bridge" in self.parts:
+            found += [[f * each for each in above] for f in parts.tolist()]
+        return found

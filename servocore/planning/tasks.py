@@ -1,0 +1,195 @@
+"""What a law must do: along a curve, or with its way free in space; and the laws to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import TypeAlias
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken
+from servocore.model.scene import Scene
+from servocore.numerics.calls import Array
+from servocore.planning.chains import Law, sampled_law
+from servocore.planning.curves import along, slopes_at, through_points
+from servocore.planning.laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
+from servocore.planning.rows import Rows, limit_rows, require_at_rest
+from servocore.planning.space import Space
+from servocore.planning.transcription import Task
+from servocore.problem import Problem
+from servocore.references.base import Reference, points
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.profiles import three_phase
+from servocore.references.timed_path import TimedPath, chained
+
+Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
+"""A reference, of which the curve counts and not the times, or waypoints (n, m)."""
+
+_ROOM = 2e-4  # of the half range, kept free: what is planned then keeps its limits with no excess at all
+_REST_POINTS = 401
+_HOPS = (0.15, 0.3)  # of the way's length: how far aside the ways go that a free plan starts from
+
+
+def curve_of(path: Way, outputs: int, name: str) -> PiecewisePolynomial:
+    """Return the curve of a reference or through waypoints; raises `InvalidReference` if it does not fit the scene."""
+    curve = along(path) if isinstance(path, Reference) else through_points(points(path, "waypoint"))
+    if curve.dimension != outputs:
+        raise InvalidReference(f"{name} needs a path with {outputs} components, this one has {curve.dimension}")
+    return curve
+
+
+def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[float, float]]) -> list[Problem]:
+    """Return the problem at the scene's own parameters and at all corners of ranges of some of them."""
+    for name, ends in robust.items():
+        if not (isinstance(ends, tuple | list) and len(ends) == 2 and ends[0] <= ends[1]):
+            raise InvalidSetting(f"the range of {name} must be a smallest and a largest factor, not {ends!r}")
+        if name not in scene.parameter_values():
+            raise InvalidSetting(
+                f"{scene.name} has no parameter {name}; there are {', '.join(scene.parameter_values())}"
+            )
+    own = scene.parameter_values()
+    corners = (
+        [{k: factor * own[k] for k, factor in zip(robust, each, strict=True)} for each in product(*robust.values())]
+        if robust
+        else []
+    )
+    found = [Problem.of(each, model) for each in (scene, *(scene.with_parameters(**corner) for corner in corners))]
+    first = found[0]
+    if not first.flat or first.follow_branch:
+        why = "follows a branch" if first.flat else "has internal dynamics"
+        raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and no plan can be made for it")
+    if first.system.time.numel():
+        raise InvalidModel(f"{scene.name}: its equations hold the time, and no plan can be made for it")
+    if not any(not each.of_path for each in first.limits):
+        raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
+    return found
+
+
+def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
+    """Return what a law along a curve must do; raises `InvalidReference` if a limit cannot be kept at rest."""
+    begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
+    every = [limit_rows(each, begin) for each in corners]
+    for rows, each in zip(every, corners, strict=True):
+        require_at_rest(rows, each, places, _ROOM)
+    orders = 1 + max(length, *(each.order for each in every))
+    s = ca.SX.sym("s", 1, orders)
+    inner = [s[:, k] for k in range(orders)]
+    gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), inner))
+    found, lower = _kept_rows(every, corners, gamma, moving_only=True)
+    return _task(s, found, lower, np.zeros(1), np.ones(1), length, forward=True)
+
+
+def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
+    """Return what a law between two places must do; raises `InvalidReference` if a limit cannot be kept at one."""
+    every = [limit_rows(each, start) for each in corners]
+    for rows, each in zip(every, corners, strict=True):
+        require_at_rest(rows, each, np.array([start, end]), _ROOM)
+    orders = max(2, length, *(each.order for each in every)) + 1
+    gamma = ca.SX.sym("gamma", len(start), orders)
+    found, lower = _kept_rows(every, corners, gamma, moving_only=False)
+    system = corners[0].system
+    clear = ca.Function("sc_clear", [system.gamma, system.p], [space.rows(system.gamma, system.parameters)])
+    padded = ca.horzcat(gamma, ca.SX.zeros(len(start), system.gamma.size2() - orders))
+    away = clear(padded, corners[0].p)
+    lower.append(np.full(away.numel(), -np.inf))
+    return _task(gamma, [*found, away], lower, start, end, length, forward=False)
+
+
+def _kept_rows(
+    every: Sequence[Rows], corners: Sequence[Problem], gamma: ca.SX, *, moving_only: bool
+) -> tuple[list[ca.SX], list[Array]]:
+    found, lower = [], []
+    for rows, each in zip(every, corners, strict=True):
+        kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
+        found.append(rows.function(gamma[:, : rows.order + 1], each.p)[kept.tolist()])
+        lower.append(rows.lower[kept])
+    return found, lower
+
+
+def _task(
+    jets: ca.SX, rows: list[ca.SX], lower: list[Array], start: Array, end: Array, length: int, *, forward: bool
+) -> Task:
+    bounds = np.concatenate(lower)
+    way = float(np.linalg.norm(end - start))
+    sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
+    sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
+    return Task(
+        rows=ca.Function("sc_task", [jets], [ca.densify(ca.vertcat(*rows))], {"cse": True}),
+        lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
+        upper=np.full(len(bounds), 1.0 - _ROOM),
+        start=start,
+        end=end,
+        length=length,
+        peaks=sizes,
+        forward=forward,
+    )
+
+
+def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:
+    """Return laws to start from, the best first."""
+    own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
+    return [
+        (f"{own.name} law", law_of(task, shape_of(own), 1.02 * polynomial, intervals)),
+        (f"{own.name} law, slow", law_of(task, shape_of(own), 3.0 * polynomial, intervals)),
+        ("three-phase law", law_of(task, shape_of(three_phase()), 1.5 * polynomial, intervals)),
+        (f"{far.name} law", law_of(task, shape_of(far), 1.02 * polynomial, intervals)),
+        (f"{own.name} law, fast", law_of(task, shape_of(own), 0.5 * polynomial, intervals)),
+    ]
+
+
+def starts_free(
+    task: Task, corners: Sequence[Problem], space: Space, intervals: int
+) -> tuple[list[tuple[str, Law]], float]:
+    """Return laws to start a free plan from, those that clear all bodies first, and a typical duration."""
+    start, end, found = task.start, task.end, []
+    way = end - start
+    length = float(np.linalg.norm(way))
+    aside = [("the line", np.zeros(len(start)))]
+    for share in _HOPS:
+        for name, direction in _directions(way / length):
+            aside.append((f"a way {share:g} of its length {name}", share * length * direction))
+    for name, offset in aside:
+        middle = (start + end) / 2.0 + offset
+        waypoints = np.array([start, end]) if not offset.any() else np.array([start, middle, end])
+        curve = through_points(waypoints)
+        try:
+            duration = shortest(task_along(curve, corners, task.length), shape_of(smooth_polynomial(task.length)))
+        except LimitBroken:
+            continue
+        if not np.isfinite(duration):
+            continue
+        begun = TimedPath.of(curve, _unit_law(task.length))
+        path = polynomial_path(begun, 1.02 * duration, task.length)
+        jets = path.jet(np.linspace(0.0, path.duration, intervals + 1), task.length).transpose(1, 0, 2)
+        p = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True))
+        clear = space.clearance(path.jet(np.linspace(0.0, path.duration, 201), 2), p.get("gravity", 0.0))
+        found.append((clear <= 0.0, duration, f"law along {name}", sampled_law(jets, path.duration, task.length)))
+    if not found:
+        raise LimitBroken(
+            f"{corners[0].name}: no way was found from which to start: at rest on the line between the ends, and beside"
+            f" it, a limit is broken"
+        )
+    found.sort(key=lambda each: each[:2])
+    return [(name, law) for _, _, name, law in found], found[0][1]
+
+
+def _directions(way: Array) -> list[tuple[str, Array]]:
+    """Return unit vectors across a way: upwards first, then to both sides."""
+    up = np.eye(len(way))[-1]
+    up = up - way * float(up @ way)
+    if len(way) < 2 or np.linalg.norm(up) < 1e-6:
+        return []
+    up /= np.linalg.norm(up)
+    if len(way) != 3:
+        return [("above", up)]
+    left = np.cross(up, way)
+    return [("above", up), ("to the left", left), ("to the right", -left)]
+
+
+def _unit_law(length: int) -> PiecewisePolynomial:
+    """Return a law of one second, only to be replaced."""
+    found = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, 11), length).T[:, :, None]
+    return sampled_law(found, 1.0, length).path()
