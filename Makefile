@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -80,6 +80,9 @@ atlas: $(INSTALLED)  ## measure how integration fails and what survives, into do
 
 planning: $(INSTALLED)  ## plan ten manoeuvres within limits, into docs/planning (a minute)
 	$(RUN) benchmarks.planning
+
+jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (some ten minutes)
+	$(RUN) benchmarks.planning.jobs
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py

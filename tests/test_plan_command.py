@@ -63,6 +63,9 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
         ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=heavy"], "is not NAME=LOW..HIGH"),
         ([*LEVEL, "--limit", "F=200", "--robust", "load=0.9..1.1"], "no parameter load"),
         ([*LEVEL, "--limit", "F=200", "--plot", "p.txt"], "cannot draw p.txt"),
+        ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input, and M_w has none"),
+        ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
+        ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence):

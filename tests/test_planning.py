@@ -188,8 +188,8 @@ def test_a_bar_of_index_seven_has_six_smooth_derivatives():
     assert report.duration < report.degree9
 
 
-def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass():
-    nominal = sc.fastest(CRANE, LINE, DEFAULT, intervals=QUICK)[1].duration
+def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(default_plan):
+    nominal = default_plan[1].duration
     path, report = sc.fastest(CRANE, LINE, DEFAULT, robust={"load_mass": (0.9, 1.1)}, intervals=QUICK)
     assert 1.02 * nominal < report.duration < 1.05 * nominal
     for mass in (90.0, 97.0, 110.0):
@@ -252,10 +252,10 @@ class TestFreeWay:
         assert largest_excess(OVERHEAD, path, {"F": 200.0, "swing": math.radians(15.0)}) <= 0.0
         assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
 
-    def test_without_obstacles_is_no_slower_than_the_line(self):
+    def test_without_obstacles_is_faster_than_known_laws_on_the_line(self):
         way = [(0, -4), (5, -1.5)]
         free = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space(), intervals=COARSE)[1]
-        assert free.duration <= sc.fastest(OVERHEAD, way, self.LIMITS, intervals=COARSE)[1].duration * 1.001
+        assert free.duration < 0.95 * min(free.degree9, free.three_phase)
         assert free.clearance == math.inf
 
     @pytest.mark.parametrize(

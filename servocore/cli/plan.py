@@ -20,6 +20,7 @@ from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
+from servocore.planning.space import Box, Space, Sphere
 from servocore.references.base import Reference
 from servocore.references.csv_file import from_csv
 from servocore.solution import Solution
@@ -99,6 +100,16 @@ Robust = Annotated[
         help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1.",
     ),
 ]
+Free = Annotated[bool, typer.Option("--free", help="Choose the way between --from and --to as well.")]
+KeepOut = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--keep-out",
+        metavar="BODY",
+        help="With --free: 'sphere X Y Z RADIUS' or 'box X Y Z HALF HALF HALF' (m) for load and rope, as many as there"
+        " are.",
+    ),
+]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help=f"Largest time between rows (s). Default: duration/{_ROWS}.")
 ]
@@ -123,6 +134,8 @@ def plan_scene(
     parameters: Parameters = None,
     model: Model = None,
     robust: Robust = None,
+    free: Free = False,
+    keep_out: KeepOut = None,
     step: Step = None,
     output: Output = None,
     plot: Plot = None,
@@ -141,9 +154,13 @@ def plan_scene(
         raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
     bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
     way = _way(subject, start, end, between or [], reference)
+    if keep_out and not free:
+        raise InvalidSetting("--keep-out belongs to --free")
+    dimension = len(subject.model(model).outputs)
+    space = Space(tuple(_body(each, dimension) for each in keep_out or ())) if free else None
     ranges = factors_of_texts(robust or ())
     with PatientProgress("planning") as progress:
-        path, report = fastest(subject, way, bounds, robust=ranges, model=model, progress=progress.describe)
+        path, report = fastest(subject, way, bounds, free=space, robust=ranges, model=model, progress=progress.describe)
         solution = planned_motion(subject, path, bounds, step, model)
         contents: dict[Path, str | bytes] = {}
         if plot is not None:
@@ -195,6 +212,24 @@ def _point(option: str, text: str, names: Sequence[str]) -> list[float]:
     if len(found) != len(names):
         raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
     return found
+
+
+def _body(text: str, dimension: int) -> Sphere | Box:
+    """Return a body from a text; raises `InvalidSetting` if it is none."""
+    kind, *rest = text.replace(",", " ").split() or [""]
+    try:
+        numbers = tuple(float(each) for each in rest)
+    except ValueError:
+        numbers = ()
+    centre, sizes = numbers[:dimension], numbers[dimension:]
+    if kind == "sphere" and len(centre) == dimension and len(sizes) == 1:
+        return Sphere(centre, sizes[0])
+    if kind == "box" and len(centre) == len(sizes) == dimension:
+        return Box(centre, sizes)
+    raise InvalidSetting(
+        f"--keep-out {text!r} is neither 'sphere' with a centre of {dimension} numbers and a radius, nor 'box' with a"
+        f" centre and half sizes"
+    )
 
 
 def _table(scene: Scene, solution: Solution, model: str | None) -> str:
