@@ -225,6 +225,19 @@ def test_the_way_of_a_reference_counts_and_not_its_times():
     )
 
 
+def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner_is_refused():
+    points = np.array([(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)])
+    given = sc.through(points, duration=20)
+    path, report = sc.fastest(CRANE, given, DEFAULT, intervals=COARSE)
+    wanted, found = (each.jet(np.linspace(0, each.duration, 4001), 0)[:, 0] for each in (given, path))
+    away = np.array([np.linalg.norm(found - place, axis=1).min() for place in wanted[::40]])
+    assert 0.0 < report.deviation < 1e-3
+    assert away.max() < report.deviation + 4e-3  # half the distance of neighbours
+    cornered = sc.through([(5, 0, -5), (3, 0, -5), (3, 0.001, -5), (3, 3, -5)], times=[0, 4, 8, 12])
+    with pytest.raises(sc.InvalidReference, match="no smooth curve follows the path"):
+        sc.fastest(CRANE, cornered, DEFAULT)
+
+
 def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer():
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     smooth = rounded(ca.atan2(ca.norm_2(ca.vertcat(x, y)), 2.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import factorial
 from typing import Any
 
@@ -17,7 +18,7 @@ from servocore.references.rest_to_rest import RestToRest
 _DEGREE = 7
 _NATURAL = 4
 _SAMPLES = (9, 13, 17, 25, 33)  # pieces cost time: no more of them than the curve needs
-_DEVIATION = 1e-5  # of the length
+_CLOSE, _CLOSE_ENOUGH = 1e-5, 2e-4  # of the length
 _LOOKED_AT = 2001
 
 
@@ -44,7 +45,9 @@ def through_points(waypoints: Array) -> PiecewisePolynomial:
 
 
 def along(reference: Reference) -> PiecewisePolynomial:
-    """Return the curve that a reference passes through, without its times.
+    """Return the curve that a reference passes through, without its times; its `fit_error` is how far it is from it.
+
+    Paths that rest at an end often begin with a curvature that is infinite there: such an end is smoothed.
 
     Raises
     ------
@@ -68,8 +71,10 @@ def along(reference: Reference) -> PiecewisePolynomial:
         finer = np.interp(np.linspace(0.0, way[-1], 20 * count), way, t)
         s = np.interp(finer, t, way) / way[-1]
         deviation = float(_distance(curve, reference.jet(finer, 0)[:, 0], s).max()) / way[-1]
-        if deviation <= _DEVIATION:
-            return curve
+        if deviation <= _CLOSE:
+            break
+    if deviation <= _CLOSE_ENOUGH:
+        return replace(curve, fit_error=deviation * float(way[-1]))
     raise InvalidReference(
         f"no smooth curve follows the path: a spline of degree {_DEGREE} leaves it by {deviation * way[-1]:.3g} m,"
         f" which a corner or a place where it turns back explains"

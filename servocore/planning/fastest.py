@@ -177,5 +177,6 @@ def _reported(
         iterations=found.iterations,
         rounds=found.rounds,
         start=found.start,
+        deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )

@@ -63,6 +63,8 @@ class PlanReport:
         between two points of the grid.
     start : str
         The law that the solver started from.
+    deviation : float
+        How far the path is from the curve of the reference that was given, in m.
     clearance : float
         Of a plan that chose its way: least distance from what it keeps out of, in m; infinite where there is nothing.
     """
@@ -76,6 +78,7 @@ class PlanReport:
     iterations: int
     rounds: int
     start: str
+    deviation: float = 0.0
     clearance: float = math.inf
 
     @property
@@ -97,6 +100,8 @@ class PlanReport:
             f"grid            {self.grid_error:.2g} s longer on half as many intervals",
             f"solver          {self.status}, {self.iterations} iterations, from {self.start}",
         ]
+        if self.deviation:
+            lines.append(f"curve           followed to {self.deviation:.2g} m")
         if math.isfinite(self.clearance):
             lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [

@@ -15,7 +15,7 @@ EXCESS = 1e-4
 """Of half its range: a limit broken by less counts as kept."""
 
 _ROUNDS = 8
-_FINER = 10
+_FINER, _FINEST = 10, 4800  # between two points of the grid, and at least in all
 _CHECKS = 3
 
 
@@ -81,6 +81,7 @@ def planned(
 def _tightened(program: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:
     """Solve, look on a finer grid, narrow bounds where something went beyond them, and solve again."""
     task, m = program.task, program.checks
+    finer = max(_FINER, -(-_FINEST // (program.intervals * m)))
     narrowed = np.zeros((len(task.upper), program.intervals * m))
     iterations, outcome = 0, Outcome(start, "not run", 0)
     for rounds in range(_ROUNDS):
@@ -88,11 +89,11 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
         iterations += outcome.iterations
         if not outcome.solved:
             return outcome, iterations, rounds
-        parts = np.linspace(0.0, 1.0, _FINER * m + 1)
+        parts = np.linspace(0.0, 1.0, finer * m + 1)
         over = task.excess(outcome.law.jets(parts)).reshape(len(task.upper), program.intervals, -1)
         if over.max() <= EXCESS:
             return outcome, iterations, rounds
-        spans = np.stack([over[:, :, _FINER * j : _FINER * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)
+        spans = np.stack([over[:, :, finer * j : finer * (j + 1) + 1].max(axis=2) for j in range(m)], axis=2)
         after = spans.reshape(len(task.upper), -1)
         before = np.concatenate([np.zeros((len(task.upper), 1)), after[:, :-1]], axis=1)
         worst = np.maximum(after, before)

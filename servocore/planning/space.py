@@ -20,7 +20,15 @@ _PLANNED, _CHECKED = 6, 41  # points on a rope, or on a bridge
 
 @dataclass(frozen=True)
 class Sphere:
-    """All places nearer to a centre than a radius (m)."""
+    """All places nearer to a centre than a radius.
+
+    Parameters
+    ----------
+    centre : tuple of float
+        As many coordinates as the scene has outputs, m.
+    radius : float
+        In m.
+    """
 
     centre: tuple[float, ...]
     radius: float
@@ -41,7 +49,13 @@ class Sphere:
 
 @dataclass(frozen=True)
 class Box:
-    """All places that differ from a centre by less than half its sizes (m), along every axis."""
+    """All places that differ from a centre by less than half sizes, along every axis.
+
+    Parameters
+    ----------
+    centre, half : tuple of float
+        As many numbers as the scene has outputs, m.
+    """
 
     centre: tuple[float, ...]
     half: tuple[float, ...]

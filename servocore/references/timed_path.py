@@ -36,6 +36,7 @@ class TimedPath(Reference):
             dimension=curve.dimension,
             max_order=law.max_order,
             smoothness=min(law.smoothness, curve.smoothness),
+            fit_error=curve.fit_error,
             curve=curve,
             law=law,
         )
