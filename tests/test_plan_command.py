@@ -11,6 +11,7 @@ import pytest
 from command_lines import CommandLine
 
 import crane_fmu.cli
+import servocore as sc
 from servocore.cli import commands
 
 run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
@@ -29,7 +30,21 @@ def read(file):
 
 
 def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
-    result = run("plan", "overhead_crane", *LEVEL, "--limit", "F=200", "--step", 0.05, "-o", "p.csv", "--plot", "p.png")
+    result = run(
+        "plan",
+        "overhead_crane",
+        *LEVEL,
+        "--limit",
+        "F=200",
+        "--step",
+        0.05,
+        "-o",
+        "p.csv",
+        "--plot",
+        "p.png",
+        "--path",
+        "way.csv",
+    )
     assert result.exit_code == 0
     assert "3.46" in result.stdout.splitlines()[0]
     table = read("p.csv")
@@ -40,6 +55,11 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
     assert steps.max() <= 0.05
     assert np.ptp(steps) < 1e-9
     assert Path("p.png").read_bytes().startswith(b"\x89PNG")
+    way = sc.from_csv("way.csv", columns=("x", "z"))
+    again = sc.ExactInversion(sc.scenes.overhead_crane().with_reference(way))(table["time"])
+    assert (
+        np.abs(again - np.column_stack([table["F"], table["M_w"]])).max() < 1e-3
+    )  # of 200 N: round-off by the fourth power of the step
 
 
 def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing():

@@ -22,7 +22,7 @@ from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
 from servocore.planning.space import Box, Space, Sphere
 from servocore.references.base import Reference
-from servocore.references.csv_file import from_csv
+from servocore.references.csv_file import csv_of, from_csv
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
 
@@ -117,6 +117,14 @@ Output = Annotated[
     Path | None,
     typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
 ]
+PathFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--path",
+        metavar="FILE.csv",
+        help="Write the path with its derivatives as well, for --reference of crane-fmu and its LoadTrajectory.fmu.",
+    ),
+]
 Plot = Annotated[
     Path | None,
     typer.Option("--plot", metavar="FILE.png", help=f"Draw what is limited; {', '.join(_PICTURES)} are known."),
@@ -138,6 +146,7 @@ def plan_scene(
     keep_out: KeepOut = None,
     step: Step = None,
     output: Output = None,
+    path_file: PathFile = None,
     plot: Plot = None,
 ) -> None:
     """Find the fastest law along a way that keeps all limits, and write it as a table.
@@ -149,7 +158,7 @@ def plan_scene(
     known that it keeps the limits, is printed when the table goes into a file.
     """
     subject = chosen(scene, parameters)
-    require_places({"--output": output, "--plot": plot}, [parameters, limits, reference])
+    require_places({"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference])
     if plot is not None and plot.suffix.lower() not in _PICTURES:
         raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
     bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
@@ -167,6 +176,8 @@ def plan_scene(
             from servocore.cli.plan_figure import plan_figure  # noqa: PLC0415 - slow to import
 
             contents[plot] = plan_figure(subject.with_limits(**bounds), path, report, plot.suffix[1:].lower())
+    if path_file is not None:
+        contents[path_file] = csv_of(path, [each.name for each in subject.model(model).outputs])
     table = _table(subject, solution, model)
     if output is not None:
         contents[output] = table

@@ -19,7 +19,7 @@ from servocore.references.splines import fewest_samples, sampled, through
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from servocore.references.base import FloatArray
+    from servocore.references.base import FloatArray, Reference
 
 COLUMNS = ("x", "y", "z")
 """Position columns if no others are named: of a load in space."""
@@ -92,6 +92,32 @@ def from_csv(
     if worst is not None:
         _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
     return found
+
+
+def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> str:
+    """Return a path as the text of a file that `from_csv` reads: positions and four derivatives.
+
+    Parameters
+    ----------
+    path : Reference
+        With four derivatives or more.
+    columns : sequence of str
+        Names of the position columns.
+    each : int
+        Rows for every stretch of the path. A polynomial of degree 9 or less comes back but for round-off, which many
+        rows amplify.
+
+    Returns
+    -------
+    str
+        Every number in as many digits as it takes to read back the same one.
+    """
+    ends = path.stretches
+    t = np.append((ends[:-1, None] + np.diff(ends)[:, None] * np.arange(each) / each).ravel(), ends[-1])
+    jets = path.jet(t, len(PREFIXES) - 1)
+    rows = np.column_stack([t, jets.reshape(len(t), -1)])
+    header = ",".join(("time", *(f"{prefix}{name}" for prefix in PREFIXES for name in columns)))
+    return "\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist()), ""])
 
 
 def waypoints_from_csv(
