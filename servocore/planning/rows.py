@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, LimitBroken
-from servocore.model.limits import Limit, Named, reported
+from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.problem import Problem, ResolvedSystem
@@ -174,7 +174,7 @@ def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, flo
 def _has_tip(resolved: ResolvedSystem, limit: Limit) -> bool:
     """Whether a limit compares what is never negative and has no derivative where it is zero, as a length has."""
     system = resolved.system
-    if not isinstance(limit.expression, Named) or not reported(system)[limit.expression.name][0].never_negative:
+    if not isinstance(limit.expression, Named) or not reported_quantities(system)[limit.expression.name].never_negative:
         return False
     expression = limit.on(system)
     function = ca.Function("sc_tip", ca.symvar(expression), [expression])
