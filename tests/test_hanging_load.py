@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import pytest
@@ -23,6 +23,11 @@ CRANES = {
 MODELS = [(name, model) for name, (crane, *_) in CRANES.items() for model in crane().models]
 
 
+def passing_close(warned: bool) -> AbstractContextManager[object]:
+    """Between the instants inputs grow to more than ten times what they are at any: that is told."""
+    return pytest.warns(sc.ServocoreWarning, match="passes close to a pole") if warned else nullcontext()
+
+
 def largest_error(scene: sc.Scene, model: str) -> float:
     """Largest error of a reduced run of 60 steps, of any quantity in relation to its peak."""
     found = sc.solve(scene, sc.Reduced(), step=scene.reference.duration / 60, model=model)
@@ -40,7 +45,8 @@ def test_a_load_that_swings_far_is_solved_exactly(name, model, swing):
     gravity = 4.0 * PEAK / duration**2 / np.tan(np.radians(swing))
     scene = crane().with_reference(sc.rest_to_rest(*level, duration)).with_parameters(gravity=float(gravity))
     assert np.degrees(scene.exact(duration * T)["swing"].max()) == pytest.approx(swing, abs=0.01)
-    assert largest_error(scene, model) < 1e-12
+    with passing_close(swing > 89.0):
+        assert largest_error(scene, model) < 1e-12
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
@@ -50,7 +56,5 @@ def test_a_rope_that_is_nearly_slack_is_solved_exactly(name, model, margin):
     crane, _, downwards = CRANES[name]
     duration = float(np.sqrt(3.0 * PEAK / (9.81 - margin)))
     scene = crane().with_reference(sc.rest_to_rest(*downwards, duration))
-    warned = margin < 0.01
-    close = pytest.warns(sc.ServocoreWarning, match="passes close to a pole") if warned else nullcontext()
-    with close:
+    with passing_close(margin < 0.01):
         assert largest_error(scene, model) < 1e-9
