@@ -24,6 +24,7 @@ _ROUND_OFF = 1e-7  # of the peak: a second difference that says nothing
 _TIMES = 10.0  # the largest value at the instants: a peak that a run hides
 _HUGE = 1e9  # times its typical magnitude: a peak that needs a word though an instant shows it
 _POLE = 1e6  # times the largest value at the instants: it grows without bound
+_FEW_TURNS, _OFTEN = 6, 0.05  # instants at which coordinates turn back, and their share
 _SECTIONS, _ROUNDS = 17, 11
 _NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; nearer a singularity round-off may be all
 
@@ -41,7 +42,9 @@ def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
     standing_out = bend > np.maximum(_STANDS_OUT * _beside(bend), _ROUND_OFF * peaks[:, None])
     standing_out[positive] |= values[positive, 1:-1] <= bend[positive]
     inputs = [row for row, k in enumerate(columns) if solution.channels[k] in problem.system.inputs]
-    standing_out[inputs] |= standing_out[len(columns) :].any(axis=0)  # a coordinate turns back short of a pole
+    turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
+    if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # what spins stands out everywhere, and says nothing
+        standing_out[inputs] |= turning_back
     return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
 
 

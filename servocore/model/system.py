@@ -32,7 +32,6 @@ from servocore.numerics.pivoting import last_good_columns
 MAX_REFERENCE_ORDER = 24
 """Highest derivative of the reference for which a system keeps symbols."""
 
-
 DERIVED = ca.SX()
 """Default of the fields that `MechanicalSystem` makes itself when they are not given."""
 
