@@ -30,6 +30,7 @@ _SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
+_MOST_CONNECTED = 4  # intervals that are looked into where the model gives its motion in closed form
 _SINGULAR_CONDITION = 1e12
 _MUCH_WORSE = 1e6  # than beside it: Newton's method comes no nearer to a singular answer
 _EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
@@ -296,7 +297,9 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
         return states, ""
     branch = Branch.along(problem, states)
     seeming = branch.jumps(t, states)
-    for k in seeming:  # instants far apart seem to jump: look in between
+    for count, k in enumerate(seeming):  # instants far apart seem to jump: look in between
+        if count == _MOST_CONNECTED and branch.is_closed_form(t, states):
+            return states, CLOSED_FORM
         if not np.isfinite(states[:, k : k + 2]).all() or not branch.connects(t[k : k + 2], states[:, k : k + 2]):
             try:
                 found = branch.along_all(t, states)
@@ -357,6 +360,7 @@ def prepared_table(problem: Problem) -> BranchTable | None:
         quick = False
         states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
-    if not how.startswith(FOLLOWED) and quick:
+    branch = Branch.along(problem, kept)
+    if not how.startswith(FOLLOWED) and (quick or branch.is_closed_form(t, kept)):
         return None
-    return BranchTable(Branch.along(problem, kept), t, kept)
+    return BranchTable(branch, t, kept)
