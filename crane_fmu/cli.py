@@ -25,7 +25,7 @@ from servocore.cli.console import (
     table_console,
     write_to_stdout,
 )
-from servocore.files import require_places, write_together
+from servocore.files import PICTURES, require_picture, require_places, write_together
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
@@ -113,7 +113,7 @@ OutputFile = Annotated[
 PlotFile = Annotated[
     Path | None,
     _results("--plot", metavar="FILE.png",
-             help=f"Draw inputs and motion; {', '.join(ff.PICTURES)} are known."),
+             help=f"Draw inputs and motion; {', '.join(PICTURES)} are known."),
 ]  # fmt: skip
 
 _FEEDFORWARD_EXAMPLES = """[bold]Examples[/bold]
@@ -160,8 +160,7 @@ def feedforward(
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
     path = path_request(reference, tolerance, line)
     require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
-    if plot is not None and plot.suffix.lower() not in ff.PICTURES:
-        raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
+    require_picture(plot)
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
@@ -220,8 +219,7 @@ def plan(
     if (reference is None) == (start is None or end is None):
         raise sc.InvalidSetting("the way is given either by --reference or by --from and --to")
     require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
-    if plot is not None and plot.suffix.lower() not in ff.PICTURES:
-        raise sc.InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(ff.PICTURES)}")
+    require_picture(plot)
     scene = sc.scenes.rotary_crane()
     if parameters is not None:
         scene = scene.with_parameters(**sc.read_parameters(parameters, scene))

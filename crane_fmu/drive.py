@@ -13,9 +13,9 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu import feedforward as ff
-from crane_fmu.files import csv_text
 from crane_fmu.run import Array, forgotten_modules
 from crane_fmu.slave.interface import components
+from servocore.files import csv_text
 
 GIVEN, SEEN = ("M_b", "F", "M_w"), ("x", "y", "z")
 """What the plant is given, and what has to be seen of it: the load's position."""
@@ -64,10 +64,9 @@ class Driven:
 
     def table(self) -> str:
         """Return a table as CSV."""
-        columns = {"time": self.t}
-        for k, name in enumerate(SEEN):
-            columns |= {name: self.found[:, k], f"{name}_wanted": self.wanted[:, k]}
-        return csv_text({**columns, "distance": self.distances})
+        names = ["time", *(each for name in SEEN for each in (name, f"{name}_wanted")), "distance"]
+        both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
+        return csv_text(names, [self.t, both, self.distances])
 
 
 def signals(pairs: Sequence[str]) -> dict[str, str]:

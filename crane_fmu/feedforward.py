@@ -14,14 +14,11 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
-from crane_fmu.files import csv_text
 from crane_fmu.slave.lines import straight_line
+from servocore.files import csv_text
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 """Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
-
-PICTURES = (".png", ".svg", ".pdf")
-"""Kinds of files that a picture of the result can be."""
 
 MOST_ROWS = 1e7
 """A table with more rows is taken for a mistake: it would fill the memory first."""
@@ -253,4 +250,4 @@ def limits_given(texts: Sequence[str] | None, file: Path | None) -> dict[str, An
 
 def table(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:
     """Return columns of a solution as the text of a CSV file, in full double precision."""
-    return csv_text({"time": solution.t, **{name: solution[name] for name in columns}})
+    return csv_text(["time", *columns], [solution.t, *[solution[name] for name in columns]])

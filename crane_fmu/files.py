@@ -1,4 +1,4 @@
-"""Tables as texts, files in folders, and folders that appear filled or not at all."""
+"""Files in folders, and folders that appear filled or not at all."""
 
 from __future__ import annotations
 
@@ -8,22 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
 import servocore as sc
-
-
-def csv_text(columns: Mapping[str, npt.NDArray[np.float64]]) -> str:
-    """Return a table as the text of a CSV file, in full double precision.
-
-    Parameters
-    ----------
-    columns : mapping of str to ndarray, shape (n,)
-        By what stands above each.
-    """
-    rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-    return "\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows), ""])
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:

@@ -3,11 +3,37 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
+
 from servocore.errors import InvalidSetting
+
+PICTURES = (".png", ".svg", ".pdf")
+"""Endings of the files that figures are written to."""
+
+
+def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> str:
+    """Return a table as the text of a CSV file; every number in as many digits as it takes to read back the same one.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What stands above the columns.
+    columns : sequence of ndarray, shape (n,) or (n, k)
+        Values beside each other.
+    """
+    rows = np.column_stack(columns).tolist()
+    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows), ""])
+
+
+def require_picture(file: Path | None) -> None:
+    """Raise `InvalidSetting` if a figure is wanted in a file whose ending is not among `PICTURES`."""
+    if file is not None and file.suffix.lower() not in PICTURES:
+        raise InvalidSetting(f"cannot draw {file}: the name must end in {', '.join(PICTURES)}")
 
 
 def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | None] = ()) -> None:

@@ -8,9 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from servocore.files import write_together
+from servocore.files import csv_text, write_together
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
 
@@ -199,7 +197,4 @@ class Solution:
     def to_csv(self, path: str | Path, names: Sequence[str] | None = None) -> None:
         """Write time and trajectories as CSV in full double precision; all of them unless `names` are given."""
         names = self.names if names is None else names
-        table = np.column_stack([self.t, *[self[name] for name in names]])
-        lines = [",".join(("time", *names))]
-        lines += [",".join(repr(float(value)) for value in row) for row in table]
-        write_together({Path(path): "\n".join(lines) + "\n"})
+        write_together({Path(path): csv_text(["time", *names], [self.t, *[self[name] for name in names]])})

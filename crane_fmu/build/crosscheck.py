@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 import servocore as sc
 from crane_fmu.catalogue import NO_STARTS, Starts, at_rest
-from crane_fmu.files import csv_text, put
+from crane_fmu.files import put
 from crane_fmu.run import forgotten_modules, input_rows
+from servocore.files import csv_text
 
 STEP = 0.01
 """Communication step in s that suits each FMU, and the system of all."""
@@ -55,4 +56,5 @@ def _inputs(name: str, path: sc.Reference | None, hold: float) -> npt.NDArray[An
 
 
 def _csv(rows: npt.NDArray[Any]) -> str:
-    return csv_text({f'"{name}"': rows[name] for name in rows.dtype.names or ()})
+    names = rows.dtype.names or ()
+    return csv_text([f'"{name}"' for name in names], [rows[name] for name in names])

@@ -20,8 +20,9 @@ from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
-from crane_fmu.files import csv_text, filled_folder, put
+from crane_fmu.files import filled_folder, put
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, Variable, components
+from servocore.files import csv_text
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -200,6 +201,5 @@ def table_of(path: sc.Reference) -> str:
         raise sc.InvalidReference("only a path made of polynomials can become a table")
     parts = -(-_ROWS // (len(knots) - 1))  # rows between knots let a reader see that the columns fit together
     t = np.interp(np.arange((len(knots) - 1) * parts + 1) / parts, np.arange(len(knots)), knots)
-    rows = path.jet(t, 4).reshape(len(t), -1)
     names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s") for axis in "xyz")]
-    return csv_text(dict(zip(names, [t, *rows.T], strict=True)))
+    return csv_text(names, [t, path.jet(t, 4).reshape(len(t), -1)])

@@ -15,7 +15,7 @@ from typer.core import TyperCommand
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, write_to_stdout
 from servocore.errors import InvalidSetting
-from servocore.files import require_places, write_together
+from servocore.files import PICTURES, csv_text, require_picture, require_places, write_together
 from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
@@ -39,7 +39,6 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?")
 _POINTS = ("--from", "--to", "--by")
 _ROWS = 200
 _MOST_ROWS = 1e7
-_PICTURES = (".png", ".svg", ".pdf")
 
 
 class PointsCommand(TyperCommand):
@@ -127,7 +126,7 @@ PathFile = Annotated[
 ]
 Plot = Annotated[
     Path | None,
-    typer.Option("--plot", metavar="FILE.png", help=f"Draw what is limited; {', '.join(_PICTURES)} are known."),
+    typer.Option("--plot", metavar="FILE.png", help=f"Draw what is limited; {', '.join(PICTURES)} are known."),
 ]
 
 
@@ -159,8 +158,7 @@ def plan_scene(
     """
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference])
-    if plot is not None and plot.suffix.lower() not in _PICTURES:
-        raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
+    require_picture(plot)
     bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
     way = _way(subject, start, end, between or [], reference)
     if keep_out and not free:
@@ -248,5 +246,4 @@ def _table(scene: Scene, solution: Solution, model: str | None) -> str:
     system = scene.model(model)
     named = [*system.inputs, *system.observables, *system.outputs]
     names = list(dict.fromkeys(each.name for each in named if each.name in solution))
-    table = np.column_stack([solution.t, *[solution[name] for name in names]])
-    return "\n".join([",".join(("time", *names)), *(",".join(map(repr, row)) for row in table.tolist()), ""])
+    return csv_text(["time", *names], [solution.t, *[solution[name] for name in names]])

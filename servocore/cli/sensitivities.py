@@ -12,8 +12,7 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.errors import InvalidSetting
-from servocore.files import require_places, write_together
+from servocore.files import PICTURES, require_picture, require_places, write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.references.csv_file import from_csv
 
@@ -23,7 +22,6 @@ EXAMPLES = """[bold]Examples[/bold]
 
 [cyan]servocore sensitivities overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png[/cyan]
 """
-_PICTURES = (".png", ".svg", ".pdf")
 
 SceneName = Annotated[
     str,
@@ -48,7 +46,7 @@ Step = Annotated[
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="All derivatives over time.")]
 Plot = Annotated[
     Path | None,
-    typer.Option("--plot", metavar="FILE.png", help=f"Draw effects of one per cent; {', '.join(_PICTURES)} are known."),
+    typer.Option("--plot", metavar="FILE.png", help=f"Draw effects of one per cent; {', '.join(PICTURES)} are known."),
 ]
 
 
@@ -70,8 +68,7 @@ def show_sensitivities(
     """
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--plot": plot}, [parameters, reference])
-    if plot is not None and plot.suffix.lower() not in _PICTURES:
-        raise InvalidSetting(f"cannot draw {plot}: the name must end in {', '.join(_PICTURES)}")
+    require_picture(plot)
     if reference is not None:
         subject = subject.with_reference(from_csv(reference, columns=[e.name for e in subject.model().outputs]))
     with PatientProgress("differentiating"):

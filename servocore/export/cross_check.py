@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from servocore.export.inverse_model import InverseModel
+from servocore.files import csv_text
 from servocore.model.scene import Scene
 from servocore.numerics.calls import Array
 from servocore.solution import Solution
@@ -47,6 +48,4 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
 
 
 def _csv(names: list[str], t: Array, columns: Array) -> str:
-    rows = [",".join(f'"{name}"' for name in ("time", *names))]
-    rows += [",".join(map(repr, row)) for row in np.column_stack([t, columns]).tolist()]
-    return "\n".join(rows) + "\n"
+    return csv_text([f'"{name}"' for name in ("time", *names)], [t, columns])

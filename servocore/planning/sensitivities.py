@@ -11,6 +11,7 @@ import numpy as np
 from servocore.checks.instants import time_grid
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidSetting
+from servocore.files import csv_text
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, at_instants
@@ -65,8 +66,7 @@ class Sensitivities:
     def table(self) -> str:
         """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass."""
         names = [f"{each.name}/{parameter}" for each in self.quantities for parameter in self.parameters]
-        rows = np.column_stack([self.t, self.values.reshape(len(self.t), -1)])
-        return "\n".join([",".join(("time", *names)), *(",".join(map(repr, row)) for row in rows.tolist()), ""])
+        return csv_text(["time", *names], [self.t, self.values.reshape(len(self.t), -1)])
 
 
 def sensitivities(

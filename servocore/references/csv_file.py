@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind
+from servocore.files import csv_text
 from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
@@ -115,9 +116,8 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> 
     ends = path.stretches
     t = np.append((ends[:-1, None] + np.diff(ends)[:, None] * np.arange(each) / each).ravel(), ends[-1])
     jets = path.jet(t, len(PREFIXES) - 1)
-    rows = np.column_stack([t, jets.reshape(len(t), -1)])
-    header = ",".join(("time", *(f"{prefix}{name}" for prefix in PREFIXES for name in columns)))
-    return "\n".join([header, *(",".join(map(repr, row)) for row in rows.tolist()), ""])
+    names = ["time", *(f"{prefix}{name}" for prefix in PREFIXES for name in columns)]
+    return csv_text(names, [t, jets.reshape(len(t), -1)])
 
 
 def waypoints_from_csv(
