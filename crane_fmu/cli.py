@@ -20,10 +20,10 @@ from servocore.cli.console import (
     SETTINGS,
     PatientProgress,
     SentenceGroup,
+    deliver,
     end_as_of_no_use,
     held_notes,
     table_console,
-    write_to_stdout,
 )
 from servocore.files import PICTURES, require_picture, require_places, write_together
 
@@ -174,11 +174,7 @@ def feedforward(
             from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
 
             contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower(), solution.route)
-    if output is not None:
-        contents[output] = table
-    write_together(contents)
-    if output is None:
-        write_to_stdout(table)
+    deliver(table, output, contents)
     if far_off:
         end_as_of_no_use(NAME, far_off)
 
@@ -233,14 +229,7 @@ def plan(
             from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
 
             contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower(), solution.route)
-    table = ff.table(solution, (*ff.COLUMNS, "swing"))
-    if output is not None:
-        contents[output] = table
-    write_together(contents)
-    if output is None:
-        write_to_stdout(table)
-    else:
-        print(report)
+    deliver(ff.table(solution, (*ff.COLUMNS, "swing")), output, contents, report)
 
 
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]

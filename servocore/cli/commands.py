@@ -23,6 +23,7 @@ from servocore.cli.export import export_scene
 from servocore.cli.level import Level
 from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.cli.options import Model, Parameters
 from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
 from servocore.cli.plan import PointsCommand, plan_scene
 from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
@@ -49,16 +50,6 @@ motions, and export them for other tools. Inputs are computed from Python
 
 _SCENE = typer.Argument(metavar="SCENE", help=f"One of {', '.join(REGISTRY)}.", show_default=False)
 SceneName = Annotated[str, _SCENE]
-ModelName = Annotated[
-    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
-]
-ParametersFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--parameters", metavar="FILE.toml",
-        help="Other data in SI units, one line each, such as load_mass = 80.0; what is left out keeps its default.",
-    ),
-]  # fmt: skip
 
 
 @app.callback()
@@ -105,7 +96,7 @@ _ANALYSE_EXAMPLES = """[bold]Examples[/bold]
 
 
 @app.command("analyse", epilog=_ANALYSE_EXAMPLES)
-def analyse_scene(scene: SceneName, model: ModelName = None, parameters: ParametersFile = None) -> None:
+def analyse_scene(scene: SceneName, model: Model = None, parameters: Parameters = None) -> None:
     """Say what kind of problem a scene is, before anything is solved.
 
     Prints index, internal dynamics with their eigenvalues, classification, what
@@ -153,7 +144,7 @@ MarkdownFile = Annotated[
 def show_levels(
     scene: OptionalScene = None,
     every: AllScenes = False,
-    parameters: ParametersFile = None,
+    parameters: Parameters = None,
     instants: Instants = 1000,
     csv: CsvFile = None,
     markdown: MarkdownFile = None,

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
@@ -18,6 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from typer.core import TyperGroup
 
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
+from servocore.files import write_together
 
 OF_NO_USE, REFUSED = 1, 2
 """Exit codes beside 0."""
@@ -128,6 +130,27 @@ def table_console() -> Console:
     if not console.is_terminal:
         console.width = max(console.width, WIDE)
     return console
+
+
+def deliver(table: str, output: Path | None, beside: Mapping[Path, str | bytes], report: object = "") -> None:
+    """Write a table where it is wanted, and what goes beside it.
+
+    Parameters
+    ----------
+    table : str
+        For the file `output`, or for the standard output stream if that is None.
+    output : Path or None
+        Where the table goes.
+    beside : mapping of Path to str or bytes
+        Other files, which appear together with it.
+    report : object
+        Printed where the table went into a file.
+    """
+    write_together(beside if output is None else {**beside, output: table})
+    if output is None:
+        write_to_stdout(table)
+    elif report:
+        print(report)
 
 
 def write_to_stdout(text: str) -> None:

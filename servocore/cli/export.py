@@ -9,6 +9,7 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress
+from servocore.cli.options import Model, Parameters, SceneName
 from servocore.errors import InvalidSetting
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
@@ -28,19 +29,8 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore export cars --parameters heavy.toml --c cars_source[/cyan]
 """
 
-Scene = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
-]
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.fmu", help="The FMU to write.")]
 Version = Annotated[int, typer.Option("--fmi", metavar="2|3", help="Version of FMI.")]
-Model = Annotated[
-    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
-]
-Parameters = Annotated[
-    Path | None,
-    typer.Option("--parameters", metavar="FILE.toml", help="Other start values of parameters in SI units."),
-]
 Targets = Annotated[
     str | None,
     typer.Option(
@@ -59,7 +49,7 @@ Folder = Annotated[
 
 
 def export_scene(
-    scene: Scene,
+    scene: SceneName,
     output: Output = None,
     fmi: Version = 3,
     model: Model = None,

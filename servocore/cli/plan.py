@@ -13,9 +13,10 @@ import typer
 from typer.core import TyperCommand
 
 from servocore.cli.choice import chosen
-from servocore.cli.console import PatientProgress, write_to_stdout
+from servocore.cli.console import PatientProgress, deliver
+from servocore.cli.options import Model, Parameters, SceneName
 from servocore.errors import InvalidSetting
-from servocore.files import PICTURES, csv_text, require_picture, require_places, write_together
+from servocore.files import PICTURES, csv_text, require_picture, require_places
 from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
@@ -59,10 +60,6 @@ class PointsCommand(TyperCommand):
         return found
 
 
-SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
-]
 Start = Annotated[
     str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
 ]
@@ -85,12 +82,6 @@ LimitTexts = Annotated[
     ),
 ]
 LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
-Model = Annotated[
-    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
-]
-Parameters = Annotated[
-    Path | None, typer.Option("--parameters", metavar="FILE.toml", help="Other data of the scene in SI units.")
-]
 Robust = Annotated[
     list[str] | None,
     typer.Option(
@@ -176,14 +167,7 @@ def plan_scene(
             contents[plot] = plan_figure(subject.with_limits(**bounds), path, report, plot.suffix[1:].lower())
     if path_file is not None:
         contents[path_file] = csv_of(path, [each.name for each in subject.model(model).outputs])
-    table = _table(subject, solution, model)
-    if output is not None:
-        contents[output] = table
-    write_together(contents)
-    if output is None:
-        write_to_stdout(table)
-    else:
-        print(report)
+    deliver(_table(subject, solution, model), output, contents, report)
 
 
 def planned_motion(

@@ -12,6 +12,7 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, table_console
+from servocore.cli.options import Model, Parameters, SceneName
 from servocore.files import PICTURES, require_picture, require_places, write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.references.csv_file import from_csv
@@ -23,22 +24,12 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore sensitivities overhead_crane --wrt load_mass --output by_mass.csv --plot by_mass.png[/cyan]
 """
 
-SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
-]
 ByParameters = Annotated[
     list[str] | None, typer.Option("--wrt", metavar="NAME", help="A parameter, any number of times. Default: all.")
 ]
 ReferenceFile = Annotated[
     Path | None,
     typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
-]
-Model = Annotated[
-    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
-]
-Parameters = Annotated[
-    Path | None, typer.Option("--parameters", metavar="FILE.toml", help="Other data of the scene in SI units.")
 ]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
