@@ -17,7 +17,16 @@ import numpy as np
 from servocore.errors import InvalidModel, require_kind
 from servocore.model.potentials import Energy
 from servocore.model.quantity import Quantity
-from servocore.model.rotationless.parts import Frame, RigidBody, Scalar, frame_of, number, position_quantities, turned
+from servocore.model.rotationless.parts import (
+    Frame,
+    Scalar,
+    frame_of,
+    frame_quantities,
+    number,
+    orthonormality,
+    position_quantities,
+    turned,
+)
 from servocore.model.symbols import Parameters
 
 _NODE = 12  # coordinates of a node with directors
@@ -88,7 +97,7 @@ class Beam:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All coordinates, node by node."""
-        return tuple(each for node in self.nodes for each in RigidBody(node, 0.0, (0.0, 0.0, 0.0)).quantities)
+        return tuple(each for node in self.nodes for each in frame_quantities(node))
 
     @property
     def mass(self) -> Scalar:
@@ -112,8 +121,7 @@ class Beam:
 
     def internal_constraints(self, q: ca.SX) -> ca.SX:
         """Return the orthonormality of the directors of all nodes, shape (6 (N + 1),)."""
-        body, count = RigidBody(self.name, 0.0, (0.0, 0.0, 0.0)), self.elements + 1
-        return ca.vertcat(*[body.internal_constraints(q[_NODE * k : _NODE * (k + 1)]) for k in range(count)])
+        return ca.vertcat(*[orthonormality(each) for each in ca.vertsplit(q, _NODE)])
 
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all strains: six an element."""

@@ -51,10 +51,7 @@ class RigidBody:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """The twelve coordinates."""
-        return (
-            *position_quantities(self.name),
-            *(Quantity(f"{self.name}.d{k}_{axis}") for k in (1, 2, 3) for axis in _AXES),
-        )
+        return frame_quantities(self.name)
 
     @property
     def mass_matrix(self) -> ca.SX:
@@ -94,11 +91,7 @@ class RigidBody:
 
     def internal_constraints(self, q: ca.SX) -> ca.SX:
         """Return d_i . d_j = delta_ij, shape (6,)."""
-        d1, d2, d3 = ca.horzsplit(frame_of(q).directors)
-        return ca.vertcat(
-            ca.dot(d1, d1) - 1, ca.dot(d2, d2) - 1, ca.dot(d3, d3) - 1,
-            ca.dot(d2, d3), ca.dot(d3, d1), ca.dot(d1, d2),
-        )  # fmt: skip
+        return orthonormality(q)
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if at default parameters no distribution of mass has these moments."""
@@ -231,6 +224,15 @@ def frame_of(q: ca.SX) -> Frame:
     return Frame(q[:3], ca.reshape(q[3:], 3, 3))
 
 
+def orthonormality(q: ca.SX) -> ca.SX:
+    """Return d_i . d_j - delta_ij, shape (6,), of the directors among twelve coordinates `q`."""
+    d1, d2, d3 = ca.horzsplit(frame_of(q).directors)
+    return ca.vertcat(
+        ca.dot(d1, d1) - 1, ca.dot(d2, d2) - 1, ca.dot(d3, d3) - 1,
+        ca.dot(d2, d3), ca.dot(d3, d1), ca.dot(d1, d2),
+    )  # fmt: skip
+
+
 def turned(axis: Sequence[float], angle: Scalar) -> ca.SX:
     """Return directors turned by `angle` (rad) about `axis`, which must not be zero, shape (3, 3)."""
     e, angle = _unit(axis, "axis"), as_expression(angle, "the angle")
@@ -271,6 +273,12 @@ def _vector(components: Sequence[Scalar]) -> ca.SX:
 def position_quantities(name: str) -> tuple[Quantity, ...]:
     """Return the three coordinates of a position."""
     return tuple(Quantity(f"{name}.{axis}", "m") for axis in _AXES)
+
+
+def frame_quantities(name: str) -> tuple[Quantity, ...]:
+    """Return the twelve coordinates of a frame: a position and three directors."""
+    directors = (Quantity(f"{name}.d{k}_{axis}") for k in (1, 2, 3) for axis in _AXES)
+    return (*position_quantities(name), *directors)
 
 
 def number(expression: Any, parameters: Parameters) -> Array:
