@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, Call, mapped
+from servocore.numerics.turns import shortest_turn
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.program import Program
 
@@ -98,7 +99,7 @@ class _Angular:
 
 def _turns(steps: Array, angle: Array, rate: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the shortest turns between instants `steps` apart, and where they may be another: too large, too fast."""
-    shortest = (np.diff(angle) + np.pi) % (2 * np.pi) - np.pi
+    shortest = shortest_turn(np.diff(angle))
     predicted = steps * np.maximum(np.abs(rate[1:]), np.abs(rate[:-1]))
     return shortest, ~(np.maximum(np.abs(shortest), predicted) < _QUARTER_TURN)
 

@@ -60,16 +60,24 @@ def require_limits(problem: Problem, states: States) -> None:
     states : callable
         Its exact inversion at any instants of the path.
     """
-    limits = motion_limits(problem)
-    watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
+    limits, watched = motion_limits(problem), watched_limits(problem)
     _require_derivatives(problem, limits, watched)
 
     def evaluate(t: Array) -> Array:
-        jets = problem.reference.jet(t, watched.order)
-        (found,) = at_instants(watched.function, states(t), jets=jets, p=problem.p)
-        return found
+        return watched.values(problem, t, states(t))
 
     _Survey(problem.name, limits, watched.wraps, evaluate).require(survey(problem.reference))
+
+
+def limited_values(problem: Problem, states: States, t: Array) -> Array:
+    """Return what the `motion_limits` of a flat problem compare, (limits, N), at instants (N,); angles without jumps.
+
+    `states` is its exact inversion at any instants of the path.
+    """
+    watched = watched_limits(problem)
+    values = watched.values(problem, t, states(t))
+    angles = np.array(watched.wraps, dtype=bool)
+    return np.where(angles[:, None], np.unwrap(values, axis=1), values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +100,17 @@ class Watched:
     order: int
     needs: tuple[int, ...]
     wraps: tuple[bool, ...]
+
+    def values(self, problem: Problem, t: Array, states: Array) -> Array:
+        """Return the values (limits, N) at instants (N,) where the unknowns of the derivative array are (size, N)."""
+        (found,) = at_instants(self.function, states, jets=problem.reference.jet(t, self.order), p=problem.p)
+        return found
+
+
+def watched_limits(problem: Problem) -> Watched:
+    """Return what the `motion_limits` of a flat problem compare."""
+    wanted = tuple((each.expression, each.rate) for each in motion_limits(problem))
+    return problem.resolved.once(compile_watched, wanted)
 
 
 def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], ...]) -> Watched:

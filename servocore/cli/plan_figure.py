@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from servocore.checks.motion_limits import compile_watched, motion_limits
+from servocore.checks.motion_limits import limited_values, motion_limits
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.calls import Array
 from servocore.planning.laws import polynomial_path
 from servocore.planning.report import PlanReport
 from servocore.planning.sensitivities import Sensitivities
@@ -70,10 +70,7 @@ def _limited(problem: Problem) -> tuple[tuple[Limit, ...], Array, Array]:
     """Return limits, instants, and the quantities there (limits, N)."""
     limits, path = motion_limits(problem), problem.reference
     t = np.linspace(path.start_time, path.end_time, _INSTANTS)
-    watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
-    jets = path.jet(t, watched.order)
-    (values,) = at_instants(watched.function, exact_states(problem, prepared_table(problem))(t), jets=jets, p=problem.p)
-    return limits, t, values
+    return limits, t, limited_values(problem, exact_states(problem, prepared_table(problem)), t)
 
 
 def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array, factor: float) -> None:

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.limits import require_feasible
-from servocore.checks.motion_limits import compile_watched, motion_limits
+from servocore.checks.motion_limits import limited_values, motion_limits
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.calls import Array
 from servocore.planning.report import Active, Certificate
 from servocore.problem import Problem
 from servocore.solvers.following import prepared_table
@@ -31,12 +31,9 @@ def _certify(problem: Problem) -> Certificate:
     require_feasible(problem)
     limits, path = motion_limits(problem), problem.reference
     t = np.linspace(path.start_time, path.end_time, _INSTANTS)
-    watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
-    states, jets = exact_states(problem, prepared_table(problem))(t), path.jet(t, watched.order)
-    (values,) = at_instants(watched.function, states, jets=jets, p=problem.p)
+    values = limited_values(problem, exact_states(problem, prepared_table(problem)), t)
     worst, name, active = -np.inf, "", list[Active]()
-    for limit, wraps, row in zip(limits, watched.wraps, values, strict=True):
-        quantity = np.unwrap(row) if wraps else row
+    for limit, quantity in zip(limits, values, strict=True):
         for bound, over in sides(limit, quantity):
             excess = float(
                 np.max(np.where(np.isnan(over) & limit.rate, -np.inf, np.where(np.isnan(over), np.inf, over)))

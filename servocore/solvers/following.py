@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, Call, at_instants, side_by_side
+from servocore.numerics.turns import shortest_turn
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
@@ -81,17 +82,13 @@ class Taylor:
         n, wraps = len(self.q), self.wraps.any()
         miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
         for each in miss if wraps else ():
-            each[self.wraps] = _shortest_turn(each[self.wraps])
+            each[self.wraps] = shortest_turn(each[self.wraps])
         moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
         moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
         worst = np.maximum(*np.abs(miss))
         # Not <=, so that NaN counts as apart.
         found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, _SLIGHT * scale[:, None])).all(axis=0)
         return found
-
-
-def _shortest_turn(angle: Array) -> Array:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
@@ -182,7 +179,7 @@ class Branch:
         IntegrationFailed
             If the equations determine no answer at one of some `instants`, or beside a sign that changes.
         """
-        matrices = self._jacobians_at(t, states)
+        matrices = system_jacobians(self.problem, t, states)
         # Scaled by the whole path: at a single instant scaling hides an equation that loses all its terms there.
         for axes in ((0, 2), (0, 1)):
             largest = np.abs(matrices).max(axis=axes, keepdims=True)
@@ -215,7 +212,7 @@ class Branch:
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
-        matrices = self._jacobians_at(t, states)
+        matrices = system_jacobians(self.problem, t, states)
         signs, _ = np.linalg.slogdet(matrices)
         return bool((signs == signs[0]).all()) and all(
             condition_number(each) < _SINGULAR_CONDITION for each in matrices
@@ -228,7 +225,7 @@ class Branch:
         except IntegrationFailed:
             return False
         off = found[self.taylor.q] - states[self.taylor.q, 1]
-        off[self.taylor.wraps] = _shortest_turn(off[self.taylor.wraps])
+        off[self.taylor.wraps] = shortest_turn(off[self.taylor.wraps])
         return bool((np.abs(off) <= _SLIGHT * self.scale).all())
 
     def along_all(self, t: Array, states: Array) -> Array:
@@ -250,14 +247,6 @@ class Branch:
             found[:, k] = self.follow(found[:, k - 1], float(t[k - 1]), float(t[k]))
         return found
 
-    def _jacobians_at(self, t: Array, states: Array) -> Array:
-        """Return the system Jacobians, shape (N, size, size), zeros for what is not finite."""
-        problem = self.problem
-        jets = problem.reference.jet(t, problem.array.reference_order)
-        (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
-        matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
-        return matrices
-
     def _continued(self, state: Array, begin: float, end: float) -> Array | None:
         found = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
         if found is None:
@@ -270,6 +259,24 @@ class Branch:
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
         found, _, residual = self.search(jet, problem.p, guess)
         return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
+
+
+def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
+    """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose derivative array they belong to.
+    t : ndarray, shape (N,)
+        Instants.
+    states : ndarray, shape (unknowns of the array, N)
+        Its unknowns there.
+    """
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
+    matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
+    return matrices
 
 
 def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:

@@ -35,7 +35,7 @@ from servocore.solvers.loop import Progress, step_of
 from servocore.solvers.route import Route
 from servocore.solvers.solved_again import solved_again, solved_beside, unknowns_beside
 from servocore.solvers.state_selection import StateSelection
-from servocore.solvers.within_limits import margins_left, run_within_limits, survey_between
+from servocore.solvers.within_limits import run_within_limits, survey_between
 from servocore.stepping.arguments import require_callable, require_formulation, require_method, require_number
 from servocore.stepping.given_starts import require_start
 from servocore.structure.inversion import inversion
@@ -132,8 +132,7 @@ def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
     if not warned and len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
         survey_between(problem, _at_more_instants(problem), unknowns_beside)
     branch = _branch(problem, route, solution) + passed
-    statistics = replace(solution.statistics, branch=branch)
-    return replace(solution, statistics=statistics, margins=margins_left(problem, solution))
+    return replace(solution, statistics=replace(solution.statistics, branch=branch))
 
 
 def _at_more_instants(problem: Problem) -> Solution:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
 
@@ -13,19 +13,20 @@ from servocore.checks.motion_limits import (
     States,
     compile_watched,
     judged,
+    limited_values,
     motion_limits,
     require_limits,
     require_reported,
     with_watched,
 )
 from servocore.errors import IntegrationFailed
-from servocore.model.limits import Named
+from servocore.model.limits import Limit, Named
 from servocore.numerics.calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Margin, Solution
-from servocore.solvers.following import BranchTable, prepared_table
+from servocore.solvers.following import BranchTable, prepared_table, system_jacobians
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
 
 def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
@@ -34,15 +35,20 @@ def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> S
     Without internal dynamics the limits are kept at all times. With them, and where a branch is followed from instant
     to instant, they are kept at the instants of the run.
     """
-    if not motion_limits(problem):
+    limits = motion_limits(problem)
+    if not limits:
         return run(problem)
     if not problem.flat or problem.follow_branch:
         watched = with_watched(problem)
-        return judged(watched, run(watched))
+        solution = judged(watched, run(watched))
+        reported = [(each, solution[each.quantity]) for each in limits if each.quantity in solution]
+        return replace(solution, margins=_margins(reported, solution.t))
     solution = run(problem)
-    require_exact_within_limits(problem, prepared_table(problem))
+    states = exact_states(problem, prepared_table(problem))
+    require_limits(problem, states)
     require_reported(problem, solution)
-    return solution
+    exact = limited_values(problem, states, solution.t)
+    return replace(solution, margins=_margins(zip(limits, exact, strict=True), solution.t))
 
 
 def require_exact_within_limits(problem: Problem, table: BranchTable | None) -> None:
@@ -59,28 +65,10 @@ def require_exact_within_limits(problem: Problem, table: BranchTable | None) -> 
         require_limits(problem, exact_states(problem, table))
 
 
-def margins_left(problem: Problem, solution: Solution) -> dict[str, Margin]:
-    """Return what limits leave at the instants of a solution, by name.
-
-    Without internal dynamics the exact motion tells all of them; elsewhere those of what the solution reports.
-    """
-    limits, t = motion_limits(problem), solution.t
-    if not limits:
-        return {}
-    if problem.flat and not problem.follow_branch:
-        watched = problem.resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits))
-        states = exact_states(problem, prepared_table(problem))(t)
-        jets = problem.reference.jet(t, watched.order)
-        (values,) = at_instants(watched.function, states, jets=jets, p=problem.p)
-        known = {
-            k: np.unwrap(row) if wraps else row
-            for k, (row, wraps) in enumerate(zip(values, watched.wraps, strict=True))
-        }
-    else:
-        known = {k: solution[each.quantity] for k, each in enumerate(limits) if each.quantity in solution}
+def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Margin]:
+    """Return what limits leave of their quantities, known at instants `t`, by name."""
     found = {}
-    for k, values in known.items():
-        limit = limits[k]
+    for limit, values in limited:
         left = np.minimum(values - limit.bound, limit.upper - values)
         least = int(np.nanargmin(left))
         bound = limit.bound if values[least] - limit.bound < limit.upper - values[least] else limit.upper
@@ -106,11 +94,8 @@ def _require_regular(problem: Problem, solution: Solution, states: Array, suspec
 
     `states` are all unknowns (size, N) at the instants of the solution.
     """
-    t, p, order = solution.t, problem.p, problem.array.reference_order
-    jets = problem.reference.jet(t, order)
-    (matrices,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=p)
-    size = problem.resolved.once(system_jacobian).size1_out(0)
-    signs, _ = np.linalg.slogdet(np.nan_to_num(matrices.reshape(size, len(t), size).transpose(1, 0, 2)))
+    t = solution.t
+    signs, _ = np.linalg.slogdet(system_jacobians(problem, t, states))
     for channel, k in suspected:
         for first in range(max(0, k - 2), min(len(t) - 1, k + 2)):
             if signs[first] * signs[first + 1] < 0.0:

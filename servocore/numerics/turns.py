@@ -1,0 +1,14 @@
+"""Angles that are known up to full turns only."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def shortest_turn(angle: Array) -> Array:
+    """Return angles (rad) less the full turns in them: in [-pi, pi)."""
+    found: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return found
