@@ -8,6 +8,7 @@ until the polynomials agree or the interval has shrunk to nothing.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,7 +19,7 @@ from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, Call, at_instants, side_by_side
 from servocore.numerics.turns import shortest_turn
 from servocore.problem import Problem, ResolvedSystem
-from servocore.structure.derivative_array import DerivativeArray
+from servocore.solvers.taylor import SLIGHT, Taylor
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
 from servocore.structure.signature import condition_number
 
@@ -26,8 +27,6 @@ CONTINUOUS = "one: every instant, solved from the guess of the model, continues 
 FOLLOWED = "one: followed from instant to instant"
 CLOSED_FORM = "one: the closed form of the model at every instant, which turns too often between them to be followed"
 
-_APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
-_SLIGHT = 1e-3  # of the range of a coordinate: a miss that says nothing
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
@@ -36,78 +35,7 @@ _SINGULAR_CONDITION = 1e12
 _MUCH_WORSE = 1e6  # than beside it: Newton's method comes no nearer to a singular answer
 _EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
 _SURVEYED = 400  # instants at least, to tell whether guesses keep to one branch
-_NONE = np.zeros(0, dtype=np.intp)
-
-Powers = tuple[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Taylor:
-    """Taylor polynomials of all unknowns of a derivative array, from the unknowns themselves.
-
-    Attributes
-    ----------
-    powers : tuple of (ndarray, ndarray)
-        For every power of time: places of unknowns, and places of the derivatives that are their coefficients.
-    of_q : tuple of (ndarray, ndarray)
-        The same for the coordinates alone, by their number.
-    q, rates : ndarray
-        Places of the coordinates and of their velocities.
-    wraps : ndarray of bool
-        Which coordinates are known up to full turns only.
-    """
-
-    powers: Powers
-    of_q: Powers
-    q: npt.NDArray[np.intp]
-    rates: npt.NDArray[np.intp]
-    wraps: npt.NDArray[np.bool_]
-
-    @classmethod
-    def of(cls, array: DerivativeArray) -> Taylor:
-        """Find the places in an array."""
-        n, quantities = len(array.system.coordinates), array.system.coordinates.quantities
-        q, rates = (np.array(array.places((k, order) for k in range(n)), dtype=np.intp) for order in (0, 1))
-        wraps = np.array([each.wraps for each in quantities], dtype=bool)
-        positions = tuple((k, 0) for k in range(n))
-        return cls(_powers(array, array.unknowns), _powers(array, positions), q, rates, wraps)
-
-    def ahead(self, y: Array, h: Array | float) -> Array:
-        """Return the unknowns (size, N) as they would be `h` later."""
-        return _summed(self.powers, y, h, len(y))
-
-    def apart(self, first: Array, last: Array, h: Array, scale: Array) -> npt.NDArray[np.bool_]:
-        """Whether neighbours (size, N), `h` apart, belong to two motions; `scale` is the range of the coordinates."""
-        q0, q1 = first[self.q], last[self.q]
-        n, wraps = len(self.q), self.wraps.any()
-        miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
-        for each in miss if wraps else ():
-            each[self.wraps] = shortest_turn(each[self.wraps])
-        moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
-        moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
-        worst = np.maximum(*np.abs(miss))
-        # Not <=, so that NaN counts as apart.
-        found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, _SLIGHT * scale[:, None])).all(axis=0)
-        return found
-
-
-def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
-    place = {each: k for k, each in enumerate(array.unknowns)}
-    found = []
-    for power in range(max(order for _, order in array.unknowns) + 1):
-        known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]
-        to, of = (np.array(each, dtype=np.intp) for each in zip(*known, strict=True)) if known else (_NONE, _NONE)
-        found.append((to, of))
-    return tuple(found)
-
-
-def _summed(powers: Powers, y: Array, h: Array | float, size: int) -> Array:
-    """Return the sums of `powers` at `h`, shape (size, N)."""
-    found, factor = np.zeros((size, y.shape[1])), 1.0 + 0.0 * np.asarray(h)
-    for power, (to, of) in enumerate(powers):
-        factor = factor * h / power if power else factor
-        found[to] += y[of] * factor
-    return found
+_LOOKED_AT = 17  # instants, for the sign of a determinant
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +107,7 @@ class Branch:
         IntegrationFailed
             If the equations determine no answer at one of some `instants`, or beside a sign that changes.
         """
-        matrices = system_jacobians(self.problem, t, states)
-        # Scaled by the whole path: at a single instant scaling hides an equation that loses all its terms there.
-        for axes in ((0, 2), (0, 1)):
-            largest = np.abs(matrices).max(axis=axes, keepdims=True)
-            matrices = matrices / np.where(largest > 0.0, largest, 1.0)
+        matrices = _scaled(system_jacobians(self.problem, t, states))
         signs, _ = np.linalg.slogdet(matrices)
         passed = np.flatnonzero(signs[:-1] * signs[1:] <= 0.0)
         for k in np.unique(np.concatenate([instants, passed, passed + 1])):
@@ -195,6 +119,26 @@ class Branch:
                     f" {condition:.2g}"
                 )
         return passed
+
+    def passed(self, t: Array, states: Array) -> list[int]:
+        """Return intervals in which answers (size, N) that continue each other pass a singularity.
+
+        The determinant of the system Jacobian changes its sign there. A few instants are looked at, and then the half
+        of an interval in which the sign changes; a sign that changes twice between two of them is not seen.
+        """
+        looked = np.arange(_LOOKED_AT) * (len(t) - 1) // (_LOOKED_AT - 1)
+        matrices = system_jacobians(self.problem, t[looked], states[:, looked])
+        signs, _ = np.linalg.slogdet(matrices)
+        found = []
+        for k in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
+            if np.linalg.cond(_scaled(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
+                first, last = looked[k], looked[k + 1]
+                while last - first > 1:
+                    middle = (first + last) // 2
+                    sign = np.linalg.slogdet(system_jacobians(self.problem, t[[middle]], states[:, [middle]]))[0][0]
+                    first, last = (middle, last) if sign == signs[k] else (first, middle)
+                found.append(int(first))
+        return found
 
     def is_closed_form(self, t: Array, states: Array) -> bool:
         """Whether answers (size, N) are the guess of the model itself, and none of them is singular or seems to jump.
@@ -226,7 +170,7 @@ class Branch:
             return False
         off = found[self.taylor.q] - states[self.taylor.q, 1]
         off[self.taylor.wraps] = shortest_turn(off[self.taylor.wraps])
-        return bool((np.abs(off) <= _SLIGHT * self.scale).all())
+        return bool((np.abs(off) <= SLIGHT * self.scale).all())
 
     def along_all(self, t: Array, states: Array) -> Array:
         """Return the answers (size, N) at the instants `t` on one branch, that of the first answer which is finite.
@@ -279,6 +223,17 @@ def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
     return matrices
 
 
+def _scaled(matrices: Array) -> Array:
+    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
+
+    At a single instant scaling would hide an equation that loses all its terms there.
+    """
+    for axes in ((0, 2), (0, 1)):
+        largest = np.abs(matrices).max(axis=axes, keepdims=True)
+        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
+    return matrices
+
+
 def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:
     return Taylor.of(resolved.array), Call(resolved.once(inversion).search)
 
@@ -315,12 +270,15 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
                     return states, CLOSED_FORM
                 raise
             passed = branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
-            where = "".join(
-                f"; between t = {t[k]:.6g} s and {t[k + 1]:.6g} s the equations are singular, this one goes on smoothly"
-                for k in passed
-            )
-            return found, FOLLOWED + where
-    return states, CONTINUOUS
+            return found, FOLLOWED + _told(t, passed)
+    return states, CONTINUOUS + _told(t, branch.passed(t, states))
+
+
+def _told(t: Array, passed: Iterable[int]) -> str:
+    return "".join(
+        f"; between t = {t[k]:.6g} s and {t[k + 1]:.6g} s the equations are singular, this one goes on smoothly"
+        for k in passed
+    )
 
 
 @dataclass(frozen=True, eq=False)

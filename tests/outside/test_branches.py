@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outside.systems import LOOP, elbow_arm, vtol
+from outside.systems import GRAVITY, LOOP, MASS, elbow_arm, vtol
 
 import servocore as sc
 
@@ -73,3 +73,17 @@ def test_round_after_round_the_arm_keeps_its_elbow():
     solution = sc.solve(arm.scene, step=0.05)
     assert_right(solution, {name: values for name, values in arm.exact(solution.t).items() if name != "b"})
     assert np.ptp(np.sign(np.sin(solution["b"]))) == 0.0
+
+
+@settings(max_examples=10, deadline=None)
+@given(drop=st.floats(25.0, 300.0))
+def test_a_fall_faster_than_free_is_told_as_two_singularities_passed(drop):
+    """The thrust goes through zero, where the torque tells nothing of the path; the guess of the model stays exact."""
+    aircraft = vtol(path=sc.rest_to_rest((0.0, 0.0), (0.0, -drop), duration=4.0))
+    solution = sc.solve(aircraft.scene)
+    exact = MASS * (GRAVITY + aircraft.scene.reference.jet(solution.t, 2)[:, 2, 1])
+    np.testing.assert_allclose(solution["f"], exact, atol=1e-12 * np.abs(exact).max())
+    passed = np.flatnonzero(exact[:-1] * exact[1:] < 0.0)
+    assert len(passed) == 2
+    told = [f"between t = {solution.t[k]:.6g} s and {solution.t[k + 1]:.6g} s" for k in passed]
+    assert all(each in solution.statistics.branch for each in told)

@@ -1,0 +1,88 @@
+"""Taylor polynomials of the unknowns of a derivative array, and whether two of them belong to one motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.calls import Array
+from servocore.numerics.turns import shortest_turn
+from servocore.structure.derivative_array import DerivativeArray
+
+_APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
+_NONE = np.zeros(0, dtype=np.intp)
+SLIGHT = 1e-3
+"""Of the range of a coordinate: a miss that says nothing."""
+
+Powers = tuple[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Taylor:
+    """Taylor polynomials of all unknowns of a derivative array, from the unknowns themselves.
+
+    Attributes
+    ----------
+    powers : tuple of (ndarray, ndarray)
+        For every power of time: places of unknowns, and places of the derivatives that are their coefficients.
+    of_q : tuple of (ndarray, ndarray)
+        The same for the coordinates alone, by their number.
+    q, rates : ndarray
+        Places of the coordinates and of their velocities.
+    wraps : ndarray of bool
+        Which coordinates are known up to full turns only.
+    """
+
+    powers: Powers
+    of_q: Powers
+    q: npt.NDArray[np.intp]
+    rates: npt.NDArray[np.intp]
+    wraps: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, array: DerivativeArray) -> Taylor:
+        """Find the places in an array."""
+        n, quantities = len(array.system.coordinates), array.system.coordinates.quantities
+        q, rates = (np.array(array.places((k, order) for k in range(n)), dtype=np.intp) for order in (0, 1))
+        wraps = np.array([each.wraps for each in quantities], dtype=bool)
+        positions = tuple((k, 0) for k in range(n))
+        return cls(_powers(array, array.unknowns), _powers(array, positions), q, rates, wraps)
+
+    def ahead(self, y: Array, h: Array | float) -> Array:
+        """Return the unknowns (size, N) as they would be `h` later."""
+        return _summed(self.powers, y, h, len(y))
+
+    def apart(self, first: Array, last: Array, h: Array, scale: Array) -> npt.NDArray[np.bool_]:
+        """Whether neighbours (size, N), `h` apart, belong to two motions; `scale` is the range of the coordinates."""
+        q0, q1 = first[self.q], last[self.q]
+        n, wraps = len(self.q), self.wraps.any()
+        miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
+        for each in miss if wraps else ():
+            each[self.wraps] = shortest_turn(each[self.wraps])
+        moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
+        moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
+        worst = np.maximum(*np.abs(miss))
+        # Not <=, so that NaN counts as apart.
+        found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, SLIGHT * scale[:, None])).all(axis=0)
+        return found
+
+
+def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
+    place = {each: k for k, each in enumerate(array.unknowns)}
+    found = []
+    for power in range(max(order for _, order in array.unknowns) + 1):
+        known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]
+        to, of = (np.array(each, dtype=np.intp) for each in zip(*known, strict=True)) if known else (_NONE, _NONE)
+        found.append((to, of))
+    return tuple(found)
+
+
+def _summed(powers: Powers, y: Array, h: Array | float, size: int) -> Array:
+    """Return the sums of `powers` at `h`, shape (size, N)."""
+    found, factor = np.zeros((size, y.shape[1])), 1.0 + 0.0 * np.asarray(h)
+    for power, (to, of) in enumerate(powers):
+        factor = factor * h / power if power else factor
+        found[to] += y[of] * factor
+    return found
