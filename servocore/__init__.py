@@ -46,6 +46,7 @@ from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
 from servocore.planning.durations import shortest_duration
 from servocore.planning.fastest import fastest
+from servocore.planning.flat_system import to_control
 from servocore.planning.report import PlanReport
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.planning.space import Box, Space, Sphere
@@ -143,6 +144,7 @@ __all__ = [
     "solve",
     "three_phase",
     "through",
+    "to_control",
     "waypoints_from_csv",
 ]
 # Extend: for systems, formulations, methods and routes of one's own.

@@ -1,0 +1,196 @@
+"""A scene as a `FlatSystem` of python-control, for its planners and its design methods.
+
+python-control asks for two maps between state and inputs, (x, u), and the flat flag, the outputs with their
+derivatives. The reverse map is the exact inversion. The forward map differentiates the outputs along the plant,
+y' = L_f y, with inputs that stay, as at the ends of a manoeuvre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.calls import Array, Call
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.forward_dynamics import forward_rate
+from servocore.structure.inversion import inversion
+
+Parameters = Mapping[str, float] | None
+
+
+def to_control(scene: Scene, model: str | None = None) -> Any:
+    """Return a scene as a flat system of python-control.
+
+    Its states are the coordinates and then their velocities, its inputs those of the scene, its outputs the flat
+    outputs, its parameters those of the scene; all by name and in SI units. Thus `control.flatsys.point_to_point` and
+    `control.flatsys.solve_flat_ocp` plan for it, and `control.linearize`, `control.lqr` and
+    `control.input_output_response` take it as the nonlinear system that it is.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without internal dynamics; its path does not matter.
+    model : str, optional
+        Model of the scene. When not given, the first one whose coordinates are independent, if there is one.
+
+    Returns
+    -------
+    control.flatsys.FlatSystem
+        ``reverse`` returns state and inputs for a flag on the branch of the model's guess, angles in the range that the
+        guess has; it raises `IntegrationFailed` where there is no answer. ``forward`` takes the inputs as constant.
+
+    Raises
+    ------
+    InvalidModel
+        If the scene has internal dynamics or holds the time, or holonomic constraints are redundant.
+    InvalidSetting
+        If python-control is not installed.
+
+    Examples
+    --------
+    >>> crane = sc.to_control(sc.scenes.rotary_crane())
+    >>> start, end = (crane.reverse([[x, 0, 0, 0, 0] for x in r]) for r in ((5, 0, -5), (-2, 2, -2)))
+    >>> plan = control.flatsys.point_to_point(crane, [0, 20], *start, *end, basis=control.flatsys.PolyFamily(10))
+    """
+    flatsys = _flatsys()
+    require_scene(scene, "to_control")
+    problem = Problem.of(scene, model or _with_independent_coordinates(scene))
+    if not problem.flat:
+        raise InvalidModel(f"{scene.name} has internal dynamics: its state does not follow from the outputs")
+    if problem.system.time.numel():
+        raise InvalidModel(f"{scene.name} holds the time: python-control's flat systems do not")
+    problem.system.require_independent_constraints()
+    maps = _Maps.of(problem)
+    quantities, system = problem.system.coordinates.quantities, problem.system
+    return flatsys.FlatSystem(
+        maps.forward,
+        maps.reverse,
+        maps.rate,
+        maps.outputs,
+        name=scene.name,
+        inputs=[each.name for each in system.inputs],
+        outputs=[each.name for each in system.outputs],
+        states=[f"{each.name}{suffix}" for suffix in ("", "_dot") for each in quantities],
+        params=dict(zip(maps.names, problem.p.tolist(), strict=True)),
+    )
+
+
+def _flatsys() -> Any:
+    try:
+        from control import flatsys  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise InvalidSetting("to_control needs the package control: install servocore[control]") from None
+    return flatsys
+
+
+def _with_independent_coordinates(scene: Scene) -> str | None:
+    return next((name for name in scene.models if not scene.model(name).lam.numel()), None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Maps:
+    """What python-control calls; states are (q, v).
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters.
+    p : ndarray
+        Their values where python-control gives none.
+    flag, flow : Call
+        (x, u, p) -> flag (m, order + 1), and -> (x_dot, y).
+    inverse : Call
+        (gamma, p) -> unknowns of the derivative array, counts, residual.
+    places : ndarray
+        Of q, v and u among these unknowns.
+    states : int
+        Number of states.
+    order : int
+        Of the derivatives that the inversion needs.
+    """
+
+    names: tuple[str, ...]
+    p: Array
+    flag: Call
+    flow: Call
+    inverse: Call
+    places: npt.NDArray[np.intp]
+    states: int
+    order: int
+
+    @classmethod
+    def of(cls, problem: Problem) -> _Maps:
+        """Compile the maps of a problem."""
+        system, array = problem.system, problem.array
+        n, m = len(system.coordinates), len(system.inputs)
+        places = [(j, k) for k in (0, 1) for j in range(n)]
+        places += [(n + system.lam.numel() + k, 0) for k in range(m)]
+        flag, flow = (problem.resolved.once(each) for each in (_flag, _flow))
+        inverse = Call(problem.resolved.once(inversion).function)
+        found = np.array(array.places(places), dtype=np.intp)
+        return cls(
+            system.parameters.names, problem.p, Call(flag), Call(flow), inverse, found, 2 * n, array.reference_order
+        )
+
+    def forward(self, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
+        """Return each output with its derivatives, for a state and inputs that stay."""
+        (flag,) = self.flag(*_vectors(x, u), self._values(params))
+        return [row.copy() for row in flag]
+
+    def reverse(self, zflag: Sequence[npt.ArrayLike], params: Parameters = None) -> tuple[Array, Array]:
+        """Return state and inputs for each output with its derivatives."""
+        gamma = np.array([np.asarray(each, dtype=float) for each in zflag])
+        if gamma.ndim != 2 or gamma.shape[1] <= self.order:
+            raise InvalidSetting(f"a flag has derivatives up to order {self.order} of each output")
+        found, _, residual = self.inverse(gamma[:, : self.order + 1], self._values(params))
+        if not np.isfinite(residual).all() or not np.isfinite(found).all():
+            raise IntegrationFailed(f"no state belongs to the outputs {gamma[:, 0].tolist()} and their derivatives")
+        chosen = found[self.places]
+        return chosen[: self.states], chosen[self.states :]
+
+    def rate(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
+        """Return the derivative of the state."""
+        return self.flow(*_vectors(x, u), self._values(params))[0]
+
+    def outputs(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:
+        """Return the outputs."""
+        return self.flow(*_vectors(x, u), self._values(params))[1]
+
+    def _values(self, params: Parameters) -> Array:
+        if not params:
+            return self.p
+        return np.array([params.get(name, value) for name, value in zip(self.names, self.p, strict=True)], dtype=float)
+
+
+def _vectors(x: npt.ArrayLike, u: npt.ArrayLike) -> tuple[Array, Array]:
+    return np.ravel(np.asarray(x, dtype=float)), np.ravel(np.asarray(u, dtype=float))
+
+
+def _rate(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Function]:
+    """Return symbols of x, u and p, the derivative of the state, and the outputs as a function of (x, p)."""
+    system = resolved.system
+    n, m = len(system.coordinates), len(system.inputs)
+    x, u, p = ca.MX.sym("x", 2 * n), ca.MX.sym("u", m), ca.MX.sym("p", system.p.numel())
+    x_dot = forward_rate(system, held=False)(x, u, ca.DM.zeros(len(system.outputs)), p)[0]
+    return x, u, p, x_dot, ca.Function("sc_outputs", [ca.vertcat(system.q, system.v), system.p], [system.output])
+
+
+def _flow(resolved: ResolvedSystem) -> ca.Function:
+    x, u, p, x_dot, outputs = _rate(resolved)
+    return ca.Function("sc_flow", [x, u, p], [ca.densify(x_dot), ca.densify(outputs(x, p))])
+
+
+def _flag(resolved: ResolvedSystem) -> ca.Function:
+    """Compile (x, u, p) -> the outputs and their derivatives along the plant with constant inputs."""
+    x, u, p, x_dot, outputs = _rate(resolved)
+    flag = [outputs(x, p)]
+    for _ in range(resolved.array.reference_order):
+        flag.append(ca.jtimes(flag[-1], x, x_dot))
+    return ca.Function("sc_flag", [x, u, p], [ca.densify(ca.horzcat(*flag))])

@@ -1,0 +1,165 @@
+"""A scene as a flat system of python-control: its maps undo each other, and its planners get our inputs."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside.systems import vtol
+
+import servocore as sc
+from servocore.references.piecewise import PiecewisePolynomial
+
+control = pytest.importorskip("control")
+flatsys = pytest.importorskip("control.flatsys")
+
+SCENES = {
+    "rotary crane": sc.scenes.rotary_crane(),
+    "overhead crane": sc.scenes.overhead_crane(),
+    "cars": sc.scenes.cars(),
+    "aircraft of somebody else": vtol().scene,
+}
+ENDS = {
+    "rotary crane": ((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)),
+    "overhead crane": ((0.0, -4.0), (5.0, -3.0)),
+    "cars": ((0.0,), (2.0,)),
+    "aircraft of somebody else": ((0.0, 0.0), (3.0, 1.0)),
+}
+DURATION = 8.0
+every_scene = pytest.mark.parametrize("name", SCENES)
+
+
+@cache
+def flat(name):
+    return sc.to_control(SCENES[name])
+
+
+def at_rest(name, place):
+    order = sc.Problem.of(SCENES[name]).array.reference_order
+    return flat(name).reverse([[each, *[0.0] * order] for each in place])
+
+
+def planned(name):
+    """A trajectory of python-control from rest to rest, its instants, state and inputs."""
+    system = flat(name)
+    ends = [each for place in ENDS[name] for each in at_rest(name, place)]
+    order = sc.Problem.of(SCENES[name]).array.reference_order
+    basis = flatsys.PolyFamily(2 * order + 2, T=DURATION)
+    return flatsys.point_to_point(system, [0.0, DURATION], *ends, basis=basis)
+
+
+def as_reference(trajectory, smoothness):
+    """The path of a trajectory in powers of t/T, from its coefficients."""
+    t, T = np.polynomial.Polynomial([0.5, 1.0]), DURATION
+    powers = np.array(list(trajectory.coeffs))
+    centred = [np.polynomial.Polynomial(row)(t).coef for row in powers]
+    degree = max(len(each) for each in centred)
+    rows = np.array([np.pad(each, (0, degree - len(each))) for each in centred]).T
+    ends = np.array([[np.polynomial.Polynomial(row)(u) for row in powers] for u in (0.0, 1.0)])
+    return PiecewisePolynomial(
+        start_time=0.0, end_time=T, dimension=len(powers), smoothness=smoothness, max_order=12,
+        knots=np.array([0.0, T]), coefficients=rows[None], ends=ends, rests_before=False, rests_after=False,
+    )  # fmt: skip
+
+
+def assert_inputs_of_the_inversion(name, trajectory):
+    t = np.linspace(0.0, DURATION, 41)
+    _, inputs = trajectory.eval(t)
+    order = sc.Problem.of(SCENES[name]).array.reference_order
+    exact = sc.ExactInversion(SCENES[name].with_reference(as_reference(trajectory, order)))(t)
+    assert np.abs(inputs.T - exact).max() <= 1e-9 * np.abs(exact).max()
+
+
+@every_scene
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_state_and_inputs_come_back_from_their_flag(name, seed):
+    system, draw = flat(name), np.random.default_rng(seed)
+    x, u = at_rest(name, ENDS[name][0])
+    x, u = x + 0.1 * draw.standard_normal(len(x)), u * (1.0 + 0.1 * draw.standard_normal(len(u)))
+    found = system.reverse(system.forward(x, u))
+    np.testing.assert_allclose(found[0], x, atol=1e-8)
+    np.testing.assert_allclose(found[1], u, rtol=1e-8, atol=1e-8)
+
+
+@every_scene
+def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name):
+    assert_inputs_of_the_inversion(name, planned(name))
+
+
+@every_scene
+def test_a_simulation_by_python_control_arrives_under_these_inputs(name):
+    t = np.linspace(0.0, DURATION, 401)
+    state, inputs = planned(name).eval(t)
+    tight = {"rtol": 1e-9, "atol": 1e-9}
+    found = control.input_output_response(flat(name), t, inputs, state[:, 0], solve_ivp_kwargs=tight)
+    off = np.abs(np.atleast_2d(found.outputs)[:, -1] - ENDS[name][1]).max()
+    assert off <= 1e-2 * np.ptp(ENDS[name], axis=0).max()  # inputs are linear between the instants
+
+
+@pytest.mark.parametrize("name", ["rotary crane", "aircraft of somebody else"])
+def test_an_optimal_plan_within_bounds_has_the_inputs_of_the_exact_inversion(name):
+    system = flat(name)
+    (x0, u0), (xf, uf) = (at_rest(name, place) for place in ENDS[name])
+    order = sc.Problem.of(SCENES[name]).array.reference_order
+    wide = 1.5 * np.maximum(np.abs(planned(name).eval(np.linspace(0.0, DURATION, 41))[1]).max(axis=1), 1.0)
+    bounds = control.optimal.input_range_constraint(system, -wide, wide)
+    effort = control.optimal.quadratic_cost(system, None, np.diag(wide**-2), x0=xf, u0=uf)
+    at_the_end = control.optimal.quadratic_cost(system, np.eye(len(x0)), None, x0=xf)
+    instants = np.linspace(0.0, DURATION, 9)
+    line = [np.interp(instants, [0.0, DURATION], each) for each in zip(*ENDS[name], strict=True)]
+    plan = flatsys.solve_flat_ocp(
+        system, instants, x0, u0, effort, terminal_cost=at_the_end, trajectory_constraints=bounds,
+        basis=flatsys.PolyFamily(order + 4, T=DURATION), initial_guess=np.array(line), minimize_options={"ftol": 1e-4},
+    )  # fmt: skip
+    assert (np.abs(plan.eval(instants)[1]) <= 1.001 * wide[:, None]).all()
+    assert_inputs_of_the_inversion(name, plan)
+
+
+@every_scene
+def test_a_regulator_designed_by_python_control_is_stable(name):
+    system = flat(name)
+    linear = control.linearize(system, *at_rest(name, ENDS[name][0]))
+    _, _, poles = control.lqr(linear, np.eye(system.nstates), np.eye(system.ninputs))
+    assert poles.real.max() < 0.0
+
+
+def test_names_and_parameters_are_those_of_the_scene():
+    system = flat("rotary crane")
+    assert system.input_labels == ["M_b", "F", "M_w"]
+    assert system.state_labels[:3] == ["phi", "s", "l"]
+    assert system.params["load_mass"] == 100.0
+    _, u = system.reverse(system.forward(*at_rest("rotary crane", (5.0, 0.0, -5.0))), {"load_mass": 200.0})
+    assert u[2] == pytest.approx(2.0 * at_rest("rotary crane", (5.0, 0.0, -5.0))[1][2])
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        (sc.scenes.mass_on_car(), "has internal dynamics"),
+        (sc.scenes.passive_joint_arm(), "has internal dynamics"),
+    ],
+)
+def test_what_is_not_flat_is_refused(scene, said):
+    with pytest.raises(sc.InvalidModel, match=said):
+        sc.to_control(scene)
+
+
+def test_a_flag_that_is_too_short_is_refused():
+    with pytest.raises(sc.InvalidSetting, match="derivatives up to order 4"):
+        flat("rotary crane").reverse([[5.0], [0.0], [-5.0]])
+
+
+def test_a_load_in_free_fall_has_no_state():
+    with pytest.raises(sc.IntegrationFailed, match="no state belongs"):
+        flat("rotary crane").reverse([[5.0, 0, 0, 0, 0], [0.0, 0, 0, 0, 0], [-5.0, 0, -9.81, 0, 0]])
+
+
+def test_the_missing_package_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(sc.InvalidSetting, match=r"install servocore\[control\]"):
+        sc.to_control(SCENES["cars"])
