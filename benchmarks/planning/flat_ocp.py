@@ -1,10 +1,12 @@
-"""One manoeuvre within limits by python-control's flat planners and by `sc.fastest`: `python -m benchmarks.planning.flat_ocp`.
+"""One manoeuvre within limits by python-control's flat planners and by `sc.fastest`.
+
+Run it by `python -m benchmarks.planning.flat_ocp`.
 
 The job: the default line of the rotary crane with |M_b| <= 1000 N m and |F| <= 60 N, as fast as possible.
 
 `point_to_point` and `solve_flat_ocp` plan for a given time: the shortest time for which they succeed is searched by
-bisection between the time of `sc.fastest` and that of the polynomial of degree 9. Whatever they return is looked at on a
-fine grid, by the exact inversion of their own path.
+bisection between the time of `sc.fastest` and that of the polynomial of degree 9. Whatever they return is looked at on
+a fine grid, by the exact inversion of their own path.
 """
 
 from __future__ import annotations
