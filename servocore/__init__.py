@@ -20,6 +20,7 @@ from servocore.errors import (
     ServocoreWarning,
 )
 from servocore.export.fmu import export_fmu
+from servocore.export.wasm import export_wasm
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import (
     BDF,
@@ -127,6 +128,7 @@ __all__ = [
     "analyse",
     "compile_plant",
     "export_fmu",
+    "export_wasm",
     "factors_of_texts",
     "fastest",
     "figure_of_eight",

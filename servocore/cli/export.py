@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -16,8 +17,10 @@ from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
 from servocore.export.fmu import export_fmu, require_version
 from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
+from servocore.export.wasm import export_wasm, loader_beside, require_module
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
+from servocore.model.scene import Scene as SceneValue
 from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -27,6 +30,8 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore export my_module:my_scene -o mine.fmu --fmi 2 --targets host[/cyan]
 
 [cyan]servocore export cars --parameters heavy.toml --c cars_source[/cyan]
+
+[cyan]servocore export rotary_crane --wasm crane.wasm[/cyan]
 """
 
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.fmu", help="The FMU to write.")]
@@ -46,6 +51,12 @@ CrossCheck = Annotated[
 Folder = Annotated[
     Path | None, typer.Option("--c", metavar="DIR", help="Write C source for other hosts into this new folder as well.")
 ]
+Module = Annotated[
+    Path | None,
+    typer.Option(
+        "--wasm", metavar="FILE.wasm", help="Write a WebAssembly module with its loader in JavaScript as well."
+    ),
+]
 
 
 def export_scene(
@@ -57,6 +68,7 @@ def export_scene(
     targets: Targets = None,
     cross_check: CrossCheck = False,
     c: Folder = None,
+    wasm: Module = None,
 ) -> None:
     """Export the inverse model of a scene for tools without Python.
 
@@ -65,17 +77,7 @@ def export_scene(
     the mechanical system and what its model observes. Scenes whose internal
     dynamics are unstable are refused.
     """
-    if output is None and c is None:
-        raise InvalidSetting("name the file to write with -o FILE.fmu, or a folder for C source with --c DIR")
-    if output is None and (targets is not None or cross_check):
-        raise InvalidSetting("--targets and --cross-check are about an FMU: name it with -o FILE.fmu")
-    require_version(fmi)
-    if output is not None:
-        chosen_targets(targets, fmi)
-    subject = chosen(scene, parameters)
-    require_places({"--output": output}, [parameters])
-    if c is not None:
-        require_folder(subject, c)
+    subject = _possible(scene, parameters, {"-o": output, "--c": c, "--wasm": wasm}, fmi, targets, cross_check)
     with PatientProgress("exporting") as progress:
         checked = {}
         if output is not None and cross_check:
@@ -91,8 +93,43 @@ def export_scene(
             write_together(checked)
         if c is not None:
             export_c(subject, c, model=model)
+        if wasm is not None:
+            progress.describe("compiling to WebAssembly")
+            export_wasm(subject, wasm, model=model)
+    _told(subject, output, fmi, targets, c, wasm)
+
+
+def _told(
+    subject: SceneValue, output: Path | None, fmi: int, targets: str | None, c: Path | None, wasm: Path | None
+) -> None:
+    """Say what was written."""
     if output is not None:
         note = "" if targets is not None or zig() else "; for this machine only: install servocore[native] for others"
         print(f"{output}: {subject.name}, FMI {fmi}{note}")
     if c is not None:
         print(f"{c}: C source of {subject.name}")
+    if wasm is not None:
+        print(f"{wasm}, {loader_beside(wasm)}: WebAssembly of {subject.name}")
+
+
+def _possible(
+    scene: str, parameters: Path | None, results: Mapping[str, Path | None], fmi: int, targets: str | None, check: bool
+) -> SceneValue:
+    """Return the scene, after a look at all that can be refused before the work."""
+    output, c, wasm = results.values()
+    if not any(results.values()):
+        raise InvalidSetting(
+            "name the file to write with -o FILE.fmu, a folder for C source with --c DIR, or a module with --wasm FILE"
+        )
+    if output is None and (targets is not None or check):
+        raise InvalidSetting("--targets and --cross-check are about an FMU: name it with -o FILE.fmu")
+    require_version(fmi)
+    if output is not None:
+        chosen_targets(targets, fmi)
+    subject = chosen(scene, parameters)
+    require_places({"--output": output, "--wasm": wasm}, [parameters])
+    if wasm is not None:
+        require_module(wasm)
+    if c is not None:
+        require_folder(subject, c)
+    return subject

@@ -17,6 +17,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables
+from servocore.export.evaluated import timed_path, wanted
 from servocore.export.inverse_model import Bound, InverseModel, Mathematics
 from servocore.export.variables import Variable
 from servocore.formulations.reduced import Reduced
@@ -63,7 +64,7 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
     InvalidReference
         If the scene's own path breaks its limits.
     """
-    problem = _followed(Problem.of(scene, model))
+    problem = followed(Problem.of(scene, model))
     kind = internal_dynamics(problem)
     if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
         grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
@@ -102,7 +103,7 @@ def identifier_of(name: str) -> str:
     return f"model_{found}" if taken else found
 
 
-def _followed(problem: Problem) -> Problem:
+def followed(problem: Problem) -> Problem:
     """Return the problem, set to follow a branch where the guess of the model does not keep to one along its path."""
     if not problem.flat or problem.follow_branch:
         return problem
@@ -167,7 +168,7 @@ def mathematics(problem: Problem, identifier: str) -> Mathematics:
         If a limit cannot be kept from step to step.
     """
     watched = with_watched(problem)
-    known = _Known(watched, _wanted(watched), bounds(watched))
+    known = _Known(watched, wanted(watched), bounds(watched))
     return (_instantaneous if problem.flat and not problem.follow_branch else _stepped)(known, identifier)
 
 
@@ -203,12 +204,6 @@ class _Known:
         return values[:count], ca.vertcat(margins, *kept)
 
 
-def _wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
-    """List inputs and observables with their expressions."""
-    system = problem.system
-    return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
-
-
 def bounds(problem: Problem) -> tuple[Bound, ...]:
     """Return the bounds that limits set, those of the path first.
 
@@ -236,14 +231,6 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     return (*path, *found)
 
 
-def _timed(system: MechanicalSystem, path: ca.SX | ca.MX, time: ca.SX | ca.MX) -> ca.SX | ca.MX:
-    """Return a path with the time as its last row, where the system holds it."""
-    if not system.time.numel():
-        return path
-    row = ca.horzcat(time, 1.0, ca.DM.zeros(1, max(path.shape[1] - 2, 0)))[:, : path.shape[1]]
-    return ca.vertcat(path, row)
-
-
 def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     """Every instant by itself: the equations as one expression, and Newton's method where that does not do."""
     problem = known.problem
@@ -258,12 +245,12 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
         return known.split(read(state, path, p)[0], margins(path, p))
 
     G, P, T = _symbols(system, orders)
-    path = _timed(system, G, T)
+    path = timed_path(system, G, T)
     y, _, residual = inverse.search(path[:, :rows], P, inverse.guess(path[:, :rows], P))
     outputs, kept = seen(y, path, P)
     functions, none = {}, ca.MX.sym("start", 0)
     if inverse.expression is not None:
-        own, p = _timed(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
+        own, p = timed_path(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
         found = seen(inverse.expression(own[:, :rows], p)[0], own, p)
         functions["quick"] = ca.Function(
             f"{identifier}_quick", [system.path[:, :orders], p, time], list(found), {"cse": True}
@@ -285,11 +272,13 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
-    path = _timed(system, G, T)
+    path = timed_path(system, G, T)
     first, residual = _first(problem, program.start_order, path, P, D)
     outputs, kept = known.split(read(first, path, P)[0], margins(path, P))
     S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", G.shape[0], orders * len(nodes))
-    at_nodes = [_timed(system, each, T + node * h) for each, node in zip(ca.horzsplit(N, orders), nodes, strict=True)]
+    at_nodes = [
+        timed_path(system, each, T + node * h) for each, node in zip(ca.horzsplit(N, orders), nodes, strict=True)
+    ]
     used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
     after, _, left = program.step(S, used, h, P)
     stepped, within = known.split(read(after, at_nodes[-1], P)[0], margins(at_nodes[-1], P))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -98,14 +98,7 @@ class Mathematics:
 
     def source(self) -> tuple[str, str]:
         """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""
-        name = f"{self.identifier}_mathematics"
-        generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
-        for function in self.functions.values():
-            generator.add(function)
-        with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
-            generator.generate(f"{folder}/")
-            header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
-        return header, source
+        return c_source(f"{self.identifier}_mathematics", self.functions.values())
 
     def only(self, names: Sequence[str]) -> Mathematics:
         """Return the same with those functions only that are named."""
@@ -113,8 +106,24 @@ class Mathematics:
 
     def scratch(self) -> dict[str, int]:
         """Return how much working memory the functions take, by kind."""
-        sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
-        return {kind: max(getattr(f, size)() for f in self.functions.values()) for kind, size in sizes.items()}
+        return scratch_of(self.functions.values())
+
+
+def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
+    """Return header and C source of functions, in files of a name."""
+    generator = ca.CodeGenerator(f"{name}.c", {"with_header": True, "casadi_int": "int"})
+    for function in functions:
+        generator.add(function)
+    with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
+        generator.generate(f"{folder}/")
+        header, source = (Path(folder, f"{name}.{ending}").read_text(encoding="utf-8") for ending in "hc")
+    return header, source
+
+
+def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
+    """Return how much working memory the largest of some functions takes, by kind."""
+    sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
+    return {kind: max(getattr(each, size)() for each in functions) for kind, size in sizes.items()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,23 @@
+"""What exported functions evaluate: inputs and observables of a system, on a path that may hold the time."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.problem import Problem
+
+
+def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
+    """List inputs and observables with their expressions."""
+    system = problem.system
+    return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
+
+
+def timed_path(system: MechanicalSystem, path: ca.SX | ca.MX, time: ca.SX | ca.MX) -> ca.SX | ca.MX:
+    """Return a path with the time as its last row, where the system holds it."""
+    if not system.time.numel():
+        return path
+    row = ca.horzcat(time, 1.0, ca.DM.zeros(1, max(path.shape[1] - 2, 0)))[:, : path.shape[1]]
+    return ca.vertcat(path, row)

@@ -1,0 +1,78 @@
+"""The paper's way to the inputs, compiled for export: projected form (19) or (29), backward Euler (31)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from servocore.export.evaluated import timed_path, wanted
+from servocore.formulations.projected import Projected
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.problem import Problem
+from servocore.stepping.compilation import program_of
+from servocore.stepping.observation import compile_observation
+
+METHOD = BackwardEuler()
+"""What steps the projected form."""
+
+
+@dataclass(frozen=True, eq=False)
+class Marching:
+    """Steps of constant size; a path is (m, orders), column after column, parameters p.
+
+    Attributes
+    ----------
+    functions : mapping of str to casadi.Function
+        ``march_begin`` (paths at `instants`, h, p, time of the start) -> (state, outputs, residual), and ``march_on``
+        (state, path after the step, h, p, time before it) -> (state, outputs, residual).
+    orders : int
+        How many derivatives of the path they take, the path itself included.
+    instants : tuple of float
+        Where a start has to know the path, in steps from the start: the start itself, and instants before it.
+    state_size : int
+        Numbers that a step hands to the next.
+    """
+
+    functions: Mapping[str, ca.Function]
+    orders: int
+    instants: tuple[float, ...]
+    state_size: int
+
+
+def marching(problem: Problem, identifier: str) -> Marching:
+    """Compile start and step of the projected form by backward Euler.
+
+    Parameters
+    ----------
+    problem : Problem
+        Resolved.
+    identifier : str
+        What names in C begin with.
+
+    Raises
+    ------
+    InvalidModel
+        If the model cannot be projected.
+    """
+    system, form = problem.system, Projected()
+    program = program_of(problem, form, METHOD)
+    dae, orders, instants = problem.dae(form), program.start_order + 1, program.start_instants
+    read = compile_observation(system, dae, METHOD.discretise(dae), wanted(problem), program.start_order)
+    m = len(system.outputs)
+    past, path = ca.MX.sym("past", m, orders * len(instants)), ca.MX.sym("path", m, orders)
+    p, h, time = ca.MX.sym("p", system.p.numel()), ca.MX.sym("h"), ca.MX.sym("time")
+    known = [
+        timed_path(system, each, time + k * h) for each, k in zip(ca.horzsplit(past, orders), instants, strict=True)
+    ]
+    first, _, residual = program.start(ca.horzcat(*known), h, p)
+    begin = [first, read(first, known[0], p)[0], residual]
+    state, then = ca.MX.sym("state", program.state_size), timed_path(system, path, time + h)
+    after, _, left = program.step(state, then[:, : program.order + 1], h, p)
+    on = [after, read(after, then, p)[0], left]
+    functions = {
+        "march_begin": ca.Function(f"{identifier}_march_begin", [past, h, p, time], begin),
+        "march_on": ca.Function(f"{identifier}_march_on", [state, path, h, p, time], on),
+    }
+    return Marching(functions, orders, instants, program.state_size)

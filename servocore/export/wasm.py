@@ -1,0 +1,178 @@
+"""`export_wasm`: a scene's inverse model as a WebAssembly module, for web pages and other JavaScript engines."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from servocore.errors import InvalidModel, InvalidSetting
+from servocore.export.building import followed, inverse_model
+from servocore.export.inverse_model import InverseModel, Mathematics, c_source, scratch_of
+from servocore.export.marching import Marching, marching
+from servocore.export.sources import SHARED, rendered
+from servocore.export.targets import zig
+from servocore.export.variables import Variable, path_variables
+from servocore.files import require_places, write_together
+from servocore.model.scene import Scene
+from servocore.problem import Problem
+
+LOADER = "loader.mjs"
+"""The file with the JavaScript that loads any of the modules."""
+
+SECTION = "servocore"
+"""Name of the section of a module that describes it."""
+
+_INVERTING = ("quick", "begin")
+# For size: what there is to gain by speed is in the mathematics, where compilers find nothing to gain.
+_OPTIONS = ("-target", "wasm32-wasi", "-mexec-model=reactor", "-Os", "-ffp-contract=off", "-w", "-Wl,--strip-all",
+            "-Wl,--export=__heap_base")  # fmt: skip
+_SECONDS = 600.0
+_VERDICTS = (
+    "fine",
+    "the path is not finite",
+    "the equations are not solved",
+    "the solution is another one than the one wanted",
+)
+
+
+def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> Path:
+    """Write the inverse model of a scene as a WebAssembly module that imports nothing, and its loader beside it.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its parameter values, which are what the module takes when it is told none.
+    path : str or Path
+        The file; the loader has its name with the suffix ``.mjs``.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidModel, InvalidReference
+        As `export_fmu`.
+    InvalidSetting
+        If the package ziglang is not installed, the file cannot be written or does not end with ``.wasm``.
+
+    Examples
+    --------
+    >>> export_wasm(crane, "crane.wasm")
+    """
+    file = require_module(path)
+    write_together({file: wasm_module(scene, model), loader_beside(file): (SHARED / LOADER).read_bytes()})
+    return file
+
+
+def require_module(path: str | Path) -> Path:
+    """Return where a module goes; raises `InvalidSetting` if it cannot be made or written there."""
+    file = Path(path)
+    if file.suffix != ".wasm":
+        raise InvalidSetting(f"cannot write {file}: the name of a WebAssembly module ends with .wasm")
+    require_places({"the module": file, "its loader": loader_beside(file)})
+    if zig() is None:
+        raise InvalidSetting("WebAssembly is built by the package ziglang: install servocore[native]")
+    return file
+
+
+def loader_beside(file: Path) -> Path:
+    """Return where the loader of a module goes."""
+    return file.with_suffix(".mjs")
+
+
+def wasm_module(scene: Scene, model: str | None = None) -> bytes:
+    """Return the module as bytes; see `export_wasm`."""
+    found = inverse_model(scene, model)
+    mathematics = found.mathematics.only(_INVERTING) if not found.mathematics.state_size else None
+    problem = followed(Problem.of(scene, model))
+    try:
+        marched = marching(problem, found.identifier)
+    except InvalidModel:
+        if mathematics is None:
+            raise
+        marched = None
+    orders = max(found.mathematics.orders, marched.orders if marched else 0)
+    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
+    path = path_variables(problem.system.outputs, scene.tracked, orders, home)
+    about = described(found, path, marched)
+    compiled = _compiled(_source(found, mathematics, marched, orders), found.title)
+    return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
+
+
+def described(model: InverseModel, path: Sequence[Variable], marched: Marching | None) -> dict[str, Any]:
+    """Return what a module says of itself: names, units and values in the order in which it takes and gives them."""
+    return {
+        "title": model.title,
+        "model": model.model,
+        "path": [{"name": name, "unit": each.unit} for each in path for name in each.scalar_names],
+        "outputs": [{"name": e.name, "unit": e.unit, "description": e.description} for e in model.mathematics.outputs],
+        "parameters": [
+            {"name": e.name, "unit": e.unit, "start": e.starts[0], "description": e.description}
+            for e in model.of("parameter")
+            if e not in model.settings
+        ],
+        "verdicts": [*_VERDICTS, *(each.text for each in model.limits)],
+        "instants": [] if marched is None else list(marched.instants),
+    }
+
+
+def custom_section(name: str, content: bytes) -> bytes:
+    """Return a section that engines hand to who asks for it by name, and pass over otherwise."""
+    body = _counted(name.encode()) + content
+    return b"\0" + _counted(body)
+
+
+def _counted(content: bytes) -> bytes:
+    """Put the length before some bytes, seven bits a byte, the lowest first."""
+    length, found = len(content), bytearray()
+    while length > 127:
+        found.append(length & 127 | 128)
+        length >>= 7
+    return bytes(found) + bytes([length]) + content
+
+
+def _source(model: InverseModel, mathematics: Mathematics | None, marched: Marching | None, orders: int) -> str:
+    functions = dict(mathematics.functions) if mathematics else {}
+    if marched is not None:
+        functions |= marched.functions
+    return rendered(
+        "module.c.j2",
+        title=model.title,
+        model=model.model,
+        identifier=model.identifier,
+        components=model.components,
+        orders=orders,
+        outputs=model.mathematics.outputs,
+        limits=model.limits,
+        functions=tuple(functions),
+        has_quick="quick" in functions,
+        inverts=mathematics is not None,
+        marches=marched is not None,
+        instants=marched.instants if marched else (),
+        state_size=marched.state_size if marched else 0,
+        scratch=scratch_of(functions.values()),
+        mathematics_source=c_source("mathematics", functions.values())[1],
+    )
+
+
+def _compiled(source: str, title: str) -> bytes:
+    command = zig()
+    if command is None:
+        raise InvalidSetting("WebAssembly is built by the package ziglang: install servocore[native]")
+    with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
+        Path(folder, "module.c").write_text(source, encoding="utf-8")
+        call = [*command, "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
+        try:
+            subprocess.run(call, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
+        except (OSError, subprocess.SubprocessError) as error:
+            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
+            raise InvalidSetting(f"ziglang does not compile {title} to WebAssembly: {said[0]}") from error
+        return Path(folder, "module.wasm").read_bytes()
