@@ -20,11 +20,14 @@ BUILT = "SERVOCORE_TEST_FMUS"
 def pytest_configure(config):
     if not hasattr(config, "workerinput"):  # the process that starts the others
         os.environ[BUILT] = tempfile.mkdtemp(prefix="fmus of a test run ")
+        os.environ["SERVOCORE_CACHE"] = tempfile.mkdtemp(prefix="machine code of a test run ")
+        os.environ["SERVOCORE_MACHINE_CODE"] = "off"  # a compiler beside every test would take their time
 
 
 def pytest_unconfigure(config):
     if not hasattr(config, "workerinput"):
-        shutil.rmtree(os.environ.pop(BUILT), ignore_errors=True)
+        for name in (BUILT, "SERVOCORE_CACHE"):
+            shutil.rmtree(os.environ.pop(name), ignore_errors=True)
 
 
 @pytest.fixture

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array, Call, mapped
+from servocore.numerics.calls import Array, Call
 from servocore.numerics.turns import shortest_turn
+from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.program import Program
 
@@ -55,7 +56,9 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
     return tuple(found)
 
 
-def follow_angles(problem: Problem, program: Program, t: Array, states: Array, values: Array) -> None:
+def follow_angles(
+    problem: Problem, program: Program, t: Array, states: Array, values: Array, native: bool | None = False
+) -> None:
     """Make the angles of an exact inversion continuous, in place, between instants however far apart.
 
     An inversion knows its angles up to full turns, and every instant stands alone. Where an angle turns by more than a
@@ -70,7 +73,7 @@ def follow_angles(problem: Problem, program: Program, t: Array, states: Array, v
     wrapping = tuple(k for k, channel in enumerate(channels) if channel.wraps)
     if program.index > 0 or problem.follow_branch or not wrapping:
         return
-    angular = problem.resolved.once(_angles_and_rates, tuple(channels[k].name for k in wrapping))
+    angular = problem.resolved.once(_angles_and_rates, tuple(channels[k].name for k in wrapping), native)
     if angular is None:
         return
     angles, rates = angular(states, problem.p)
@@ -86,14 +89,12 @@ def follow_angles(problem: Problem, program: Program, t: Array, states: Array, v
 class _Angular:
     """Angles and their rates as a function of the entries `used` of a state, and of p."""
 
-    function: ca.Function
+    function: Vectorised
     used: tuple[int, ...]
 
     def __call__(self, states: Array, p: Array) -> tuple[Array, Array]:
         """Return angles and rates, shape (angles, N) each, of states (size, N)."""
-        count = states.shape[1]
-        found = mapped(self.function, count)(states[self.used, :], np.tile(p[:, None], count))
-        angles, rates = (each.reshape(-1, count, order="F") for each in found)
+        angles, rates = self.function(states[self.used, :], p)
         return angles, rates
 
 
@@ -130,7 +131,7 @@ def _bisected(problem: Problem, program: Program, angular: _Angular, row: int, t
     return done
 
 
-def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...]) -> _Angular | None:
+def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> _Angular | None:
     """Return angles and rates as functions of the state of an exact inversion, or None if they are none of q."""
     system, array = resolved.system, resolved.array
     known = {each.name: system.q[k] for k, each in enumerate(system.coordinates.quantities)}
@@ -146,7 +147,7 @@ def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...]) -> _Angu
     used = sorted(set(ca.jacobian_sparsity(ca.vertcat(*found), state).get_col()))
     # A state holds all derivatives of all unknowns, an angle needs a few of them.
     function = ca.Function("sc_angles", [state[used], system.p], [ca.densify(each) for each in found])
-    return _Angular(function, tuple(used))
+    return _Angular(Vectorised(function, (True, False), native, system.name), tuple(used))
 
 
 def require_less_than_half_a_turn(program: Program, channel: int, t: Array, angle: Array) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.model.quantity import Quantity
@@ -36,10 +37,12 @@ def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
         return []
     columns, positive, coordinates = problem.resolved.once(_watched, solution.channels)
     values = solution.values.T[[*columns, *coordinates]]
-    bend = np.abs(values[:, :-2] - 2.0 * values[:, 1:-1] + values[:, 2:])
+    bend = values[:, :-2] - values[:, 1:-1]
+    bend -= values[:, 1:-1]
+    bend += values[:, 2:]
+    np.abs(bend, out=bend)
     peaks = np.maximum(values.max(axis=1), -values.min(axis=1))
-    # Seldom does one stand out of its own row: most runs are done with here.
-    standing_out = bend > np.maximum(_STANDS_OUT * _beside(bend), _ROUND_OFF * peaks[:, None])
+    standing_out = _standing_out(bend, _ROUND_OFF * peaks)
     standing_out[positive] |= values[positive, 1:-1] <= bend[positive]
     inputs = [row for row, k in enumerate(columns) if solution.channels[k] in problem.system.inputs]
     turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
@@ -48,16 +51,22 @@ def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
     return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
 
 
-def _beside(bend: Array) -> Array:
-    """Return the largest second differences some instants beside each."""
+def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
+    """Whether second differences (rows, N) are larger than those some instants beside, and than what says nothing.
+
+    Seldom does one stand out of its own row: a look at those nearest is enough for most runs.
+    """
     near, far = _BESIDE
-    count = bend.shape[1]
-    padded = np.zeros((len(bend), count + 2 * far))
-    padded[:, far:-far] = bend
-    window = padded[:, : count + far + near]
-    for k in range(1, far - near + 1):
-        window = np.maximum(window, padded[:, k : k + count + far + near])
-    return np.maximum(window[:, :count], window[:, far + near :])
+    found = bend > least[:, None]
+    found[:, near:] &= bend[:, near:] > _STANDS_OUT * bend[:, :-near]
+    found[:, :-near] &= bend[:, :-near] > _STANDS_OUT * bend[:, near:]
+    if found.any():
+        rows, places = np.nonzero(found)
+        padded = np.pad(bend, ((0, 0), (far, far)))
+        offsets = [far + sign * k for k in range(near, far + 1) for sign in (-1, 1)]
+        beside = padded[rows[:, None], places[:, None] + offsets].max(axis=1)
+        found[rows, places] = bend[rows, places] > np.maximum(_STANDS_OUT * beside, least[rows])
+    return found
 
 
 def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:

@@ -231,14 +231,13 @@ def require_one_branch(problem: Problem, solution: Solution) -> str:
     IntegrationFailed
         If the configurations do not go on as they came.
     """
-    q = configurations(problem, solution) if problem.system.lam.numel() else None
-    if q is None:
+    places = problem.resolved.once(_columns, solution.names) if problem.system.lam.numel() else None
+    if places is None:
         return ""
-    passed = ""
-    every = -(-len(q) // _WATCHED)
-    watched = np.unique([*range(0, len(q), every), len(q) - 1])
-    for loss in rank_losses(problem, solution.t[watched], q[watched]):
-        if changes_branch(problem, solution.t, q, loss.time):
+    passed, count = "", len(solution.t)
+    watched = np.unique([*range(0, count, -(-count // _WATCHED)), count - 1])
+    for loss in rank_losses(problem, solution.t[watched], solution.values[watched[:, None], places]):
+        if changes_branch(problem, solution.t, solution.values[:, places], loss.time):
             raise IntegrationFailed(
                 f"{solution.route}: {loss}; this one changes over from one to the other: a scene with follow_branch and"
                 " a smaller step goes on smoothly in the form Reduced()"

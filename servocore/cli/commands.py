@@ -16,6 +16,8 @@ import typer
 from rich.markup import escape
 
 from servocore.analysis import analyse
+from servocore.cli.cache import EXAMPLES as CACHE_EXAMPLES
+from servocore.cli.cache import show_cache
 from servocore.cli.choice import chosen
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console
 from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
@@ -205,6 +207,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
+app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
 
 
 def main() -> None:

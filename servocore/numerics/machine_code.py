@@ -1,26 +1,40 @@
-"""Machine code: CasADi's functions written in C and built by the compiler of this machine.
+"""Machine code: functions written in C and built by the compiler of this machine.
 
-CasADi interprets its expressions, at some nanoseconds an operation. Machine code takes a fifth of that, and one to
-four seconds to build, once a process.
+CasADi interprets its expressions, at some nanoseconds an operation. Machine code takes a fifth of that, and a
+twentieth where it takes eight instants at once, but has to be built: that takes a tenth of a second to some seconds,
+once a machine. What was built is kept; see `code_cache`.
 """
 
 from __future__ import annotations
 
+import atexit
+import hashlib
 import os
+import platform
 import shlex
 import shutil
 import subprocess
 import tempfile
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
 
 from servocore.errors import InvalidSetting
+from servocore.numerics.code_cache import CodeCache
 
 COMPILERS = ("cc", "gcc", "clang")
-# No fused operations and nothing reordered: a program must not depend on who evaluates it.
-_OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off")
+AUTOMATIC = "SERVOCORE_MACHINE_CODE"
+"""Environment variable: "off" leaves machine code to those who ask for it."""
+
+# No fused operations and nothing reordered: a program must not depend on who evaluates it. That functions of the C
+# library need not report errors in a variable changes no number, and lets the compiler take square roots side by side.
+_OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno")
+_OF_THIS_PROCESSOR = "-march=native"
 _SECONDS = 600.0
 
 
@@ -42,8 +56,199 @@ def c_compiler() -> list[str]:
     )
 
 
+@dataclass(frozen=True)
+class Build:
+    """A library to be built: its source, and what it belongs to.
+
+    Parameters
+    ----------
+    source : str
+        In C.
+    of_what : str
+        For messages.
+    vectors : bool
+        Whether for this machine's processor alone, with all its instructions.
+    """
+
+    source: str
+    of_what: str
+    vectors: bool = False
+
+    def options(self) -> tuple[str, ...]:
+        """Return what the compiler is told."""
+        return (*_OPTIONS, _OF_THIS_PROCESSOR) if self.vectors else _OPTIONS
+
+    def key(self, command: list[str]) -> str:
+        """Return a hash of all that the machine code depends on."""
+        tool = Path(shutil.which(command[0]) or command[0]).resolve()
+        about = tool.stat() if tool.exists() else None
+        told = (self.source, *command, str(tool), about and (about.st_size, about.st_mtime_ns), *self.options())
+        machine = (platform.system(), platform.machine(), _processor() if self.vectors else "")
+        return hashlib.sha256(repr((told, machine)).encode()).hexdigest()[:40]
+
+
+@cache  # the processor stays what it is
+def _processor() -> str:
+    """Return what the processor can do."""
+    with suppress(OSError):
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+        for line in text.splitlines():
+            if line.startswith(("flags", "Features")):
+                return line
+    return platform.processor()
+
+
+def library_of(build: Build) -> Path | None:
+    """Return the library of a build if it was built before, on this machine by this compiler; else None."""
+    try:
+        key = build.key(c_compiler())
+    except InvalidSetting:
+        return None
+    return CodeCache.of_user().find(key)
+
+
+@dataclass(eq=False)
+class _Processes:
+    """Compilers that run: they end when this process does."""
+
+    running: set[subprocess.Popen[str]] = field(default_factory=set)
+    closed: bool = False
+
+    def run(self, command: list[str], folder: Path) -> tuple[int, str]:
+        """Run a compiler; return its exit code and what it says."""
+        if self.closed:
+            return -1, "the process ends"
+        with subprocess.Popen(
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        ) as process:
+            self.running.add(process)
+            try:
+                said = process.communicate(timeout=_SECONDS)[1]
+            except subprocess.TimeoutExpired:
+                process.kill()
+                return -1, f"no end after {_SECONDS:g} s"
+            finally:
+                self.running.discard(process)
+            return process.returncode, said
+
+    def close(self) -> None:
+        """End all of them, and start no more."""
+        self.closed = True
+        for each in list(self.running):
+            with suppress(OSError):
+                each.kill()
+
+
+_PROCESSES = _Processes()
+
+
+def built(build: Build) -> Path:
+    """Return the library of a build, made now if it was never made before.
+
+    It lies in the cache, or where that cannot be used in a folder that goes with this process.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no C compiler, or it does not compile.
+    """
+    command = c_compiler()
+    key, kept = build.key(command), CodeCache.of_user()
+    found = kept.find(key)
+    if found is not None:
+        return found
+    contents = _compiled_contents(build, command)
+    path = kept.store(key, contents)
+    if path is None:
+        path = Path(tempfile.mkdtemp(prefix="servocore_")) / "program.so"
+        atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+        path.write_bytes(contents)
+    return path
+
+
+def _compiled_contents(build: Build, command: list[str]) -> bytes:
+    with tempfile.TemporaryDirectory(prefix="servocore_") as name:
+        folder = Path(name)
+        (folder / "program.c").write_text(build.source, encoding="utf-8")
+        try:
+            code, said = _PROCESSES.run([*command, *build.options(), "program.c", "-o", "program.so", "-lm"], folder)
+            reason = "" if code == 0 else "".join((said or "").strip().splitlines()[:1])
+            if code == 0:
+                return (folder / "program.so").read_bytes()
+        except OSError as error:
+            reason = str(error)
+    raise InvalidSetting(f"{command[0]} does not compile {build.of_what}: {reason}")
+
+
+class _Background:
+    """Builds one library after the other in a thread, which ends when nothing is left to do."""
+
+    def __init__(self) -> None:
+        self._turn = threading.Lock()
+        self._waiting: list[Build] = []
+        self._asked: set[Build] = set()
+        self._now: Build | None = None
+        self._thread: threading.Thread | None = None
+
+    def ask(self, build: Build) -> None:
+        """Have a library built some time, once; nothing is heard of a failure."""
+        with self._turn:
+            if build in self._asked or _PROCESSES.closed:
+                return
+            self._asked.add(build)
+            self._waiting.append(build)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="servocore machine code", daemon=True)
+                self._thread.start()
+
+    def pending(self, build: Build) -> bool:
+        """Whether a library waits to be built, or is being built."""
+        return build in self._waiting or build == self._now
+
+    def wait(self) -> None:
+        """Return when nothing is left to build."""
+        thread = self._thread
+        if thread is not None:
+            thread.join()
+
+    def end(self) -> None:
+        """End the compiler and the thread."""
+        with self._turn:
+            self._waiting.clear()
+        _PROCESSES.close()
+        self.wait()
+
+    def _work(self) -> None:
+        while True:
+            with self._turn:
+                self._now = self._waiting.pop(0) if self._waiting else None
+                build = self._now
+                if build is None:
+                    self._thread = None
+                    return
+            with suppress(InvalidSetting, OSError):
+                self._build(build)
+
+    def _build(self, build: Build) -> None:
+        key, kept = build.key(c_compiler()), CodeCache.of_user()
+        if kept.claim(key):
+            try:
+                built(build)
+            finally:
+                kept.release(key)
+
+
+BACKGROUND = _Background()
+atexit.register(BACKGROUND.end)
+
+
+def automatic() -> bool:
+    """Whether machine code is made and used without being asked for."""
+    return os.environ.get(AUTOMATIC, "").lower() not in {"off", "no", "0"} and not CodeCache.of_user().refusal()
+
+
 def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca.Function]:
-    """Compile functions to machine code, for as long as the process lives.
+    """Compile functions to machine code, or take what was compiled before.
 
     Parameters
     ----------
@@ -57,23 +262,21 @@ def compiled(functions: Mapping[str, ca.Function], of_what: str) -> dict[str, ca
     InvalidSetting
         If there is no C compiler, or it does not compile.
     """
+    build = build_of(functions, of_what)
+    return loaded(built(build), functions)
+
+
+def build_of(functions: Mapping[str, ca.Function], of_what: str) -> Build:
+    """Return what `compiled` builds."""
     generator = ca.CodeGenerator("program.c")
     for name, function in functions.items():
         generator.add(_renamed(function, f"sc_native_{name}"))
-    command = c_compiler()
-    # What is loaded stays loaded: the file may go.
-    with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
-        source, library = Path(folder) / "program.c", Path(folder) / "program.so"
-        source.write_text(generator.dump(), encoding="utf-8")
-        build = [*command, *_OPTIONS, source.name, "-o", library.name, "-lm"]
-        try:
-            subprocess.run(build, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
-        except subprocess.CalledProcessError as error:
-            reason = (error.stderr or "").strip().splitlines()[:1]
-            raise InvalidSetting(f"{command[0]} does not compile {of_what}: {''.join(reason)}") from error
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise InvalidSetting(f"{command[0]} does not compile {of_what}: {error}") from error
-        return {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
+    return Build(generator.dump(), of_what)
+
+
+def loaded(library: Path, functions: Mapping[str, ca.Function]) -> dict[str, ca.Function]:
+    """Return functions from a library of theirs."""
+    return {name: ca.external(f"sc_native_{name}", str(library)) for name in functions}
 
 
 def _renamed(function: ca.Function, name: str) -> ca.Function:

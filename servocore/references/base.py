@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidReference, described, require_kind, require_real
+from servocore.references.formula import Formula
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -80,6 +81,11 @@ class Reference(ABC):
     def stretches(self) -> FloatArray:
         """Times in s, start and end included, that divide the path into stretches: each analytic, with few turns."""
         return np.array([self.start_time, self.end_time])
+
+    @property
+    def formula(self) -> Formula | None:
+        """The path as an expression of time; None if it is none, but a table."""
+        return None
 
     @cached_property  # every run asks
     def extent(self) -> FloatArray:

@@ -17,8 +17,11 @@ import numpy as np
 from numpy.polynomial.polynomial import polyadd, polyder, polymul
 
 from servocore.errors import InvalidReference, require_kind, require_real
+from servocore.references.formula import Values, either, least, most, powers, where
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from servocore.references.base import FloatArray
 
 DEFAULT_RAMP = 0.25
@@ -51,7 +54,6 @@ class Profile(ABC):
         """Return the times since the start, in s, where analytic pieces meet."""
         return ()
 
-    @abstractmethod
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
         """Evaluate s, s', ..., s^(order), derivatives by time.
 
@@ -69,6 +71,16 @@ class Profile(ABC):
         ndarray, shape (N, order+1)
             s^(k) in 1/s^k.
         """
+        numbers = self.numbers(duration, order)
+        return np.stack(self.law(elapsed, remaining, numbers, order), axis=1)
+
+    @abstractmethod
+    def numbers(self, duration: float, order: int) -> list[float]:
+        """Return what `law` takes of the duration: the same number of numbers for any."""
+
+    @abstractmethod
+    def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
+        """Evaluate as `jet` says, with arrays or with expressions of CasADi: the same operations in the same order."""
 
 
 @dataclass(frozen=True)
@@ -121,19 +133,23 @@ class PolynomialProfile(Profile):
         scale = factorial(2 * k + 1) // factorial(k) ** 2
         return (0,) * (k + 1) + tuple((-1) ** i * scale * comb(k, i) // (k + 1 + i) for i in range(k + 1))
 
-    def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
-        """Evaluate as `Profile.jet` says."""
+    def numbers(self, duration: float, order: int) -> list[float]:
+        """Return the powers of the duration."""
+        return [duration**m for m in range(max(order, 1) + 1)]
+
+    def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
+        """Evaluate as `Profile.law` says; `numbers` are those of `numbers`, of which the second is the duration."""
         k = self.smoothness
-        T, R = elapsed / duration, remaining / duration
+        T, R = elapsed / numbers[1], remaining / numbers[1]
         w, v = T * R, R - T
-        s = np.empty((T.size, order + 1))
-        small, large = np.minimum(T, R), np.maximum(T, R)
-        near = small ** (k + 1) * _horner(self._weights, large)
-        s[:, 0] = np.where(T <= R, near, 1.0 - near)
-        s[:, self.degree + 1 :] = 0.0
+        small, large = least(T, R), most(T, R)
+        near = powers(small, k + 1)[-1] * _horner(self._weights, large)
+        s = [where(T <= R, near, 1.0 - near)]
+        of_w = powers(w, k)
         for m, factor in enumerate(self._slopes[:order], 1):
-            s[:, m] = w ** max(k + 1 - m, 0) * _horner(factor, v) / duration**m
-        return s
+            value = _horner(factor, v)
+            s.append((of_w[k + 1 - m] * value if m <= k else value) / numbers[m])
+        return s + [0.0 * T] * (order + 1 - len(s))
 
 
 @dataclass(frozen=True)
@@ -185,26 +201,28 @@ class ThreePhaseProfile(Profile):
     def _ramp(self, duration: float) -> float:
         return DEFAULT_RAMP * duration if self.ramp is None else self.ramp
 
-    def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
-        """Evaluate as `Profile.jet` says."""
+    def numbers(self, duration: float, order: int) -> list[float]:
+        """Return the time of the cruise at full speed that would take as long, and the powers of the ramp."""
         ramp = self._ramp(duration)
-        cruise_time = duration - ramp
-        near = np.minimum(elapsed, remaining)
-        ramping = (elapsed < ramp) | (remaining <= ramp)
-        s = np.zeros((near.size, order + 1))
-        s[:, 0] = (near - ramp / 2.0) / cruise_time
-        s[:, 1:2] = 1.0 / cruise_time
+        return [duration - ramp, *(ramp**m for m in range(max(order, 1) + 1))]
 
-        on, off = near[ramping], ramp - near[ramping]
+    def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
+        """Evaluate as `Profile.law` says."""
+        cruise_time, ramp = numbers[0], numbers[2]
+        near = least(elapsed, remaining)
+        ramping = either(elapsed < ramp, remaining <= ramp)
+        on = least(near, ramp)
+        off = ramp - on
         x, y = on / ramp, off / ramp
-        s[ramping, 0] = ramp * x**5 * (1.0 + y * (3.0 + y * (5.0 + y * 5.0))) / (2.0 * cruise_time)
+        way = ramp * powers(x, 5)[-1] * (1.0 + y * (3.0 + y * (5.0 + y * 5.0))) / (2.0 * cruise_time)
+        s = [where(ramping, way, (near - ramp / 2.0) / cruise_time)]
         if order:
-            s[ramping, 1:] = DEGREE7.jet(on, off, ramp, order - 1) / cruise_time
-
-        second_half = elapsed > remaining  # s(t) = 1 - s(duration - t)
-        s[second_half] *= (-1.0) ** np.arange(1, order + 2)
-        s[second_half, 0] += 1.0
-        return s
+            rising = DEGREE7.law(on, off, numbers[1:], order - 1)
+            cruising = [1.0 / cruise_time] + [0.0] * (order - 1)
+            s += [where(ramping, a / cruise_time, b) for a, b in zip(rising, cruising, strict=True)]
+        late = elapsed > remaining  # s(t) = 1 - s(duration - t)
+        mirrored = [1.0 - s[0], *(each if m % 2 else -each for m, each in enumerate(s[1:], 1))]
+        return [where(late, a, b) for a, b in zip(mirrored, s, strict=True)]
 
 
 def three_phase(ramp: float | None = None) -> ThreePhaseProfile:
@@ -250,9 +268,9 @@ def polynomial(degree: int) -> PolynomialProfile:
     return PolynomialProfile(f"degree-{degree}", degree)
 
 
-def _horner(coefficients: tuple[float, ...], x: FloatArray) -> FloatArray:
-    """Value of a polynomial, lowest coefficient first; in place, for NumPy's own makes two arrays a coefficient."""
-    value = np.full_like(x, coefficients[-1])
+def _horner(coefficients: tuple[float, ...], x: Values) -> Values:
+    """Value of a polynomial, lowest coefficient first; arrays in place, for NumPy's own makes two a coefficient."""
+    value = np.full_like(x, coefficients[-1]) if isinstance(x, np.ndarray) else coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         value *= x
         value += coefficient

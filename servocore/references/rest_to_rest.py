@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
+import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind, require_real
 from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
+from servocore.references.formula import Formula, Values, either, least, most
 from servocore.references.profiles import DEGREE9, Profile
 
 if TYPE_CHECKING:
@@ -41,12 +44,10 @@ class RestToRest(Reference):
         return np.unique([self.start_time, *inner, self.end_time])
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
-        duration = self.duration
-        elapsed = np.clip(t - self.start_time, 0.0, duration)
-        remaining = np.clip(self.end_time - t, 0.0, duration)
-        s = self.profile.jet(elapsed, remaining, duration, order)
-        s[(t < self.start_time) | (t >= self.end_time), 1:] = 0.0
-
+        numbers = [self.start_time, self.end_time, *self.profile.numbers(self.duration, order)]
+        law, outside = _law(self.profile, t, numbers, order)
+        s = np.stack(law, axis=1)
+        s[outside, 1:] = 0.0
         first, last = np.array(self.start), np.array(self.end)
         way = last - first
         gamma: FloatArray = s[:, :, None] * way
@@ -55,6 +56,31 @@ class RestToRest(Reference):
         gamma[~late, 0] += first
         gamma[late, 0] = last - (1.0 - s[late, :1]) * way
         return gamma
+
+    @cached_property  # every evaluation in machine code asks
+    def formula(self) -> Formula:
+        """The same as an expression."""
+        profile, size = self.profile, self.dimension
+        ends = [*self.start, *self.end, *(np.array(self.end) - np.array(self.start)).tolist()]
+
+        def numbers(order: int) -> list[float]:
+            return [*ends, self.start_time, self.end_time, *profile.numbers(self.duration, order)]
+
+        def jet(t: ca.SX, given: list[ca.SX], order: int) -> list[ca.SX]:
+            first, last, way = (ca.vertcat(*given[k * size : (k + 1) * size]) for k in range(3))
+            s, outside = _law(profile, t, given[3 * size :], order)
+            place = ca.if_else(s[0] > 0.5, last - (1.0 - s[0]) * way, s[0] * way + first)
+            return [place, *(ca.if_else(outside, 0.0, each) * way for each in s[1:])]
+
+        return Formula((type(self), profile, size), numbers, jet)
+
+
+def _law(profile: Profile, t: Values, numbers: list[Values], order: int) -> tuple[list[Values], Values]:
+    """Return s and its derivatives, and where the path rests; `numbers` are start, end and those of the profile."""
+    start, end, *own = numbers
+    duration = end - start
+    elapsed, remaining = (least(most(each, 0.0), duration) for each in (t - start, end - t))
+    return profile.law(elapsed, remaining, own, order), either(t < start, t >= end)
 
 
 def rest_to_rest(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -15,7 +16,7 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, mapped, side_by_side
+from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
@@ -26,6 +27,7 @@ from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import given_start_of, program_of
 from servocore.stepping.observation import compile_observation
+from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import Program
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
 
@@ -40,13 +42,13 @@ class Pointwise:
     ----------
     formulation, method : Formulation, Method
         The form; of the method nothing is left but its name.
-    native : bool
-        Whether as machine code.
+    native : bool, optional
+        Whether as machine code; see `ExactInversion`.
     """
 
     formulation: Formulation
     method: Method
-    native: bool = False
+    native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Invert at every instant; see `Route`.
@@ -54,13 +56,14 @@ class Pointwise:
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        program = program_of(problem, self.formulation, self.method, self.native)
+        quick = self._quick(problem)
+        program = program_of(problem, self.formulation, self.method, bool(self.native) and quick is None)
         if problem.follow_branch:
             done = run(problem, program, times, given_start_of(self.formulation, self.method), progress)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
-        done, observed = _at_every_instant(problem, program, times, self._quick(problem, program), progress)
+        done, observed = _at_every_instant(problem, program, times, quick, progress)
         try:
-            states, how = on_one_branch(problem, times, done.states)
+            states, how = on_one_branch(problem, times, done.states, self.native)
         except IntegrationFailed as error:
             solved = np.isfinite(done.states).all(axis=0)
             if solved.all():
@@ -71,13 +74,19 @@ class Pointwise:
             raise failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
         if states is not done.states:
             done, observed = replace(done, states=states), None
-        return solution_of(problem, [Segment(program, times, done, observed)], branch=how)
+        return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)
 
-    def _quick(self, problem: Problem, program: Program) -> _Quick | None:
+    def _quick(self, problem: Problem) -> _Quick | None:
         """Return what answers without a search where the guess of the model is exact; None if nothing does."""
-        if self.native or self.formulation != Reduced():
+        if self.formulation != Reduced() or problem.follow_branch:
             return None
-        return problem.resolved.once(_compile_quick, program)
+        flat = problem.resolved.once(inversion).expression
+        if flat is None:
+            return None
+        program = program_of(problem, self.formulation, self.method)
+        quick = problem.resolved.once(_compile_quick, flat, program, self.native)
+        quick.exact.prepare(problem.reference)
+        return quick
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,39 +96,32 @@ class _Quick:
     The first gives NaN where the guess of the model is not exact, for which the second searches.
     """
 
-    exact: ca.Function
+    exact: PathFunction
     sought: ca.Function
 
-    def __call__(self, jets: Array, p: Array, count: int) -> list[Array]:
-        """Return all results at some instants, shape (rows, count) each."""
-        found = _side_by_side(self.exact, jets, p, count)
+    def __call__(self, problem: Problem, t: Array) -> list[Array]:
+        """Return all results at some instants, shape (rows, N) each."""
+        found = self.exact(problem, t)
         left = np.flatnonzero(~(found[2][0] < LARGEST_RESIDUAL))
         if len(left):
-            orders = jets.shape[1] // count
-            columns = (left[:, None] * orders + np.arange(orders)).ravel()
-            for each, own in zip(found, _side_by_side(self.sought, jets[:, columns], p, len(left)), strict=True):
-                each[:, left] = own
+            jets = problem.reference.jet(t[left], self.exact.order)
+            for each, own in zip(found, at_instants(self.sought, jets=jets, p=problem.p), strict=True):
+                each[:, left] = own.reshape(-1, len(left), order="F")
         return found
 
 
-def _side_by_side(function: ca.Function, jets: Array, p: Array, count: int) -> list[Array]:
-    found = mapped(function, count)(jets, np.tile(p[:, None], count))
-    return [each.reshape(-1, count, order="F") for each in found]
-
-
-def _compile_quick(resolved: ResolvedSystem, program: Program) -> _Quick | None:
-    """Compile exact inversion together with what is observed; None where no expression gives it."""
+def _compile_quick(resolved: ResolvedSystem, flat: ca.Function, program: Program, native: bool | None) -> _Quick:
+    """Compile exact inversion together with what is observed."""
     inverse, system = resolved.once(inversion), resolved.system
-    if inverse.expression is None:
-        return None
     order = resolved.array.reference_order + 1
     arguments = ca.SX.sym("gamma", system.gamma.size1(), program.order + 1), ca.SX.sym("p", system.p.numel())
-    exact = inverse.expression(arguments[0][:, :order], arguments[1])
+    exact = flat(arguments[0][:, :order], arguments[1])
     results = [*exact, *program.observe(exact[0], *arguments)]
     quick = ca.Function("sc_quick", arguments, results, {"cse": True})
     gamma, p = ca.MX.sym("gamma", *quick.size_in(0)), ca.MX.sym("p", *quick.size_in(1))
     found = inverse.sought(gamma[:, :order], p)
-    return _Quick(quick, ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)]))
+    sought = ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)])
+    return _Quick(PathFunction(resolved, quick, native), sought)
 
 
 def _at_every_instant(
@@ -131,23 +133,7 @@ def _at_every_instant(
             f"the path has derivatives up to order {problem.reference.max_order},"
             f" {program.name} needs order {program.start_order}"
         )
-    count, p = len(times), problem.p
-    results: list[Array] = []
-    for k in range(0, count, _CHUNK):
-        t = times[k : k + _CHUNK]
-        jets, size = side_by_side(problem.reference.jet(t, program.order)), len(t)
-        if quick is not None:
-            found = quick(jets, p, size)
-        else:
-            blank, h = np.zeros((program.state_size, size)), np.zeros(size)
-            stepped = mapped(program.step, size)(blank, jets, h, np.tile(p[:, None], size))
-            found = [each.reshape(-1, size, order="F") for each in stepped]
-        # Each row lies in one piece, for what follows goes through results row by row.
-        results = results or [np.empty((len(each), count)) for each in found]
-        for each, part in zip(results, found, strict=True):
-            each[:, k : k + size] = part
-        if progress is not None:
-            progress(min(k + _CHUNK, count) - 1, count - 1)
+    results = _all_results(problem, program, times, quick, progress)
     states, counts, residuals, *observed = results
     good = np.isfinite(residuals[0])
     if not good.all():
@@ -155,6 +141,37 @@ def _at_every_instant(
     iterations, factorisations = counts.sum(axis=1).round()
     worst = float(np.max(residuals[0, good], initial=0.0))
     return Run(states, int(iterations), int(factorisations), worst), (observed[0], observed[1]) if observed else None
+
+
+def _all_results(
+    problem: Problem, program: Program, times: Array, quick: _Quick | None, progress: Progress | None
+) -> list[Array]:
+    """Return states, counts and residuals, and what is observed if that is known, shape (rows, N) each."""
+    count, p = len(times), problem.p
+    if quick is not None and quick.exact.ready(problem, count):
+        results = quick(problem, times)
+        if progress is not None:
+            progress(count - 1, count - 1)
+        return results
+    results = []
+    for k in range(0, count, _CHUNK):
+        t = times[k : k + _CHUNK]
+        if quick is not None:
+            found = quick(problem, t)
+        else:
+            size = len(t)
+            jets = side_by_side(problem.reference.jet(t, program.order))
+            stepped = mapped(program.step, size)(
+                np.zeros((program.state_size, size)), jets, np.zeros(size), np.tile(p, size)
+            )
+            found = [each.reshape(-1, size, order="F") for each in stepped]
+        # Each row lies in one piece, for what follows goes through results row by row.
+        results = results or [np.empty((len(each), count)) for each in found]
+        for each, part in zip(results, found, strict=True):
+            each[:, k : k + len(t)] = part
+        if progress is not None:
+            progress(min(k + _CHUNK, count) - 1, count - 1)
+    return results
 
 
 class ExactInversion:
@@ -170,8 +187,9 @@ class ExactInversion:
         Without internal dynamics: its inputs depend on the path at the same instant only.
     model : str, optional
         Model of the scene; its smallest when not given.
-    native : bool
-        Whether a C compiler shall turn the equations into machine code: some five times faster, seconds to compile.
+    native : bool, optional
+        Whether a C compiler shall turn the equations into machine code: some twenty times faster among many instants.
+        When not given, it does so in the background where there is much to do; False leaves it out, True waits for it.
 
     Attributes
     ----------
@@ -196,7 +214,7 @@ class ExactInversion:
     >>> table = inputs(np.linspace(0.0, 20.0, 201))
     """
 
-    def __init__(self, scene: Scene, model: str | None = None, *, native: bool = False) -> None:
+    def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:
         require_scene(scene, "ExactInversion")
         problem = Problem.of(scene, model)
         array = problem.array
@@ -211,6 +229,7 @@ class ExactInversion:
         require_feasible(problem)
         self._problem, self._order = problem, array.reference_order
         self._functions = problem.resolved.once(compile_inputs, native)
+        self._functions.quick.prepare(scene.reference)
         self._table: BranchTable | IntegrationFailed | None
         try:
             self._table = prepared_table(problem)
@@ -243,12 +262,11 @@ class ExactInversion:
         """
         times = numbers_of(t, "the times of inputs")
         flat = times.reshape(-1)
-        jets = side_by_side(self._problem.reference.jet(flat, self._order))
         followed = self._table if isinstance(self._table, BranchTable) else None
-        found = self._evaluated(2, jets, followed.states_at(flat, jets)) if followed else self._evaluated(0, jets)
+        found = self._followed(followed, flat) if followed else self._quick(flat)
         finite = bool(np.isfinite(found).all())
         if not finite and not followed:
-            found = self._searched(found, jets)
+            found = self._searched(found, flat)
             finite = bool(np.isfinite(found).all())
         if finite:
             self._require_signs(found, flat)
@@ -258,22 +276,27 @@ class ExactInversion:
             self._require_solved(found, flat)
         return found[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _searched(self, found: Array, jets: Array) -> Array:
+    def _quick(self, t: Array) -> Array:
+        """Return inputs and what must be positive, shape (count, columns); NaN where the guess is not exact."""
+        if not len(t):
+            return np.empty((0, len(self.inputs) + len(self._signs)))
+        return self._functions.quick(self._problem, t)[0].T
+
+    def _followed(self, table: BranchTable, t: Array) -> Array:
+        """Return the same, read from the branch that the table follows."""
+        if not len(t):
+            return np.empty((0, len(self.inputs) + len(self._signs)))
+        jets = self._problem.reference.jet(t, self._order)
+        states = table.states_at(t, side_by_side(jets))
+        return at_instants(self._functions.read, states, jets=jets, p=self._problem.p)[0].T
+
+    def _searched(self, found: Array, t: Array) -> Array:
         """Solve by Newton's method what the quick function left open."""
         left = np.flatnonzero(~np.isfinite(found).all(axis=1))
-        columns = (left[:, None] * (self._order + 1) + np.arange(self._order + 1)).ravel()
         found = found.copy()
-        found[left] = self._evaluated(1, jets[:, columns])
+        jets = self._problem.reference.jet(t[left], self._order)
+        found[left] = at_instants(self._functions.seeking, jets=jets, p=self._problem.p)[0].T
         return found
-
-    def _evaluated(self, which: int, jets: Array, *states: Array) -> Array:
-        """Return inputs and what must be positive, shape (count, columns), by one of the compiled functions."""
-        count = jets.shape[1] // (self._order + 1)
-        if not count:
-            return np.empty((0, len(self.inputs) + len(self._signs)))
-        p = np.tile(self._problem.p[:, None], count)
-        found = mapped(self._functions[which], count)(*states, jets, p)[0]
-        return found.reshape(-1, count, order="F").T
 
     def _require_solved(self, found: Array, t: Array) -> None:
         """Raise `IntegrationFailed` if an instant is not solved."""
@@ -294,12 +317,26 @@ class ExactInversion:
             )
 
 
-def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.Function, ca.Function, ca.Function]:
-    """Compile (gamma, p) -> inputs and what must be positive: a quick function that may give NaN, and one that seeks.
+class Inputs(NamedTuple):
+    """Functions to inputs and what must be positive.
 
-    The third reads them from unknowns of the derivative array that are known: (unknowns, gamma, p) -> the same. gamma
-    has shape (m, reference_order + 1).
+    Attributes
+    ----------
+    quick : PathFunction
+        (gamma, p) -> them, or NaN where the guess of the model is not exact; gamma has shape (m, reference_order + 1).
+    seeking : casadi.Function
+        The same, and seeks where the guess is not exact.
+    read : casadi.Function
+        (unknowns, gamma, p) -> the same from unknowns of the derivative array that are known.
     """
+
+    quick: PathFunction
+    seeking: ca.Function
+    read: ca.Function
+
+
+def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> Inputs:
+    """Compile what gives inputs at an instant, as machine code if that is asked for."""
     system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
     wanted = [(quantity, each) for quantity, each in system.observables.items() if quantity.positive]
     wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
@@ -311,7 +348,6 @@ def compile_inputs(resolved: ResolvedSystem, native: bool = False) -> tuple[ca.F
     quick, flat = seeking, inverse.expression
     if flat is not None:
         quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)[0]], {"cse": True})
-    if native:
-        made = compiled({"quick": quick, "seeking": seeking}, system.name)
-        quick, seeking = made["quick"], made["seeking"]
-    return quick, seeking, read
+    elif native:
+        quick = seeking = compiled({"seeking": seeking}, system.name)["seeking"]
+    return Inputs(PathFunction(resolved, quick, native), seeking, read)

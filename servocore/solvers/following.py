@@ -18,6 +18,7 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed
 from servocore.numerics.calls import Array, Call, at_instants, side_by_side
 from servocore.numerics.turns import shortest_turn
+from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.taylor import SLIGHT, Taylor
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
@@ -64,14 +65,21 @@ class Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
         taylor, search = problem.resolved.once(_compiled)
         q = states[taylor.q]
-        finite = np.isfinite(q)
-        lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
-        ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
+        ranges = q.max(axis=1) - q.min(axis=1)
+        if not np.isfinite(ranges).all():
+            finite = np.isfinite(q)
+            lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
+            ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
         still = _STILL * np.array(problem.system.coordinates.nominal)
         return cls(problem, taylor, search, np.maximum(ranges, still))
 
-    def jumps(self, t: Array, states: Array) -> npt.NDArray[np.intp]:
+    def jumps(self, t: Array, states: Array, native: bool | None = False) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
+        if native is not False:
+            apart = self.problem.resolved.once(_compiled_apart, native)
+            if apart.ready(len(t) - 1):
+                (together,) = apart(states[:, :-1], states[:, 1:], np.diff(t)[None], self.scale)
+                return np.flatnonzero(together[0] != 1.0)
         return np.flatnonzero(self.taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), self.scale))
 
     def follow(self, state: Array, begin: float, end: float) -> Array:
@@ -238,7 +246,12 @@ def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:
     return Taylor.of(resolved.array), Call(resolved.once(inversion).search)
 
 
-def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str]:
+def _compiled_apart(resolved: ResolvedSystem, native: bool | None) -> Vectorised:
+    function = resolved.once(_compiled)[0].compile_together(len(resolved.array.unknowns))
+    return Vectorised(function, (True, True, True, False), native, resolved.system.name)
+
+
+def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None = False) -> tuple[Array, str]:
     """Return answers (size, N) at the instants `t` that belong to one branch, and how that is known.
 
     Parameters
@@ -249,6 +262,8 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
         Instants in rising order.
     states : ndarray, shape (size, N)
         Answers from the guess of the model; NaN where there is none.
+    native : bool or None
+        Whether they are looked at by machine code; see `Vectorised`.
 
     Raises
     ------
@@ -258,7 +273,7 @@ def on_one_branch(problem: Problem, t: Array, states: Array) -> tuple[Array, str
     if len(t) < 2 or states.shape[0] != len(problem.array.unknowns):
         return states, ""
     branch = Branch.along(problem, states)
-    seeming = branch.jumps(t, states)
+    seeming = branch.jumps(t, states, native)
     for count, k in enumerate(seeming):  # instants far apart seem to jump: look in between
         if count == _MOST_CONNECTED and branch.is_closed_form(t, states):
             return states, CLOSED_FORM

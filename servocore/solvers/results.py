@@ -25,13 +25,15 @@ _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation 
 class Segment:
     """Part of a run by one program: the instants, its states there and what they took.
 
-    `observed` holds values (channels, N) and violations (4, N) where they are known already.
+    `observed` holds values (channels, N) and violations (4, N) where they are known already; `native` says whether
+    checks may use machine code, see `Vectorised`.
     """
 
     program: Program
     t: Array
     run: Run
     observed: tuple[Array, Array] | None = None
+    native: bool | None = False
 
 
 def solution_of(
@@ -89,12 +91,12 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
     for k in ambiguous_angles(problem, program) if refuse_turns else ():
         require_less_than_half_a_turn(program, k, t, table[:, k])
     for k, channel in enumerate(program.channels):
-        if channel.wraps:
+        if channel.wraps and (np.abs(np.diff(table[:, k])) >= np.pi).any():
             table[:, k] = np.unwrap(table[:, k])
         if channel.positive and not (table[:, k] > 0.0).all():
             first = int((~(table[:, k] > 0.0)).argmax())
             program.require_branch(table[first], float(t[first]))
-    follow_angles(problem, program, t, states, table)
+    follow_angles(problem, program, t, states, table, segment.native)
     return table, violations
 
 
@@ -133,8 +135,11 @@ def input_noise(inputs: Array) -> float | None:
     """
     if len(inputs) < _FEWEST_FOR_NOISE:
         return None
-    differences = np.abs(np.diff(inputs, _DIFFERENCES, axis=0))
-    middle = (len(differences) - 1) // 2, len(differences) // 2
-    deviation = np.partition(differences, middle, axis=0)[middle, :].mean(axis=0) / _NORMAL_MEDIAN
+    differences = np.ascontiguousarray(inputs.T)
+    for _ in range(_DIFFERENCES):
+        differences = differences[:, 1:] - differences[:, :-1]
+    np.abs(differences, out=differences)
+    middle = (differences.shape[1] - 1) // 2, differences.shape[1] // 2
+    deviation = np.partition(differences, middle)[:, middle].mean(axis=1) / _NORMAL_MEDIAN
     peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
     return float((deviation / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())

@@ -57,7 +57,7 @@ def solve(
     model: str | None = None,
     start: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-    native: bool = False,
+    native: bool | None = None,
     checks: bool = True,
 ) -> Solution:
     """Compute the inputs that make the servo output follow the scene's reference.
@@ -173,7 +173,7 @@ def chosen_route(
     formulation: Formulation,
     method: Method | Route,
     step: float | Adaptive | None,
-    native: bool,
+    native: bool | None,
     checks: bool,
 ) -> Route:
     """Return the route that fits the form: its index decides, and whether a step or a tolerance is given.
@@ -198,10 +198,10 @@ def chosen_route(
     if not problem.dae(formulation).x.numel():
         return Pointwise(formulation, method, native)
     if isinstance(step, Adaptive):
-        return ToTolerance(formulation, method, step, native)
+        return ToTolerance(formulation, method, step, bool(native))
     if isinstance(formulation, Reduced):
-        return StateSelection(formulation, method, native)
-    return FixedStep(formulation, method, native)
+        return StateSelection(formulation, method, bool(native))
+    return FixedStep(formulation, method, bool(native))
 
 
 def judge_of(problem: Problem, route: Route) -> Judge:
@@ -245,7 +245,7 @@ def _branch(problem: Problem, route: Route, solution: Solution) -> str:
     how = (route.formulation, route.method)
     if problem.flat:
         everywhere = problem.resolved.once(inversion).expression is not None
-        doubtful = is_far(problem, solution, problem.resolved.once(compile_inputs)[0], everywhere)
+        doubtful = is_far(problem, solution, problem.resolved.once(compile_inputs).quick.function, everywhere)
     elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         doubtful = False  # its user was warned before the run
     elif isinstance(route, ToTolerance):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -67,6 +69,26 @@ class Taylor:
         # Not <=, so that NaN counts as apart.
         found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, SLIGHT * scale[:, None])).all(axis=0)
         return found
+
+    def compile_together(self, size: int) -> ca.Function:
+        """Compile (first (size,), last, h, scale) -> one where neighbours are not `apart`."""
+        first, last, h = ca.SX.sym("first", size), ca.SX.sym("last", size), ca.SX.sym("h")
+        scale, together = ca.SX.sym("scale", len(self.q)), ca.SX(1)
+        for k, (q, rate) in enumerate(zip(self.q.tolist(), self.rates.tolist(), strict=True)):
+            places = [of[to == k].tolist() for to, of in self.of_q]
+            ahead, behind = (
+                sum(side[of[0]] * (step**j / math.factorial(j)) for j, of in enumerate(places) if of)
+                for side, step in ((first, h), (last, -h))
+            )
+            misses = [ahead - last[q], behind - first[q]]
+            moved = ca.fabs(h) * (ca.fabs(first[rate]) + ca.fabs(last[rate]))
+            if self.wraps[k]:
+                misses = [each - 2 * np.pi * ca.floor((each + np.pi) / (2 * np.pi)) for each in misses]
+            else:
+                moved += ca.fabs(last[q] - first[q])
+            allowed = ca.fmax(_APART * moved, SLIGHT * scale[k])
+            together = ca.logic_and(together, ca.logic_and(*(ca.fabs(each) <= allowed for each in misses)))
+        return ca.Function("sc_together", [first, last, h, scale], [ca.densify(together)], {"cse": True})
 
 
 def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:

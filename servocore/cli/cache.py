@@ -1,0 +1,53 @@
+"""The command ``servocore cache``: machine code that earlier runs have left, and how to be rid of it."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from servocore.cli.console import table_console
+from servocore.errors import InvalidSetting
+from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore cache[/cyan]
+
+[cyan]servocore cache clear[/cyan]
+"""
+
+_What = Annotated[str, typer.Argument(metavar="[clear]", help="What to do: nothing but look, or clear.")]
+
+
+def show_cache(what: _What = "") -> None:
+    """Say where compiled machine code is kept and how much there is, or remove it all.
+
+    Whatever is removed is compiled again when it is needed. The folder is the
+    user's own for caches, or the one that the environment variable
+    SERVOCORE_CACHE names.
+    """
+    if what not in ("", "clear"):
+        raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {what}")
+    kept, console = CodeCache.of_user(), table_console()
+    refusal = kept.refusal()
+    if refusal:
+        raise InvalidSetting(f"no machine code is kept: {refusal}; {FOLDER} may name another folder")
+    if what:
+        count, size = kept.clear()
+        console.print(f"{_libraries(count)} with {_megabytes(size)} removed from {kept.folder}", soft_wrap=True)
+        return
+    found = kept.contents()
+    size = sum(each.stat().st_size for each in found)
+    console.print(
+        f"{_libraries(len(found))} with {_megabytes(size)} of at most {_megabytes(MOST_BYTES)} in {kept.folder}",
+        soft_wrap=True,
+    )
+
+
+def _libraries(count: int) -> str:
+    return f"{count} {'library' if count == 1 else 'libraries'} of machine code"
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.3g} MB"

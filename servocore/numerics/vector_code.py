@@ -1,0 +1,235 @@
+"""C source of expressions for many instants at once: eight lie side by side in one register, or in two or four.
+
+Every operation of an expression becomes one statement on vectors. Arithmetic and square roots give the digits that they
+give one by one; other functions are those of the C library, one lane after the other, for vector libraries round
+otherwise. What depends on nothing that changes from instant to instant is computed once a case.
+
+    void sc_run(long cases, long count, double const* const* in, long const* row, long const* lane,
+                double* const* out, long columns)
+
+`in` has an array for every argument. Of one that goes along with the instants, entry i of instant k of case c lies at
+c*lane + i*row + k; of one that is shared by the instants of a case, entry i at c*lane + i. `out` has an array for every
+result, entry i of instant k of case c at (c*rows + i)*columns + k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+LANES = 8
+NAME = "sc_run"
+
+_TILE = 64  # instants whose results are gathered before they are written out: each row lies in a page of its own
+
+_VECTOR = {
+    "ADD": "{0} + {1}", "SUB": "{0} - {1}", "MUL": "{0} * {1}", "DIV": "{0} / {1}", "TWICE": "{0} + {0}",
+    "SQ": "{0} * {0}", "NEG": "-{0}", "INV": "1.0 / {0}", "ASSIGN": "{0}", "LT": "one({0} < {1})",
+    "LE": "one({0} <= {1})", "EQ": "one({0} == {1})", "NE": "one({0} != {1})", "NOT": "one({0} == 0.0)",
+    "AND": "one(({0} != 0.0) & ({1} != 0.0))", "OR": "one(({0} != 0.0) | ({1} != 0.0))",
+    "IF_ELSE_ZERO": "where({0}, {1})", "FABS": "magnitude({0})", "FMAX": "larger({0}, {1})",
+    "FMIN": "smaller({0}, {1})", "SIGN": "sign({0})",
+}  # fmt: skip
+_LIBRARY = {
+    name: name.lower()
+    for name in ("SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH",
+                 "EXP", "LOG", "POW", "ATAN2", "FLOOR", "CEIL", "COPYSIGN", "FMOD", "ERF", "LOG1P", "EXPM1", "HYPOT")
+} | {"CONSTPOW": "pow"}  # fmt: skip
+_NAMES = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
+
+_HEAD = f"""#include <math.h>
+#define LANES {LANES}
+#define TILE {_TILE}
+typedef double vec __attribute__((vector_size({8 * LANES})));
+typedef double mem __attribute__((vector_size({8 * LANES}), aligned(8), may_alias));
+typedef long long bits __attribute__((vector_size({8 * LANES})));
+#define all(x) ((vec){{0}} + (x))
+#define load(p) ((vec)*(const mem*)(p))
+#define one(c) ((vec)((bits)(c) & (bits)all(1.0)))
+#define where(c, x) ((vec)((bits)((c) != 0.0) & (bits)(x)))
+#define either(c, x, y) ((vec)(((bits)(c) & (bits)(x)) | (~(bits)(c) & (bits)(y))))
+#define magnitude(x) ((vec)((bits)(x) & 0x7fffffffffffffffLL))
+#define larger(x, y) either(((x) >= (y)) | ((y) != (y)), x, y)
+#define smaller(x, y) either(((x) <= (y)) | ((y) != (y)), x, y)
+#define first_of(x) ((x)[0])
+#define sign(x) either((x) < 0.0, all(-1.0), either((x) > 0.0, all(1.0), x))
+#define each1(f, to, x) vec to; for (int i = 0; i < LANES; ++i) to[i] = f(x[i])
+#define each2(f, to, x, y) vec to; for (int i = 0; i < LANES; ++i) to[i] = f(x[i], y[i])
+"""
+
+
+_SCALAR_HEAD = """#include <math.h>
+typedef double vec;
+#define all(x) (x)
+#define load(p) (*(p))
+#define one(c) ((c) ? 1.0 : 0.0)
+#define where(c, x) ((c) != 0.0 ? (x) : 0.0)
+#define magnitude(x) fabs(x)
+#define larger(x, y) (((x) >= (y)) | ((y) != (y)) ? (x) : (y))
+#define smaller(x, y) (((x) <= (y)) | ((y) != (y)) ? (x) : (y))
+#define first_of(x) (x)
+#define sign(x) ((x) < 0.0 ? -1.0 : (x) > 0.0 ? 1.0 : (x))
+#define each1(f, to, x) const vec to = f(x)
+#define each2(f, to, x, y) const vec to = f(x, y)
+"""
+
+
+def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
+    """Return C source of a function for many instants and cases; None if an operation has no counterpart.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        Of expressions, its arguments and results dense.
+    along : sequence of bool
+        Which arguments go along with the instants; the others are shared by all instants of a case.
+    """
+    if not function.is_a("SXFunction"):
+        return None
+    statements = _Statements(function, along)
+    if statements.strange:
+        return None
+    sizes = [function.numel_out(k) for k in range(function.n_out())]
+    return _HEAD + "\n".join(_lines(statements, along, sizes))
+
+
+def chain_source(function: ca.Function, along: Sequence[bool]) -> str | None:
+    """Return C source of a function in a row: its first result is the first argument of the next instant.
+
+    The parameters are those of `vector_source`; the first argument is where a case begins.
+    """
+    if not function.is_a("SXFunction"):
+        return None
+    statements = _Statements(function, along, chained=True)
+    if statements.strange:
+        return None
+    sizes = [function.numel_out(k) for k in range(function.n_out())]
+    lines = [
+        *_begin(statements, along),
+        f"  double state[{sizes[0]}];",
+        f"  for (long i = 0; i < {sizes[0]}; ++i) state[i] = in0[i];",
+        "  for (long k = 0; k < count; ++k) {",
+        *[f"   {each}" for each in statements.block],
+        *[f"   state[{i}] = {value};" for which, i, value in statements.results if which == 0],
+        *[
+            f"   out[{which}][(c*{sizes[which]} + {i})*columns + k] = {value if which else f'state[{i}]'};"
+            for which, i, value in statements.results
+        ],
+        "  }",
+        " }",
+        "}",
+        "",
+    ]
+    return _SCALAR_HEAD + "\n".join(lines)
+
+
+class _Statements:
+    """The operations of a function as statements: those of a case, and those of eight instants."""
+
+    def __init__(self, function: ca.Function, along: Sequence[bool], chained: bool = False) -> None:
+        self.once: list[str] = []
+        self.block: list[str] = []
+        self.results: list[tuple[int, int, str]] = []
+        self.strange = False
+        self._along, self._chained = along, chained
+        values: dict[int, tuple[str, bool]] = {}  # by place: its name, and whether it is one for all instants
+        for k in range(function.n_instructions()):
+            operation, given = _NAMES[function.instruction_id(k)], function.instruction_input(k)
+            made = function.instruction_output(k)
+            if operation == "OUTPUT":
+                name, single = values[given[0]]
+                self.results.append((made[0], made[1], f"all({name})" if single else name))
+            else:
+                values[made[0]] = self._state(f"a{k}", operation, given, values, function, k)
+
+    def _state(
+        self, name: str, operation: str, given: list[int], values: dict[int, tuple[str, bool]], of: ca.Function, k: int
+    ) -> tuple[str, bool]:
+        if operation == "CONST":
+            return _number(float(of.instruction_constant(k))), True
+        if operation == "INPUT":
+            argument, i = given
+            if self._chained and argument == 0:
+                self.block.append(f"const vec {name} = state[{i}];")
+                return name, False
+            if self._along[argument]:
+                self.block.append(f"const vec {name} = load(in{argument} + {i}*row{argument} + k);")
+                return name, False
+            self.once.append(f"const double {name} = in{argument}[{i}];")
+            return name, True
+        operands = [values[each] for each in given]
+        single = all(each for _, each in operands)
+        taken = [f"all({value})" if one and not single else value for value, one in operands]
+        if operation in _LIBRARY:
+            self._call(name, _LIBRARY[operation], taken, single)
+        elif operation in _VECTOR:
+            self._calculate(name, operation, taken, single)
+        else:
+            self.strange = True
+        return name, single
+
+    def _call(self, name: str, function: str, taken: list[str], single: bool) -> None:
+        if single:
+            self.once.append(f"const double {name} = {function}({', '.join(taken)});")
+            return
+        self.block.append(f"each{len(taken)}({function}, {name}, {', '.join(f'({each})' for each in taken)});")
+
+    def _calculate(self, name: str, operation: str, taken: list[str], single: bool) -> None:
+        """One for all instants takes a lane of a vector too, where vectors have words of their own."""
+        if not single:
+            self.block.append(f"const vec {name} = {_VECTOR[operation].format(*taken)};")
+        elif "(" in _VECTOR[operation]:
+            lanes = [f"all({each})" for each in taken]
+            self.once.append(f"const double {name} = first_of({_VECTOR[operation].format(*lanes)});")
+        else:
+            self.once.append(f"const double {name} = {_VECTOR[operation].format(*taken)};")
+
+
+def _number(value: float) -> str:
+    if value != value:  # noqa: PLR0124 - that is what tells NaN
+        return "(double)NAN"
+    if value in (float("inf"), -float("inf")):
+        return f"({'-' if value < 0 else ''}(double)INFINITY)"
+    return f"({value.hex()})"
+
+
+def _begin(statements: _Statements, along: Sequence[bool]) -> list[str]:
+    """Return the head of the function, and what is done once a case."""
+    return [
+        f"void {NAME}(long cases, long count, const double *const *in, const long *row, const long *lane,",
+        "            double *const *out, long columns) {",
+        " for (long c = 0; c < cases; ++c) {",
+        *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(along))],
+        *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, each in enumerate(along) if each],
+        *[f"  {each}" for each in statements.once],
+    ]
+
+
+def _lines(statements: _Statements, along: Sequence[bool], sizes: list[int]) -> list[str]:
+    """Return the lines of the function: cases, tiles of instants, and eight instants within a tile.
+
+    Where less than eight are left, the last eight are taken again.
+    """
+    first = [sum(sizes[:k]) for k in range(len(sizes))]
+    return [
+        *_begin(statements, along),
+        "  for (long done = 0; done < count; done += TILE) {",
+        "   const long first = done + LANES <= count ? done : count - LANES;",
+        "   const long size = count - first < TILE ? count - first : TILE;",
+        f"   double tile[{sum(sizes)}*TILE] __attribute__((aligned(64)));",
+        "   for (long next = 0; next < size; next += LANES) {",
+        "    const long place = next + LANES <= size ? next : size - LANES, k = first + place; (void)k;",
+        *[f"    {each}" for each in statements.block],
+        *[f"    *(mem*)(tile + {first[which] + i}*TILE + place) = {value};" for which, i, value in statements.results],
+        "   }",
+        *[
+            f"   for (long i = 0; i < {size}; ++i) __builtin_memcpy(out[{k}] + (c*{size} + i)*columns + first,"
+            f" tile + ({first[k]} + i)*TILE, size*sizeof(double));"
+            for k, size in enumerate(sizes)
+        ],
+        "  }",
+        " }",
+        "}",
+        "",
+    ]

@@ -1,0 +1,206 @@
+"""A compiled function at many instants, and of many cases: by CasADi's interpreter, or as machine code."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.calls import Array, chained, mapped
+from servocore.numerics.machine_code import BACKGROUND, Build, automatic, built, library_of
+from servocore.numerics.vector_code import LANES, NAME, chain_source, vector_source
+
+MANY = 10_000
+"""Instants from which on machine code is worth being made for a first call."""
+
+_MOST_OPERATIONS = 30_000  # of one expression: beyond, compilers take minutes
+_BYTES = 8
+_PER_THREAD = 100_000  # instants that are worth a thread of their own
+
+
+class Vectorised:
+    """A function of arguments that go along with the instants and of others that are shared by all.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        With dense arguments and results; one of expressions can become machine code.
+    along : sequence of bool
+        Which arguments go along with the instants.
+    native : bool or None
+        Whether as machine code: True makes it now, False never; with None it is used if it was made before, and made
+        in the background when there is enough to do.
+    of_what : str
+        For messages.
+    in_a_row : bool
+        Whether one after the other: the first result of an instant is the first argument of the next.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no C compiler for `native`, or it does not compile.
+    """
+
+    def __init__(
+        self,
+        function: ca.Function,
+        along: Sequence[bool],
+        native: bool | None,
+        of_what: str,
+        *,
+        in_a_row: bool = False,
+    ) -> None:
+        self._in_a_row = in_a_row
+        self.function, self._along, self._of_what = function, tuple(along), of_what
+        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
+        self._run: Any = None
+        self._build: Build | None = None
+        self._calls = 0
+        self._asked = False
+        self._settled = native is False or not self._short()
+        if native and not self._settled:
+            self._require()
+
+    def ready(self, count: int) -> bool:
+        """Whether machine code is there for so many instants; asking for them brings it nearer."""
+        if not self._settled:
+            self._look(count)
+        return self._run is not None
+
+    def _short(self) -> bool:
+        return bool(self.function.is_a("SXFunction")) and self.function.n_instructions() <= _MOST_OPERATIONS
+
+    def _require(self) -> None:
+        source = self._source()
+        self._settled = True
+        if source is not None:
+            self._load(built(Build(source, self._of_what, True)))
+
+    def _source(self) -> str | None:
+        return (chain_source if self._in_a_row else vector_source)(self.function, self._along)
+
+    def _load(self, library: Any) -> None:
+        run = getattr(ctypes.CDLL(str(library)), NAME)
+        run.restype, many = None, ctypes.c_void_p
+        run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
+        self._run = run
+
+    def _look(self, count: int) -> None:
+        """Take machine code that is there; ask for it where there is much to do."""
+        self._calls += 1
+        if self._build is None:
+            source = self._source() if automatic() else None
+            if source is None:
+                self._settled = True
+                return
+            self._build = Build(source, self._of_what, True)
+        elif self._asked and BACKGROUND.pending(self._build):
+            return
+        if not self._asked or not BACKGROUND.pending(self._build):
+            library = library_of(self._build)
+            if library is not None:
+                with suppress(OSError):
+                    self._load(library)
+            self._settled = library is not None or self._asked
+        if not self._settled and (self._calls > 1 or count >= MANY):
+            self._asked = True
+            BACKGROUND.ask(self._build)
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Evaluate.
+
+        Parameters
+        ----------
+        *arguments : ndarray
+            Of one that goes along, shape (rows, N), or (cases, rows, N); of one that is shared, (size,), or
+            (cases, size). Entries of a row must lie side by side.
+
+        Returns
+        -------
+        list of ndarray
+            Results, shape (rows, N), or (cases, rows, N) if an argument has cases.
+        """
+        cases, count = 1, 0
+        for each, along in zip(arguments, self._along, strict=True):
+            count = each.shape[-1] if along else count
+            cases = len(each) if each.ndim == 2 + along else cases
+        batch = cases > 1 or any(each.ndim == 2 + along for each, along in zip(arguments, self._along, strict=True))
+        if self.ready(count * cases) and count:
+            found = self._in_machine_code(arguments, cases, count)
+            return found if batch else [each[0] for each in found]
+        if not batch:
+            return self.interpreted(*arguments)
+        parts = [self.interpreted(*self._of_case(arguments, case)) for case in range(cases)]
+        return [np.stack(each) for each in zip(*parts, strict=True)]
+
+    def interpreted(self, *arguments: Array) -> list[Array]:
+        """Evaluate one case by CasADi's interpreter."""
+        count = arguments[self._along.index(True)].shape[-1]
+        if not count:
+            return [np.empty((size, 0)) for size in self._sizes]
+        evaluate = (chained if self._in_a_row else mapped)(self.function, count)
+        pairs = zip(arguments, self._along, strict=True)
+        given = [a if along or (self._in_a_row and not k) else np.tile(a, count) for k, (a, along) in enumerate(pairs)]
+        found = evaluate(*given)
+        return [each.reshape(-1, count, order="F") for each in found]
+
+    def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
+        return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
+
+    def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
+        if count < LANES and not self._in_a_row:  # the last instant again and again
+            some = np.minimum(np.arange(LANES), count - 1)
+            wider = [a[..., some] if along else a for a, along in zip(arguments, self._along, strict=True)]
+            return [each[..., :count] for each in self._in_machine_code(tuple(wider), cases, LANES)]
+        held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
+        pairs = list(zip(held, self._along, strict=True))
+        row = _longs([a.strides[-2] // _BYTES if along else 0 for a, along in pairs])
+        lanes = [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
+        results = [np.empty((cases, size, count)) for size in self._sizes]
+        sources, targets = (_addresses(each) for each in (held, results))
+        threads = 1 if cases * count < 2 * _PER_THREAD else min(_processors(), cases * count // _PER_THREAD)
+        threads = min(threads, cases) if self._in_a_row else threads
+        if threads < 2:
+            self._run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
+            return results
+
+        def run(first: int, last: int, begin: int, end: int) -> None:
+            """Evaluate some cases at some instants."""
+            places = [
+                each + _BYTES * (first * lane + begin * along)
+                for each, lane, along in zip(sources, lanes, self._along, strict=True)
+            ]
+            ends = [
+                each + _BYTES * (first * size * count + begin) for each, size in zip(targets, self._sizes, strict=True)
+            ]
+            self._run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
+
+        by_case = cases >= threads
+        parts = np.linspace(0, cases if by_case else count, threads + 1).astype(int).tolist()
+        shares = [(a, b, 0, count) if by_case else (0, cases, a, b) for a, b in pairwise(parts)]
+        with ThreadPoolExecutor(threads) as pool:
+            for each in [pool.submit(run, *share) for share in shares]:
+                each.result()
+        return results
+
+
+def _addresses(arrays: list[Array]) -> list[int]:
+    return [each.__array_interface__["data"][0] for each in arrays]
+
+
+def _longs(values: list[int]) -> Any:
+    return (ctypes.c_long * max(len(values), 1))(*values)
+
+
+def _processors() -> int:
+    """Return how many threads may run at once."""
+    known = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    named = os.environ.get("OMP_NUM_THREADS", "")
+    return min(known, int(named)) if named.isdecimal() and int(named) else known

@@ -1,0 +1,87 @@
+"""Functions of a path and of parameters at many instants: with the path as part of the machine code where it can be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.calls import Array
+from servocore.numerics.vectorised import Vectorised
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import Reference
+from servocore.references.formula import Formula
+
+
+@dataclass(frozen=True, eq=False)
+class PathFunction:
+    """A compiled function (gamma (m, order + 1), p) -> results, at instants of a path.
+
+    Attributes
+    ----------
+    resolved : ResolvedSystem
+        Whose function it is.
+    function : casadi.Function
+        With dense results; one of expressions can become machine code.
+    native : bool or None
+        See `Vectorised`.
+    """
+
+    resolved: ResolvedSystem
+    function: ca.Function
+    native: bool | None = None
+
+    @property
+    def order(self) -> int:
+        """The derivatives of the path that it takes."""
+        return int(self.function.size2_in(0)) - 1
+
+    def prepare(self, reference: Reference) -> None:
+        """Compile now what is wanted as machine code.
+
+        Raises
+        ------
+        InvalidSetting
+            If there is no C compiler.
+        """
+        if self.native:
+            self._on_path(reference)
+
+    def __call__(self, problem: Problem, t: Array) -> list[Array]:
+        """Return the results at the instants `t` (N,), shape (rows, N) each."""
+        reference = problem.reference
+        chosen, formula = self._on_path(reference)
+        if formula is not None and chosen.ready(len(t)) and np.isfinite(t).all():
+            return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
+        return self.at_jets(reference.jet(t, self.order), problem.p, formula is None)
+
+    def ready(self, problem: Problem, count: int) -> bool:
+        """Whether machine code is there for so many instants."""
+        return self._on_path(problem.reference)[0].ready(count)
+
+    def at_jets(self, jets: Array, p: Array, compiled: bool = True) -> list[Array]:
+        """Return the same for reference jets (N, order + 1, m), by machine code if there is such for jets."""
+        of_jets = self.resolved.once(_of_jets, self)
+        return (of_jets if compiled else of_jets.interpreted)(jets.reshape(len(jets), -1).T, p)
+
+    def _on_path(self, reference: Reference) -> tuple[Vectorised, Formula | None]:
+        """Return what evaluates on a path, with the path inside if that is a formula."""
+        formula = reference.formula
+        if self.native is False or formula is None or not self.function.is_a("SXFunction"):
+            return self.resolved.once(_of_jets, self), None
+        return self.resolved.once(_of_time, self, formula), formula
+
+
+def _of_jets(resolved: ResolvedSystem, of: PathFunction) -> Vectorised:
+    return Vectorised(of.function, (True, False), of.native, resolved.system.name)
+
+
+def _of_time(resolved: ResolvedSystem, of: PathFunction, formula: Formula) -> Vectorised:
+    """Compile (t, numbers of the path, p) -> results."""
+    order = of.order
+    t, p = ca.SX.sym("t"), ca.SX.sym("p", of.function.numel_in(1))
+    numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
+    results = of.function.call([ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order)), p])
+    function = ca.Function("sc_on_path", [t, numbers, p], results, {"cse": True})
+    return Vectorised(function, (True, False, False), of.native, resolved.system.name)

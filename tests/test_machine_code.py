@@ -1,0 +1,276 @@
+"""Machine code comes by itself, is kept for the next process, and changes no bit of any result."""
+
+import os
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import servocore as sc
+from servocore.cli.commands import app
+from servocore.numerics import code_cache
+from servocore.numerics.code_cache import CodeCache
+from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
+from servocore.numerics.vector_code import vector_source
+from servocore.numerics.vectorised import Vectorised
+from servocore.problem import Problem
+from servocore.solvers.taylor import Taylor
+from servocore.structure.inversion import inversion
+
+SOURCE = "int servocore_answer(void) { return 42; }\n"
+
+
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch) -> CodeCache:
+    monkeypatch.setenv("SERVOCORE_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("SERVOCORE_MACHINE_CODE", raising=False)
+    return CodeCache.of_user()
+
+
+# What it computes ----------------------------------------------------------------------------------------------------
+
+x, y = ca.SX.sym("x"), ca.SX.sym("y")
+OPERATIONS = [
+    x + y, x - y, x * y, x / y, 2 * x, x * x, -x, 1 / x, ca.sqrt(ca.fabs(x)), ca.sin(x), ca.cos(y), ca.tan(x),
+    ca.atan(x), ca.asin(y / 9), ca.acos(y / 9), ca.sinh(x), ca.cosh(y), ca.tanh(x), ca.exp(x), ca.log(ca.fabs(y)),
+    ca.atan2(x, y),
+    ca.fabs(x) ** y, x**3, x**0.3, ca.floor(x), ca.ceil(y), ca.fmin(x, y), ca.fmax(x, y), ca.sign(x), ca.fabs(y), x < y,
+    x <= y, ca.eq(x, y), ca.ne(x, y), ca.logic_and(x < 0, y < 1), ca.logic_or(x < 0, y < 1), ca.if_else(x < y, x, y),
+    ca.logic_not(x < y), ca.copysign(x, y), ca.fmod(x, y), ca.hypot(x, y),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("along", [(True, True), (True, False), (False, True)], ids=["both", "first", "second"])
+@pytest.mark.usefixtures("compiler")
+def test_every_operation_gives_the_bits_of_the_interpreter(along):
+    function = ca.Function("sc_all", [x, y], [ca.densify(ca.vertcat(*OPERATIONS))])
+    special = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, 2.0, -2.5]
+    first, second = (each.ravel() for each in np.meshgrid(special, special))
+    values = [first[None], second[None]]
+    given = [each if goes else each[0, 34:35] for each, goes in zip(values, along, strict=True)]
+    interpreted, compiled = (Vectorised(function, along, native, "all")(*given)[0] for native in (False, True))
+    np.testing.assert_array_equal(compiled, interpreted)
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 63, 64, 65, 200])
+@pytest.mark.usefixtures("compiler")
+def test_any_number_of_instants_and_cases_will_do(count):
+    function = ca.Function("sc_some", [x, y], [ca.vertcat(x * y, x + 2), x - y])
+    compiled = Vectorised(function, (True, False), True, "some")
+    t, p = np.linspace(0.0, 1.0, count)[None], np.array([[3.0], [4.0], [5.0]])
+    both, difference = compiled(t, p)
+    np.testing.assert_array_equal(both, np.stack([np.vstack([t * k, t + 2]) for k in p]))
+    np.testing.assert_array_equal(difference, np.stack([t - k for k in p]))
+
+
+@pytest.mark.usefixtures("compiler")
+def test_threads_give_what_one_gives(monkeypatch):
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    monkeypatch.setattr("servocore.numerics.vectorised._PER_THREAD", 100)
+    function = ca.Function("sc_shared", [x, y], [x * y])
+    for t, p in ((np.arange(1001.0)[None], np.array([3.0])), (np.arange(101.0)[None], np.arange(11.0)[:, None])):
+        interpreted, compiled = (Vectorised(function, (True, False), native, "all")(t, p) for native in (False, True))
+        np.testing.assert_array_equal(compiled, interpreted)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_steps_in_a_row_give_the_bits_of_the_interpreter():
+    state, z = ca.SX.sym("state", 2), ca.SX.sym("z", 2)
+    following = ca.vertcat(state[1], ca.sin(state[0]) - ca.fmin(0.1 * x * state[1], z[1]) + ca.if_else(x > 2, z[0], x))
+    function = ca.Function("sc_row", [state, x, z], [following, state[0] * z[0]])
+    t, start, p = (
+        np.linspace(0.0, 5.0, 33)[None],
+        np.array([[0.3, 0.1], [0.2, 0.0]]),
+        np.array([[1.2, 0.3], [0.7, 0.1]]),
+    )
+    rows = [Vectorised(function, (False, True, False), each, "row", in_a_row=True) for each in (False, True)]
+    for given in ((start, t, p), (start[0], t, p[1])):
+        for interpreted, compiled in zip(*(each(*given) for each in rows), strict=True):
+            np.testing.assert_array_equal(compiled, interpreted)
+
+
+@pytest.mark.parametrize("profile", [sc.DEGREE9, sc.DEGREE13, sc.three_phase(), sc.three_phase(1.0)], ids=str)
+def test_a_path_gives_the_same_bits_as_a_formula(profile):
+    path = sc.rest_to_rest((5.0, 0.0, -1.0), (-3.0, 1.5, -0.2), 7.3, profile, 0.4)
+    t = np.concatenate([np.linspace(-1.0, 9.0, 997), [0.4, 7.7, 4.05]])
+    for order in (0, 1, 4, 8):
+        numbers = path.formula.numbers(order)
+        time, given = ca.SX.sym("t"), ca.SX.sym("numbers", len(numbers))
+        columns = path.formula.jet(time, ca.vertsplit(given), order)
+        jet = ca.Function("sc_jet", [time, given], [ca.densify(ca.vertcat(*columns))])
+        (found,) = Vectorised(jet, (True, False), False, "path")(t[None], np.array(numbers))
+        np.testing.assert_array_equal(found.reshape(order + 1, 3, -1).transpose(2, 0, 1), path.jet(t, order))
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane"])
+@pytest.mark.usefixtures("compiler")
+def test_a_solution_has_the_same_bits(name):
+    scene = getattr(sc.scenes, name)()
+    interpreted, compiled = (sc.solve(scene, native=native) for native in (False, True))
+    np.testing.assert_array_equal(compiled.values, interpreted.values)
+    assert compiled.statistics == interpreted.statistics
+
+
+@pytest.mark.usefixtures("compiler")
+def test_neighbours_that_are_apart_are_found_in_machine_code_too():
+    problem = Problem.of(sc.scenes.rotary_crane())
+    taylor, t = Taylor.of(problem.array), np.linspace(0.0, 20.0, 101)
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    function, size = problem.resolved.once(inversion).function, len(problem.array.unknowns)
+    states = np.hstack([np.asarray(function(jet.T, problem.p)[0]) for jet in jets])
+    states[:, 40] *= 1.01
+    states[3, 60] = np.nan
+    scale = np.ptp(states[taylor.q][:, :40], axis=1)
+    together = Vectorised(taylor.compile_together(size), (True, True, True, False), True, "taylor")
+    (found,) = together(states[:, :-1], states[:, 1:], np.diff(t)[None], scale)
+    apart = taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), scale)
+    assert set(np.flatnonzero(apart)) >= {39, 40, 59, 60}
+    np.testing.assert_array_equal(found[0] != 1.0, apart)
+
+
+def test_machine_code_has_no_more_statements_than_the_expression_has_operations():
+    problem = Problem.of(sc.scenes.rotary_crane())
+    flat = problem.resolved.once(inversion).expression
+    source = vector_source(flat, (True, False))
+    assert sum(line.startswith("    const vec") for line in source.splitlines()) <= flat.n_instructions()
+    assert vector_source(problem.resolved.once(inversion).search, (True, False, True)) is None
+
+
+# When it is made -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("compiler")
+def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_cache):
+    function = ca.Function("sc_product", [x, y], [x * y])
+    t, p = np.arange(100.0)[None], np.array([3.0])
+    product = Vectorised(function, (True, False), None, "product")
+    product(t, p)
+    assert not own_cache.contents()
+    product(t, p)
+    BACKGROUND.wait()
+    assert len(own_cache.contents()) == 1
+    assert product.ready(100)
+    np.testing.assert_array_equal(product(t, p)[0], 3.0 * t)
+    assert Vectorised(function, (True, False), None, "product").ready(1)
+    assert len(own_cache.contents()) == 1
+
+
+@pytest.mark.usefixtures("compiler")
+def test_many_instants_are_worth_it_at_once_and_false_switches_it_off(own_cache):
+    function = ca.Function("sc_sum", [x, y], [x + y])
+    t, p = np.arange(10_000.0)[None], np.array([3.0])
+    for native, expected in ((False, 0), (None, 1)):
+        Vectorised(function, (True, False), native, "sum")(t, p)
+        BACKGROUND.wait()
+        assert len(own_cache.contents()) == expected
+
+
+@pytest.mark.usefixtures("own_cache")
+def test_without_a_compiler_all_goes_on_interpreted(monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    monkeypatch.delenv("CC", raising=False)
+    function = ca.Function("sc_difference", [x, y], [x - y])
+    for _ in range(3):
+        found = Vectorised(function, (True, False), None, "difference")(np.arange(20_000.0)[None], np.array([3.0]))
+        BACKGROUND.wait()
+    np.testing.assert_array_equal(found[0][0], np.arange(20_000.0) - 3.0)
+    with pytest.raises(sc.InvalidSetting, match="machine code needs a C compiler"):
+        Vectorised(function, (True, False), True, "difference")
+
+
+def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
+    slow = tmp_path / "slowcc"
+    slow.write_text('#!/bin/sh\necho $$ > pid; cp pid "$0.pid"\nexec sleep 60\n')
+    slow.chmod(0o755)
+    code = (
+        "import time, numpy as np, casadi as ca; from servocore.numerics.vectorised import Vectorised\n"
+        "from pathlib import Path\nx, y = ca.SX.sym('x'), ca.SX.sym('y')\n"
+        "Vectorised(ca.Function('sc_f', [x, y], [x * y]), (True, False), None, 'f')(np.zeros((1, 20000)), np.ones(1))\n"
+        f"while not Path({str(slow)!r} + '.pid').exists(): time.sleep(0.01)\n"
+    )
+    environment = {
+        **os.environ,
+        "CC": str(slow),
+        "SERVOCORE_CACHE": str(tmp_path / "cache"),
+        "SERVOCORE_MACHINE_CODE": "",
+    }
+    begin = time.monotonic()
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True, timeout=50)
+    assert time.monotonic() - begin < 50
+    running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
+    assert not running.exists()
+    assert not list((tmp_path / "cache").glob("*.building"))
+
+
+# Where it is kept ----------------------------------------------------------------------------------------------------
+
+
+def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache):
+    assert own_cache.store("a" * 40, b"code") is not None
+    assert stat.S_IMODE(own_cache.folder.stat().st_mode) == 0o700
+    assert own_cache.find("a" * 40) is not None
+    own_cache.folder.chmod(0o755)
+    assert "mode 0755: it must be its user's alone" in own_cache.refusal()
+    assert own_cache.find("a" * 40) is None
+    assert own_cache.store("b" * 40, b"code") is None
+    refused = CliRunner().invoke(app, ["cache"])
+    assert refused.exit_code == 2
+    assert "no machine code is kept" in refused.output.replace("\n", " ")
+
+
+def test_a_link_in_the_place_of_the_folder_is_refused(own_cache, tmp_path):
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    own_cache.folder.symlink_to(tmp_path / "elsewhere")
+    assert own_cache.refusal().endswith("is no folder")
+
+
+@pytest.mark.usefixtures("compiler", "own_cache")
+def test_contents_that_are_not_those_that_were_stored_are_not_loaded():
+    path = built(Build(SOURCE, "an answer"))
+    assert library_of(Build(SOURCE, "an answer")) == path
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    assert library_of(Build(SOURCE, "an answer")) is None
+    assert not path.exists()
+    assert built(Build(SOURCE, "an answer")) == path
+
+
+def test_the_longest_unused_go_when_there_is_no_more_room(own_cache, monkeypatch):
+    monkeypatch.setattr(code_cache, "MOST_BYTES", 250)
+    paths = [own_cache.store(f"{k}" * 40, bytes([k]) * 100) for k in (1, 2)]
+    os.utime(paths[0], (2e9, 2e9))
+    os.utime(paths[1], (1e9, 1e9))
+    newest = own_cache.store("3" * 40, b"3" * 100)
+    assert set(own_cache.contents()) == {paths[0], newest}
+
+
+def test_one_process_builds_and_others_see_that(own_cache):
+    assert own_cache.claim("a" * 40)
+    assert not own_cache.claim("a" * 40)
+    os.utime(own_cache.folder / f"{'a' * 40}.building", (1e9, 1e9))
+    assert own_cache.claim("a" * 40), "whoever claimed it long ago has died"
+    own_cache.release("a" * 40)
+    assert own_cache.claim("a" * 40)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_processes_that_build_the_same_do_not_meet(own_cache):
+    code = f"from servocore.numerics.machine_code import Build, built\nprint(built(Build({SOURCE!r}, 'an answer')))"
+    running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    found = {each.communicate(timeout=60)[0].strip() for each in running}
+    assert [str(each) for each in own_cache.contents()] == sorted(found)
+    assert not list(own_cache.folder.glob("*.part"))
+
+
+def test_the_command_shows_and_clears_the_cache(own_cache):
+    own_cache.store("a" * 40, b"code" * 1000)
+    shown = CliRunner().invoke(app, ["cache"])
+    assert "1 library of machine code with 0.004 MB of at most 67.1 MB in" in shown.output
+    cleared = CliRunner().invoke(app, ["cache", "clear"])
+    assert "1 library of machine code with 0.004 MB removed" in cleared.output
+    assert not own_cache.contents()
