@@ -98,10 +98,10 @@ SUITABLE = import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 
 $(INSTALLED): pyproject.toml | $(BIN)/python
 	@echo "Installing servocore and its tools into .venv (about a minute)"
-	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[control,dev]'; \
-	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[control,dev]'; fi
-	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[control,dev,masters]'; \
-	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[control,dev,masters]'; fi >/dev/null 2>&1 \
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[all,dev]'; \
+	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[all,dev]'; fi
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -e '.[all,dev,masters]'; \
+	else $(RUN) pip install --quiet --disable-pip-version-check -e '.[all,dev,masters]'; fi >/dev/null 2>&1 \
 	|| echo "Not all of ecospy, libcosimpy and fmu-manipulation-toolbox can be installed here; their tests are skipped"
 	@touch $@
 
@@ -132,7 +132,7 @@ $(NEWEST)/.installed $(LOWEST)/.installed: pyproject.toml | $(INSTALLED)
 	if ! command -v "$$uv" >/dev/null 2>&1; then \
 		$(RUN) venv .venv/uv; .venv/uv/bin/python -m pip install --quiet --disable-pip-version-check uv; fi; \
 	"$$uv" venv --quiet --clear --python $(version) $(@D); \
-	"$$uv" pip install --quiet --python $(@D)/bin/python --resolution $(resolution) -e '.[control,dev]'
+	"$$uv" pip install --quiet --python $(@D)/bin/python --resolution $(resolution) -e '.[all,dev]'
 	@touch $@
 
 $(BIN)/python:

@@ -20,6 +20,7 @@ from servocore.cli.console import (
     SETTINGS,
     PatientProgress,
     SentenceGroup,
+    Version,
     deliver,
     end_as_of_no_use,
     held_notes,
@@ -36,6 +37,11 @@ app = typer.Typer(
     help="Inputs that make the load of a rotary crane follow its path, and that crane as an FMU.",
     **SETTINGS,
 )
+
+
+@app.callback()
+def _commands(_version: Version = False) -> None:
+    """Take options that belong to no command; the text of the help is that of `app`."""
 
 
 Point = tuple[float, float, float]

@@ -76,7 +76,7 @@ from servocore.stepping.plant import Plant
 from servocore.stepping.program import Program, StepReport
 from servocore.stepping.stepper import Stepper
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Use: to look at a problem, solve it, try the answer.
 __all__ = [

@@ -43,6 +43,24 @@ class PlanningFailed(ServocoreError):
     """No law was found that keeps all limits and that the solver and a finer grid agree about."""
 
 
+_EXTRAS = {
+    "control": "control",
+    "fmpy": "fmu",
+    "jinja2": "fmu",
+    "markdown_it": "fmu",
+    "matplotlib": "report",
+    "pythonfmu": "fmu",
+}
+
+
+def missing_package(error: ImportError) -> InvalidSetting | None:
+    """Return the refusal for a package that an extra of the installation brings; None for any other import."""
+    package = (error.name or "").partition(".")[0]
+    if package not in _EXTRAS:
+        return None
+    return InvalidSetting(f"the package {package} is needed for this: pip install 'servocore[{_EXTRAS[package]}]'")
+
+
 def described(value: object) -> str:
     """Return what messages call an argument that is of the wrong kind: the text 'a', the class A, a casadi.MX."""
     if value is None:

@@ -161,5 +161,5 @@ def test_a_load_in_free_fall_has_no_state():
 
 def test_the_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(sc.InvalidSetting, match=r"install servocore\[control\]"):
+    with pytest.raises(sc.InvalidSetting, match=r"pip install 'servocore\[control\]'"):
         sc.to_control(SCENES["cars"])

@@ -19,7 +19,7 @@ from servocore.analysis import analyse
 from servocore.cli.cache import EXAMPLES as CACHE_EXAMPLES
 from servocore.cli.cache import show_cache
 from servocore.cli.choice import chosen
-from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, table_console
+from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, Version, table_console
 from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
 from servocore.cli.export import export_scene
 from servocore.cli.level import Level
@@ -55,7 +55,7 @@ SceneName = Annotated[str, _SCENE]
 
 
 @app.callback()
-def _commands() -> None:
+def _commands(_version: Version = False) -> None:
     """Keep the commands named even if there is one only; the text of the help is that of `app`."""
 
 

@@ -10,15 +10,16 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from importlib import metadata
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from typer.core import TyperGroup
 
-from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
+from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning, missing_package
 from servocore.files import write_together
 
 OF_NO_USE, REFUSED = 1, 2
@@ -41,6 +42,19 @@ SETTINGS: dict[str, Any] = {
 """How every command line of this project is set up, beside its name, help and `SentenceGroup`."""
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"servocore {metadata.version('servocore')}")
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool,
+    typer.Option("--version", "-v", help="Print the version and end.", callback=_show_version, is_eager=True),
+]
+"""An option of the command lines themselves, before any command."""
+
+
 class SentenceGroup(TyperGroup):
     """A command group that ends refusals with one plain sentence, which its name opens, and exit code 2."""
 
@@ -51,6 +65,11 @@ class SentenceGroup(TyperGroup):
                 code = super().main(*args, **{**options, "standalone_mode": False})
         except ServocoreError as error:
             self._refuse(str(error))
+        except ModuleNotFoundError as error:
+            refusal = missing_package(error)
+            if refusal is None:
+                raise
+            self._refuse(str(refusal))
         except typer.Abort:
             self._refuse("stopped")
         except UsageError as error:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, missing_package
 from servocore.export.inverse_model import InverseModel
 from servocore.export.variables import Variable
 
@@ -66,7 +66,10 @@ def token_of(model: InverseModel, fmi: int) -> str:
 
 def rendered(template: str, **values: Any) -> str:
     """Fill in one of the templates."""
-    import jinja2  # noqa: PLC0415 - only who exports pays for it
+    try:
+        import jinja2  # noqa: PLC0415 - only who exports pays for it
+    except ImportError as error:
+        raise missing_package(error) or error from None
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(SHARED),

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, missing_package
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, Call
 from servocore.problem import Problem, ResolvedSystem
@@ -85,8 +85,8 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
 def _flatsys() -> Any:
     try:
         from control import flatsys  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise InvalidSetting("to_control needs the package control: install servocore[control]") from None
+    except ImportError as error:
+        raise missing_package(error) or error from None
     return flatsys
 
 

@@ -1,0 +1,85 @@
+"""The library without what its extras bring: solving works, and whatever does not names the extra."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+import servocore
+from servocore.errors import missing_package
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("control", "fmpy", "jinja2", "markdown_it", "matplotlib", "pythonfmu")
+LINE = "--from 5 0 -5 --to -2 2 -2 --duration 20"
+CRANE, LIBRARY = "from crane_fmu.cli import main", "from servocore.cli.commands import main"
+
+
+def without_extras(code: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run Python with none of the packages to be found."""
+    blocked = f"import sys\nsys.modules.update(dict.fromkeys({PACKAGES}))\n"
+    command = [sys.executable, "-c", f"{blocked}{code}", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
+
+
+@pytest.mark.parametrize(
+    ("code", "arguments"),
+    [
+        ("import servocore as sc; sc.solve(sc.scenes.rotary_crane()); sc.analyse(sc.scenes.cars())", ""),
+        (f"{CRANE}; main()", f"feedforward {LINE} -o inputs.csv"),
+        (f"{LIBRARY}; main()", "scenes"),
+    ],
+)
+def test_solving_needs_no_extra(code, arguments, tmp_path):
+    run = without_extras(code, *arguments.split(), folder=tmp_path)
+    assert (run.returncode, run.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("code", "arguments", "extra"),
+    [
+        (CRANE, "build", "fmu"),
+        (CRANE, "demo", "fmu"),
+        (CRANE, f"feedforward {LINE} --plot inputs.png", "report"),
+        (LIBRARY, "export cars -o cars.fmu --targets host", "fmu"),
+        (LIBRARY, "sensitivities cars --plot cars.png", "report"),
+    ],
+)
+def test_what_needs_an_extra_says_which_and_leaves_nothing(code, arguments, extra, tmp_path):
+    run = without_extras(f"{code}; main()", *arguments.split(), folder=tmp_path)
+    assert run.returncode == 2
+    assert run.stderr.count("\n") == 1
+    assert f"pip install 'servocore[{extra}]'" in run.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_script_that_builds_names_its_extra(tmp_path):
+    run = without_extras(f"import runpy; runpy.run_path({str(ROOT / 'build_fmu.py')!r})", folder=tmp_path)
+    assert run.returncode == 1
+    assert "pip install '.[fmu]'" in run.stderr
+    assert "Traceback" not in run.stderr
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_extra_that_is_named_brings_the_package(package):
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    said = str(missing_package(ImportError(name=package)))
+    named = said.partition("servocore[")[2].partition("]")[0]
+    brought = " ".join(extras[named]).lower()
+    assert any(name.lower() in brought for name in packages_distributions()[package])
+    assert named in extras["all"][0]
+
+
+def test_other_imports_that_fail_are_no_refusals():
+    assert missing_package(ImportError(name="numpy")) is None
+
+
+@pytest.mark.parametrize("module", [CRANE, LIBRARY])
+@pytest.mark.parametrize("option", ["--version", "-v"])
+def test_command_lines_tell_their_version(module, option, tmp_path):
+    run = without_extras(f"{module}; main()", option, folder=tmp_path)
+    assert (run.returncode, run.stdout) == (0, f"servocore {servocore.__version__}\n")
