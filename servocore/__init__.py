@@ -70,7 +70,18 @@ from servocore.references import (
     waypoints_from_csv,
 )
 from servocore.solution import Margin, Solution, Statistics
-from servocore.solvers import Adaptive, BoundaryValue, EnergyMomentum, ExactInversion, Route, simulate, solve
+from servocore.solvers import (
+    Adaptive,
+    Batch,
+    BoundaryValue,
+    DynamicInversion,
+    EnergyMomentum,
+    ExactInversion,
+    Route,
+    Sundials,
+    simulate,
+    solve,
+)
 from servocore.stepping.forward_dynamics import compile_plant
 from servocore.stepping.plant import Plant
 from servocore.stepping.program import Program, StepReport
@@ -88,8 +99,10 @@ __all__ = [
     "DEGREE13",
     "Adaptive",
     "BackwardEuler",
+    "Batch",
     "BoundaryValue",
     "Box",
+    "DynamicInversion",
     "EnergyMomentum",
     "ExactInversion",
     "Gauss",
@@ -124,6 +137,7 @@ __all__ = [
     "StepReport",
     "Stepper",
     "StructureReport",
+    "Sundials",
     "Trapezoidal",
     "analyse",
     "compile_plant",

@@ -19,7 +19,6 @@ import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -87,7 +86,6 @@ class Build:
         return hashlib.sha256(repr((told, machine)).encode()).hexdigest()[:40]
 
 
-@cache  # the processor stays what it is
 def _processor() -> str:
     """Return what the processor can do."""
     with suppress(OSError):

@@ -104,6 +104,25 @@ def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -
         return None
 
 
+def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
+    """Compile the solution of a system that needs no iterations: givens -> outputs, as one expression.
+
+    Returns
+    -------
+    casadi.Function or None
+        None if some block is nonlinear, or too large to be written out.
+    """
+    givens = ca.MX.sym("givens", system.givens.numel())
+    try:
+        assembly = _solved(system, givens, flat=True)
+    except _TooLargeError:
+        return None
+    if assembly.iterations or assembly.alike:
+        return None
+    wanted = [ca.densify(each) for each in assembly.resolved(*outputs)]
+    return ca.Function(name, [givens], assembly.evaluated("sc_finish", *wanted)).expand()
+
+
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, flat: bool = False) -> ca.Function:
     r"""Compile `system` into a function that solves it.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import casadi as ca
@@ -57,7 +56,7 @@ class RestToRest(Reference):
         gamma[late, 0] = last - (1.0 - s[late, :1]) * way
         return gamma
 
-    @cached_property  # every evaluation in machine code asks
+    @property
     def formula(self) -> Formula:
         """The same as an expression."""
         profile, size = self.profile, self.dimension

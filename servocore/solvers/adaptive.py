@@ -30,17 +30,17 @@ _MOST_HALVINGS = 14
 
 @dataclass(frozen=True)
 class Adaptive:
-    """The accuracy wanted of every reported trajectory; the only knob.
+    """The accuracy wanted of every input; the only knob.
 
-    An error e of a trajectory with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
+    An error e of an input with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
     round-off, so it needs no tolerance of its own.
 
     Parameters
     ----------
     rtol : float
-        Relative to the peak of each trajectory over the run.
+        Relative to the peak of each input over the run.
     atol : float
-        In the trajectory's own unit.
+        In the input's own unit.
     most_steps : int
         A run that needs more is given up.
     """
@@ -59,13 +59,13 @@ class Adaptive:
             )
 
     def allowed(self, peaks: Array) -> Array:
-        """Return the error that is accepted of trajectories with these peaks."""
+        """Return the error that is accepted of inputs with these peaks."""
         return self.atol + self.rtol * peaks
 
 
 @dataclass(frozen=True)
 class ToTolerance:
-    """So accurate that every reported trajectory meets a tolerance at the instants.
+    """So accurate that every input meets a tolerance at the instants.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ class Reached:
     spacing : float
         Step by which the history in the state is spaced, in s.
     peaks : ndarray
-        Largest magnitude of every trajectory so far.
+        Largest magnitude of every input so far.
     h : float
         Step to try next, in s.
     last_error : float
@@ -199,8 +199,8 @@ class StepControl:
 
     def error(self, now: Reached, time: float, fine: Array, coarse: Array) -> tuple[float, Array]:
         """Return the error of a step to `time` as a fraction of what is allowed, and the new peaks."""
-        jet = self.problem.reference.jet(time, self.program.start_order)
-        fine, coarse = (self.program.values(each, jet, self.problem.p) for each in (fine, coarse))
+        jet, inputs = self.problem.reference.jet(time, self.program.start_order), len(self.problem.system.inputs)
+        fine, coarse = (self.program.values(each, jet, self.problem.p)[:inputs] for each in (fine, coarse))
         peaks = np.maximum(now.peaks, np.abs(fine))
         # Error per unit of time: so that what all steps leave behind together meets the tolerance.
         weight = self.control.allowed(np.maximum(peaks, 1e-3)) * (time - now.time) / self.problem.reference.duration
@@ -229,7 +229,8 @@ def _by_steps(problem: Problem, control: StepControl, t: Array, first: First, pr
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
     program, step = control.program, step_of(t)
     state, residual = begin(problem, program, step, first)
-    peaks = np.abs(program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p))
+    first_values = program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p)
+    peaks = np.abs(first_values[: len(problem.system.inputs)])
     now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)
     columns = [state]
     for k, end in enumerate(t[1:]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -55,6 +56,22 @@ class PathFunction:
         if formula is not None and chosen.ready(len(t)) and np.isfinite(t).all():
             return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
         return self.at_jets(reference.jet(t, self.order), problem.p, formula is None)
+
+    def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
+        """Return the results of cases, shape (cases, rows, N) each.
+
+        There is one path a case, or one for all; `p` has shape (cases, size), or (size,) for all.
+        """
+        formulas = [each.formula for each in references]
+        chosen, formula = self._on_path(references[0])
+        p = p if p.ndim == 2 or len(references) > 1 else p[None]
+        count = len(t) * max(len(references), len(p) if p.ndim == 2 else 1)
+        if formula is not None and all(each == formula for each in formulas) and chosen.ready(count):
+            numbers = [each.numbers(self.order) for each in formulas if each is not None]
+            return chosen(t[None], np.array(numbers if len(numbers) > 1 else numbers[0]), p)
+        jets = np.stack([each.jet(t, self.order).reshape(len(t), -1).T for each in references])
+        of_jets = self.resolved.once(_of_jets, self)
+        return of_jets(np.ascontiguousarray(jets if len(references) > 1 else jets[0]), p)
 
     def ready(self, problem: Problem, count: int) -> bool:
         """Whether machine code is there for so many instants."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from servocore.numerics.calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
-from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_solver
+from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_formula, compile_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 
 LARGEST_RESIDUAL = 1e-9
@@ -124,6 +124,23 @@ def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Funct
     found = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in found], {"cse": True})
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
+
+
+def compile_explicit(resolved: Analysed) -> ca.Function | None:
+    """Compile (gamma, p, states) -> unknowns of the array, as one expression; None where that needs iterations.
+
+    The states are those of the internal dynamics, in their order; meant for `ResolvedSystem.once`.
+    """
+    array = resolved.array
+    found = compile_formula("sc_explicit", *_equations(array))
+    if found is None:
+        return None
+    gamma = ca.SX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
+    p, states = ca.SX.sym("p", array.system.p.numel()), ca.SX.sym("states", len(array.states))
+    guess = ca.SX.zeros(len(array.unknowns))
+    guess[array.places(array.states)] = states
+    unknowns = found(ca.vertcat(ca.vec(gamma), p, guess))
+    return ca.Function("sc_explicit", [gamma, p, states], [ca.densify(unknowns)], {"cse": True})
 
 
 def _longest(function: ca.Function, array: DerivativeArray) -> int:

@@ -1,0 +1,171 @@
+"""Exact inversion of many cases in one call: other parameters, other paths, arrays in and arrays out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import instantaneous
+from servocore.model.scene import Scene, require_scene
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import Reference, numbers_of
+from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.path_function import PathFunction
+from servocore.structure.inversion import inversion
+
+
+class Batch:
+    """What exact inversions give, for many cases of one scene at the same instants.
+
+    A case has parameter values of its own, a path of its own, or both. Machine code goes through all instants of all
+    cases at the price of an instant of a single one, in as many threads as there are processors. Limits are not looked
+    at: ask for the quantities that are limited and compare.
+
+    Parameters
+    ----------
+    scene : Scene
+        Without internal dynamics.
+    quantities : sequence of str, optional
+        Names of what is wanted, of those that `solve` reports; the inputs when not given.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+    native : bool, optional
+        Whether as machine code; see `ExactInversion`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        What the last axis of a result holds.
+
+    Raises
+    ------
+    InvalidModel
+        If the scene has internal dynamics or follows a branch, or no quantity of a name.
+
+    Examples
+    --------
+    >>> batch = Batch(crane, ("M_b", "F", "l"))
+    >>> values = batch(np.linspace(0.0, 20.0, 201), parameters={"load_mass": np.linspace(50.0, 150.0, 1000)})
+    >>> values.shape
+    (1000, 201, 3)
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        quantities: Sequence[str] | None = None,
+        model: str | None = None,
+        *,
+        native: bool | None = None,
+    ) -> None:
+        require_scene(scene, "Batch")
+        self._problem = problem = Problem.of(scene, model)
+        if not problem.flat or problem.follow_branch:
+            why = "follows a branch" if problem.flat else "has internal dynamics"
+            raise InvalidModel(f"{scene.name} {why}: its cases are solved one by one, with solve")
+        known = {each.name for each, _ in observed(problem.system)}
+        self.names = tuple(quantities or (each.name for each in problem.system.inputs))
+        wrong = [each for each in self.names if each not in known]
+        if wrong:
+            raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
+        self._quick, self._seeking = problem.resolved.once(_compile_cases, self.names, native)
+        self._quick.prepare(problem.reference)
+
+    def __call__(
+        self,
+        t: npt.ArrayLike,
+        parameters: Mapping[str, npt.ArrayLike] | None = None,
+        paths: Sequence[Reference] | None = None,
+    ) -> Array:
+        """Evaluate all cases at the times `t`.
+
+        Parameters
+        ----------
+        t : array_like, shape (N,)
+            Times in s, the same for all cases.
+        parameters : mapping of str to array_like, shape (cases,) or ()
+            Values in SI units; what is left out has the scene's value.
+        paths : sequence of Reference, optional
+            One a case; the scene's own path for all when not given.
+
+        Returns
+        -------
+        ndarray, shape (cases, N, quantities)
+            NaN where an instant is not solved, or on another branch of the equations than the one wanted.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such parameter, or a value lies outside its bounds.
+        InvalidReference
+            If a path lacks derivatives.
+        InvalidSetting
+            If parameters and paths are of different number.
+        """
+        times = numbers_of(t, "the times of a batch").reshape(-1)
+        p, references = self._parameters(parameters or {}), [*(paths or ())]
+        for each in references:
+            require_kind(each, Reference, "each path of a batch", "a Reference", InvalidReference)
+        if p.ndim == 2 and references and len(references) != len(p):
+            raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
+        found = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
+        if not np.isfinite(found).all():
+            found = self._searched(found, references, times, p)
+        values, signs = found[:, : len(self.names)], found[:, len(self.names) :]
+        if not (signs > 0.0).all():
+            values = np.where((signs > 0.0).all(axis=1, keepdims=True), values, np.nan)
+        return values.transpose(0, 2, 1)
+
+    def _parameters(self, given: Mapping[str, npt.ArrayLike]) -> Array:
+        """Return the values of all parameters, shape (size,), or (cases, size) where some have values of their own."""
+        quantities = {name: k for k, name in enumerate(self._problem.system.parameters.names)}
+        columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
+        for name, values in columns.items():
+            if name not in quantities:
+                raise InvalidModel(f"{self._problem.name} has no parameter {name}; it has {', '.join(quantities)}")
+            own = self._problem.system.parameters.declared[quantities[name]]
+            if values.size:
+                own.check(float(values.min()))  # NaN spreads to both
+                own.check(float(values.max()))
+        sizes = {values.size for values in columns.values() if values.ndim}
+        if len(sizes) > 1 or any(values.ndim > 1 for values in columns.values()):
+            raise InvalidSetting("parameters of a batch are single values, or rows of one length")
+        p = np.tile(self._problem.p, (*sizes, 1)) if sizes else self._problem.p.copy()
+        for name, values in columns.items():
+            p[..., quantities[name]] = values
+        return p
+
+    def _searched(self, found: Array, references: list[Reference], t: Array, p: Array) -> Array:
+        """Solve by Newton's method the instants that the quick function left open."""
+        left = np.asarray(~np.isfinite(found).all(axis=1))
+        for case in np.flatnonzero(left.any(axis=1)):
+            reference = references[case % len(references)] if references else self._problem.reference
+            at = np.flatnonzero(left[case])
+            jets = reference.jet(t[at], self._quick.order)
+            found[case][:, at] = at_instants(self._seeking, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
+        return found
+
+
+def _compile_cases(
+    resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None
+) -> tuple[PathFunction, ca.Function]:
+    """Compile (gamma, p) -> named quantities and what must be positive: quick, and by Newton's method."""
+    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
+    known = observed(system)
+    by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
+    wanted = [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
+    order = resolved.array.reference_order
+    read = compile_observation(system, dae, instantaneous(dae), wanted, order)
+    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
+    seeking = ca.Function("sc_cases", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])
+    if inverse.expression is None:
+        return PathFunction(resolved, seeking, native), seeking
+    g, q = ca.SX.sym("gamma", *gamma.shape), ca.SX.sym("p", p.numel())
+    results = [read(inverse.expression(g, q)[0], g, q)[0]]
+    return PathFunction(resolved, ca.Function("sc_quick_cases", [g, q], results, {"cse": True}), native), seeking

@@ -1,0 +1,114 @@
+"""SUNDIALS on the reduced form: variable step and order, one tolerance, dense output. It comes with CasADi."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
+from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.formula import Formula
+from servocore.solution import Solution
+from servocore.solvers.loop import Progress, Run, begin, step_of
+from servocore.solvers.results import Segment, solution_of
+from servocore.stepping.compilation import given_start_of, program_of
+from servocore.structure.inversion import inversion
+
+_MOST_STEPS = 100_000
+
+
+@dataclass(frozen=True)
+class Sundials:
+    """The internal dynamics of the reduced form by IDAS: BDF of variable order and step (Hindmarsh et al. 2005).
+
+    Give it to `solve` in the place of a method: ``solve(scene, Reduced(), Sundials(1e-6))``. The states are read at
+    the instants from its dense output; everything else is solved there to round-off. The choice of states is kept over
+    the whole run, and the path has to be a formula, as paths from rest to rest are.
+
+    Parameters
+    ----------
+    rtol : float
+        Of the local error, relative to each state.
+    atol : float, optional
+        The same in the unit of each state; a thousandth of `rtol` when not given.
+    """
+
+    rtol: float = 1e-6
+    atol: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, value in (("rtol", self.rtol), ("atol", self.atol)):
+            if value is not None:
+                require_real(value, f"{name} of Sundials", "a number", InvalidSetting)
+                if not 0.0 < value < 1.0:
+                    raise InvalidSetting(f"{name} must lie between 0 and 1, not {value}")
+
+    @property
+    def name(self) -> str:
+        """Name on command lines and in tables."""
+        return "sundials"
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Integrate to the instants; see `Route`.
+
+        Raises
+        ------
+        InvalidModel
+            If there are no internal dynamics.
+        InvalidReference
+            If the path is no formula.
+        IntegrationFailed
+            If SUNDIALS gives up, or an instant is not solved.
+        """
+        formula, array, how = problem.reference.formula, problem.array, (Reduced(), BackwardEuler())
+        if problem.flat:
+            raise InvalidModel(f"{problem.name} has no internal dynamics: there is nothing to integrate")
+        if formula is None:
+            raise InvalidReference("SUNDIALS needs a path that is a formula, such as rest_to_rest; RadauIIA takes any")
+        program, count = program_of(problem, *how), len(times) - 1
+        first, _ = begin(problem, program, step_of(times), given_start_of(*how))
+        size = len(array.states)
+        x0, z0 = first[:size], first[size : len(array.unknowns)]
+        given = np.concatenate([formula.numbers(array.reference_order), problem.p])
+        settings = self.rtol, self.atol or self.rtol / 1000.0, tuple(times.tolist())
+        integrate = problem.resolved.once(_integrator, formula, *settings)
+        try:
+            states, _ = integrate(x0, z0, given)
+        except RuntimeError as error:  # SUNDIALS gives up
+            raise IntegrationFailed(f"{problem.name}: SUNDIALS gave up: {str(error).splitlines()[-1]}") from None
+        jets = side_by_side(problem.reference.jet(times, array.reference_order))
+        guess = np.zeros((len(array.unknowns), count + 1))
+        guess[array.places(array.states)] = np.hstack([x0[:, None], states.reshape(size, count, order="F")])
+        guess[array.places(array.determined)] = z0[:, None]
+        unknowns = problem.resolved.once(inversion).searched(jets, problem.p, guess)
+        if not np.isfinite(unknowns).all():
+            k = int(np.isfinite(unknowns).all(axis=0).argmin())
+            raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")
+        rows = [*array.places(array.states), *array.places(array.determined)]
+        columns = np.tile(first[:, None], count + 1)
+        columns[: len(rows)] = unknowns[rows]
+        if progress is not None:
+            progress(count, count)
+        done = Segment(program, times, Run(columns, 0, 0, 0.0))
+        return solution_of(problem, [done], f"{problem.system.name}, reduced, {self.name}")
+
+
+def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, atol: float, times: tuple[float, ...]) -> Call:
+    """Compile (x0, z0, [numbers of the path; p]) -> states at the instants after the first, and the last z."""
+    dae, order = resolved.dae(Reduced()), resolved.array.reference_order
+    numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
+    t = ca.SX.sym("t")
+    gamma = ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order))
+    rates = ca.solve(dae.H, dae.f)
+    ode, alg = ca.substitute([rates, dae.h], [ca.vec(dae.gamma[:, : order + 1])], [ca.vec(gamma)])
+    equations = {"x": dae.x, "z": dae.z, "p": ca.vertcat(numbers, dae.p), "t": t, "ode": ode, "alg": alg}
+    options = {"reltol": rtol, "abstol": atol, "max_num_steps": _MOST_STEPS, "show_eval_warnings": False}
+    made = ca.integrator("sc_sundials", "idas", equations, times[0], list(times[1:]), options)
+    x0, z0, p = (ca.MX.sym(name, *made.size_in(name)) for name in ("x0", "z0", "p"))
+    found = made(x0=x0, z0=z0, p=p)
+    return Call(ca.Function("sc_sundials_run", [x0, z0, p], [found["xf"], found["zf"][:, -1]]))

@@ -1,0 +1,78 @@
+"""A batch gives for every case what an exact inversion of that case gives."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from problems import scene
+
+import servocore as sc
+
+CRANE = scene("rotary_crane")
+T = np.linspace(0.0, 20.0, 41)
+MASSES = np.linspace(50.0, 150.0, 7)
+
+
+def paths(count: int) -> list[sc.Reference]:
+    path = CRANE.reference
+    start, end = path.jet(np.array([0.0, 20.0]), 0)[:, 0]
+    return [sc.rest_to_rest(start, start + (end - start) * (0.5 + k / 20), 20.0) for k in range(count)]
+
+
+@pytest.mark.parametrize("native", [False, True])
+@pytest.mark.usefixtures("compiler")
+def test_every_case_has_the_bits_of_its_own_inversion(native):
+    batch = sc.Batch(CRANE, native=native)
+    alone = [sc.ExactInversion(CRANE.with_parameters(load_mass=each), native=False)(T) for each in MASSES]
+    np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}), alone)
+    moved = [sc.ExactInversion(CRANE.with_reference(each), native=False)(T) for each in paths(7)]
+    np.testing.assert_array_equal(batch(T, paths=paths(7)), moved)
+    both = [
+        sc.ExactInversion(CRANE.with_parameters(load_mass=mass).with_reference(path), native=False)(T)
+        for mass, path in zip(MASSES, paths(7), strict=True)
+    ]
+    np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}, paths(7)), both)
+
+
+def test_quantities_are_those_that_solve_reports():
+    batch = sc.Batch(CRANE, ("l", "M_b"))
+    solution = sc.solve(CRANE.with_parameters(load_mass=80.0), step=0.5)
+    (found,) = batch(T, {"load_mass": [80.0]})
+    np.testing.assert_array_equal(found, np.column_stack([solution["l"], solution["M_b"]]))
+
+
+def test_paths_that_are_tables_will_do_and_one_case_is_a_case():
+    t = np.linspace(0.0, 20.0, 60)
+    sampled = sc.sampled(t, CRANE.reference.jet(t, 0)[:, 0])
+    batch = sc.Batch(CRANE)
+    np.testing.assert_array_equal(batch(T, paths=[sampled])[0], sc.ExactInversion(CRANE.with_reference(sampled))(T))
+    assert batch(T).shape == (1, 41, 3)
+
+
+def test_what_the_quick_function_leaves_open_is_searched():
+    system = CRANE.model("points")
+    astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))
+    crane = replace(CRANE, models={"points": lambda: astray})
+    found = sc.Batch(crane)(T, {"load_mass": MASSES[:2]})
+    np.testing.assert_allclose(found, sc.Batch(CRANE)(T, {"load_mass": MASSES[:2]}), rtol=1e-9, atol=1e-9)
+
+
+def test_another_branch_gives_no_numbers():
+    jerked = sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4)
+    found = sc.Batch(CRANE)([0.0, 0.3], paths=[jerked])
+    assert np.isfinite(found[0, 0]).all()
+    assert np.isnan(found[0, 1]).all()
+
+
+def test_what_is_wrong_is_named():
+    batch = sc.Batch(CRANE)
+    with pytest.raises(sc.InvalidModel, match="has no parameter weight; it has"):
+        batch(T, {"weight": MASSES})
+    with pytest.raises(sc.InvalidModel, match="parameter load_mass = -1 kg is outside its range"):
+        batch(T, {"load_mass": [50.0, -1.0]})
+    with pytest.raises(sc.InvalidSetting, match="a batch of 7 sets of parameters has one path a set, not 3"):
+        batch(T, {"load_mass": MASSES}, paths(3))
+    with pytest.raises(sc.InvalidModel, match="rotary_crane reports no colour; it has"):
+        sc.Batch(CRANE, ("colour",))
+    with pytest.raises(sc.InvalidModel, match="has internal dynamics: its cases are solved one by one"):
+        sc.Batch(scene("mass_on_car"))
