@@ -21,7 +21,7 @@ from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table
+from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table, require_followed
 from servocore.solvers.loop import Progress, Run, failure, run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
@@ -60,6 +60,7 @@ class Pointwise:
         program = program_of(problem, self.formulation, self.method, bool(self.native) and quick is None)
         if problem.follow_branch:
             done = run(problem, program, times, given_start_of(self.formulation, self.method), progress)
+            require_followed(problem, times, done.states)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
         done, observed = _at_every_instant(problem, program, times, quick, progress)
         try:

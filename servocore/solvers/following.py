@@ -30,10 +30,12 @@ CLOSED_FORM = "one: the closed form of the model at every instant, which turns t
 
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
+_LESS_THAN_HALF = 0.4531  # of an interval: in the middle of symmetric paths singular instants are to be expected
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _MOST_CONNECTED = 4  # intervals that are looked into where the model gives its motion in closed form
 _SINGULAR_CONDITION = 1e12
 _MUCH_WORSE = 1e6  # than beside it: Newton's method comes no nearer to a singular answer
+_WORSE = 1e3  # than on both sides, at an instant that the branch does not go through
 _EXACT = 1e-8  # of a coordinate and of its range: a guess this near is the model's own closed form
 _SURVEYED = 400  # instants at least, to tell whether guesses keep to one branch
 _LOOKED_AT = 17  # instants, for the sign of a determinant
@@ -97,7 +99,7 @@ class Branch:
             if found is not None:
                 state, begin = found, waiting.pop()
                 continue
-            middle = (begin + waiting[-1]) / 2
+            middle = begin + _LESS_THAN_HALF * (waiting[-1] - begin)
             exhausted = len(waiting) > _MOST_BISECTIONS or trials > _MOST_TRIALS
             if exhausted or not min(begin, waiting[-1]) < middle < max(begin, waiting[-1]):
                 raise IntegrationFailed(
@@ -122,10 +124,7 @@ class Branch:
             beside = k - 1 if k else k + 1
             condition, usual = np.linalg.cond(matrices[[k, beside]])
             if not condition < min(_SINGULAR_CONDITION, _MUCH_WORSE * usual):
-                raise IntegrationFailed(
-                    f"{self.problem.system.name} is singular at t = {t[k]:.6g} s: the system Jacobian has condition"
-                    f" {condition:.2g}"
-                )
+                raise self._singular(t[k], condition)
         return passed
 
     def passed(self, t: Array, states: Array) -> list[int]:
@@ -179,6 +178,25 @@ class Branch:
         off = found[self.taylor.q] - states[self.taylor.q, 1]
         off[self.taylor.wraps] = shortest_turn(off[self.taylor.wraps])
         return bool((np.abs(off) <= SLIGHT * self.scale).all())
+
+    def require_through(self, t: Array, states: Array, seeming: npt.NDArray[np.intp]) -> None:
+        """Raise `IntegrationFailed` if answers connect at an instant only because its equations are singular there.
+
+        From a singular answer every branch can be reached that meets there. So the branch is followed past it.
+        """
+        for k in seeming[1:][np.diff(seeming) == 1]:
+            conditions = np.linalg.cond(
+                _scaled(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
+            )
+            worse = not conditions[1] < _WORSE * max(conditions[0], conditions[2])
+            if worse and not self.connects(t[[k - 1, k + 1]], states[:, [k - 1, k + 1]]):
+                raise self._singular(t[k], conditions[1])
+
+    def _singular(self, time: float, condition: float) -> IntegrationFailed:
+        return IntegrationFailed(
+            f"{self.problem.system.name} is singular at t = {time:.6g} s: the system Jacobian has condition"
+            f" {condition:.2g}"
+        )
 
     def along_all(self, t: Array, states: Array) -> Array:
         """Return the answers (size, N) at the instants `t` on one branch, that of the first answer which is finite.
@@ -286,7 +304,21 @@ def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None
                 raise
             passed = branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
             return found, FOLLOWED + _told(t, passed)
+    branch.require_through(t, states, seeming)
     return states, CONTINUOUS + _told(t, branch.passed(t, states))
+
+
+def require_followed(problem: Problem, t: Array, states: Array) -> None:
+    """Raise `IntegrationFailed` if answers (size, N), each found from where the one before was heading, jump."""
+    if states.shape[0] != len(problem.array.unknowns):
+        return
+    branch = Branch.along(problem, states)
+    for k in branch.jumps(t, states):
+        if not branch.connects(t[k : k + 2], states[:, k : k + 2]):
+            raise IntegrationFailed(
+                f"{problem.system.name}: the branch cannot be followed from t = {t[k]:.6g} s to {t[k + 1]:.6g} s: it"
+                f" ends there, or meets another"
+            )
 
 
 def _told(t: Array, passed: Iterable[int]) -> str:

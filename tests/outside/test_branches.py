@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 
+import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import GRAVITY, LOOP, MASS, elbow_arm, vtol
+from outside.writing import coordinates, g, lagrange
 
 import servocore as sc
 
@@ -87,3 +89,35 @@ def test_a_fall_faster_than_free_is_told_as_two_singularities_passed(drop):
     assert len(passed) == 2
     told = [f"between t = {solution.t[k]:.6g} s and {solution.t[k + 1]:.6g} s" for k in passed]
     assert all(each in solution.statistics.branch for each in told)
+
+
+@cache
+def rod_that_turns(closed: bool) -> sc.MechanicalSystem:
+    """A torque on a rod whose end moves sideways as prescribed: every place but the outermost belongs to two angles."""
+    q = coordinates("", "theta")
+    return lagrange(
+        "rod", q, q.v[0] ** 2 / 2, {"Y": ca.sin(q["theta"])}, {"T": q["theta"]}, potential=-g * ca.cos(q["theta"]),
+        guess=lambda at: (ca.asin(at[0]) if closed else 0.0,), home=(0.1,),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("follow", [False, True])
+@pytest.mark.parametrize("steps", [40, 41, 200, 333, 1000])
+def test_a_rod_turns_on_where_its_angles_meet_or_is_refused_there(steps, follow, closed):
+    """Instants that are singular themselves tell nothing of the torque: no answer may be made to continue another."""
+    path = sc.periodic((0.0,), [[0.0]], [[1.0]], 2 * np.pi)
+    scene = sc.Scene("rod", {"rod": partial(rod_that_turns, closed)}, path, follow_branch=follow)
+    if steps % 4 == 0 and not follow:
+        with pytest.raises(sc.IntegrationFailed, match=r"singular at t = 1\.5708 s"):
+            sc.solve(scene, step=2 * np.pi / steps)
+        return
+    try:
+        solution = sc.solve(scene, step=2 * np.pi / steps)
+    except sc.IntegrationFailed as error:
+        refused = str(error)
+    else:
+        refused = ""
+        np.testing.assert_allclose(solution["theta"], solution.t, atol=1e-6)
+        np.testing.assert_allclose(solution["T"], g * np.sin(solution.t), atol=1e-6)
+    assert not refused or (steps % 4 == 0 and "from t = 1.5708 s" in refused)
