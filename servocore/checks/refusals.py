@@ -70,9 +70,9 @@ class _Reach:
     def nearest(self, time: float, starts: list[Array]) -> tuple[Array, Array]:
         """Return the configuration (in nominal magnitudes) nearest to the path, and by how much each output misses."""
         best: tuple[float, Array, Array] | None = None
+        place = self.problem.reference.jet(time, 0)[0]
         for start in starts:
-            x = _least_squares(lambda x: self._weighed(x, time), start)
-            residual, _ = self._weighed(x, time)
+            x, residual = _least_squares(lambda x: self._weighed(x, place), start)
             if best is None or np.linalg.norm(residual) < best[0]:
                 best = float(np.linalg.norm(residual)), x, residual[len(residual) - len(self.size) :] * self.size
             if best[0] < _REACHED:
@@ -84,23 +84,31 @@ class _Reach:
         """Whether a miss is one."""
         return bool(not np.abs(miss / self.size).max(initial=0.0) < _REACHED)
 
-    def _weighed(self, x: Array, time: float) -> tuple[Array, Array]:
+    def _weighed(self, x: Array, place: Array) -> tuple[Array, Array]:
         problem, nominal = self.problem, np.array(self.problem.system.coordinates.nominal)
-        residual, jacobian = self.rows(x * nominal, problem.reference.jet(time, 0)[0], problem.p)
+        residual, jacobian = self.rows(x * nominal, place, problem.p)
         weights = np.concatenate([self.held, 1.0 / self.size])
         jacobian = jacobian.reshape(len(residual), -1) * nominal
         return residual * weights, jacobian * weights[:, None]
 
 
-def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> Array:
+def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Array) -> tuple[Array, Array]:
+    """Return where the squares of residuals are least, and the residuals there."""
     import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
 
+    last: tuple[Array, tuple[Array, Array]] | None = None  # residuals and slopes are asked for at the same place
+
     def part(k: int) -> Callable[[Array], Array]:
-        return lambda x: np.nan_to_num(evaluate(x)[k], nan=1e6, posinf=1e6, neginf=-1e6)
+        def found(x: Array) -> Array:
+            nonlocal last
+            if last is None or not np.array_equal(last[0], x):
+                last = x.copy(), evaluate(x)
+            return np.nan_to_num(last[1][k], nan=1e6, posinf=1e6, neginf=-1e6)
+
+        return found
 
     found = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
-    x: Array = found.x
-    return x
+    return found.x, evaluate(found.x)[0]
 
 
 def out_of_reach(problem: Problem) -> str:
@@ -226,7 +234,7 @@ def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
 
     if not np.isfinite(start).all():
         return None
-    x = _least_squares(rows, start[free])
+    x, _ = _least_squares(rows, start[free])
     values = start.copy()
     values[free] = x
     return values if np.linalg.norm(rows(x)[0]) < _SOLVED else None
