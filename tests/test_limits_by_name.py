@@ -439,3 +439,13 @@ class TestWhatIsLeft:
         file.write_text(text)
         with pytest.raises(sc.InvalidModel, match=r"limits\.toml"):
             sc.read_limits(file)
+
+    @pytest.mark.parametrize("name", ["swing", "M_b", "phi"])
+    def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name):
+        scene = CRANE.with_limits(**{name: (0, None)})
+        if name != "M_b":
+            assert sc.solve(scene).margins[name].left == pytest.approx(0.0, abs=1e-12)
+        else:
+            said = refusal(scene)
+            assert (said["side"], said["bound"]) == ("lower", "0")
+            assert float(said["time"]) == pytest.approx(11.1865, abs=1e-4)

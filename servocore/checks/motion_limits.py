@@ -192,11 +192,13 @@ class _Survey:
     limits: tuple[Limit, ...]
     wraps: tuple[bool, ...]
     evaluate: Callable[[Array], Array]
+    sizes: tuple[float, ...] = ()
 
     def require(self, t: Array) -> None:
         """Raise `LimitBroken` for the limit that is broken first; `t` are instants to begin with."""
         t, values = self._dense(t)
-        broken = [(*found, row) for row in range(len(self.limits)) if (found := self._broken(row, t, values[row]))]
+        sized = replace(self, sizes=tuple(map(_size, self.limits, values)))
+        broken = [(*found, row) for row in range(len(self.limits)) if (found := sized._broken(row, t, values[row]))]
         if broken:
             first, worst, value, row = min(broken)
             raise LimitBroken(_sentence(self.name, self.limits[row], first, worst, value))
@@ -206,7 +208,7 @@ class _Survey:
         values = self._unwrapped(self.evaluate(t))
         while True:
             known = np.where(np.isfinite(values), values, 0.0)
-            sizes = np.maximum(np.ptp(known, axis=1), [_SLIGHT * _size(each) for each in self.limits])
+            sizes = np.maximum(np.ptp(known, axis=1), _SLIGHT * np.array(list(map(_size, self.limits, known))))
             steep = np.abs(np.diff(known, axis=1)) > _BEND * sizes[:, None]
             at = np.flatnonzero((steep & (np.diff(t) > 1e-9 * np.ptp(t))).any(axis=0))
             if not len(at) or len(t) + len(at) > _MOST_INSTANTS:
@@ -222,12 +224,12 @@ class _Survey:
 
     def _broken(self, row: int, t: Array, values: Array) -> tuple[float, float, float] | None:
         """Return when a limit is broken first, and when it is worst and how the quantity is then; None if never."""
-        margins = _margin(self.limits[row], values)
-        bad = np.flatnonzero(~(margins > 0.0))
+        margins = self._margin(row, values)
+        bad = np.flatnonzero(~(margins >= 0.0))
         first = int(bad[0]) if len(bad) else len(t)
         for k in self._valleys(margins[: first + 1]):
             at, margin, value = self._lowest(row, t, values, int(k))
-            if not margin > 0.0:
+            if not margin >= 0.0:
                 before = max(int(k) - 1, 0)
                 return self._crossing(row, float(t[before]), at, float(values[before])), at, value
         if not len(bad):
@@ -244,7 +246,7 @@ class _Survey:
             return np.zeros(0, dtype=np.intp)
         bend = np.abs(np.diff(margins, 2))
         low = (margins[1:-1] <= margins[:-2]) & (margins[1:-1] <= margins[2:]) & (margins[1:-1] <= bend)
-        return np.flatnonzero(low & (margins[1:-1] > 0.0)) + 1
+        return np.flatnonzero(low & (margins[1:-1] >= 0.0)) + 1
 
     def _lowest(self, row: int, t: Array, values: Array, k: int) -> tuple[float, float, float]:
         """Return where a margin is lowest around an instant, that margin and the value."""
@@ -254,7 +256,7 @@ class _Survey:
         for _ in range(_ROUNDS):
             at = np.linspace(begin, end, _SECTIONS)
             tried = self._near(row, at, float(values[k]))
-            margins = np.nan_to_num(_margin(self.limits[row], tried), nan=np.inf)
+            margins = np.nan_to_num(self._margin(row, tried), nan=np.inf)
             lowest = int(margins.argmin())
             begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, _SECTIONS - 1)]
             found = float(at[lowest]), float(margins[lowest]), float(tried[lowest])
@@ -266,9 +268,12 @@ class _Survey:
             middle = (good + bad) / 2
             if not good < middle < bad:
                 break
-            kept = _margin(self.limits[row], self._near(row, np.array([middle]), near))[0] > 0.0
+            kept = self._margin(row, self._near(row, np.array([middle]), near))[0] >= 0.0
             good, bad = (middle, bad) if kept else (good, middle)
         return bad
+
+    def _margin(self, row: int, values: Array) -> Array:
+        return _margin(self.limits[row], values, self.sizes[row])
 
     def _near(self, row: int, t: Array, near: float) -> Array:
         """Return the values of one row; an angle known up to full turns comes out near the value given."""
@@ -276,20 +281,23 @@ class _Survey:
         return values + 2.0 * np.pi * np.round((near - values) / (2.0 * np.pi)) if self.wraps[row] else values
 
 
-def _margin(limit: Limit, values: Array) -> Array:
+def _margin(limit: Limit, values: Array, size: float) -> Array:
     """Return how far values are within a limit, negative beyond it; what is on it but for round-off is within."""
-    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + _ROUND_OFF * _size(limit)
+    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + _ROUND_OFF * size
     if limit.rate:  # of the length of a vector, where that is zero
         margins = np.where(np.isnan(margins), np.inf, margins)
     return margins
 
 
-def _size(limit: Limit) -> float:
-    return max((abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)), default=0.0)
+def _size(limit: Limit, values: Array) -> float:
+    """Return the size of the bounds, where these are zero that of the values."""
+    known = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    bounds = max((abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)), default=0.0)
+    return float(bounds or known)
 
 
 def _sentence(name: str, limit: Limit, first: float, worst: float, value: float) -> str:
-    below = value < limit.bound
+    below = value - limit.bound < limit.upper - value
     which, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
     why = f" {limit.reason}:" if limit.reason else ""
     if not np.isfinite(value):
@@ -363,5 +371,5 @@ def require_reported(problem: Problem, solution: Solution) -> None:
 
 
 def _first_at(limit: Limit, t: Array, values: Array) -> list[tuple[float, float, Limit]]:
-    bad = np.flatnonzero(~(_margin(limit, values) > 0.0))
+    bad = np.flatnonzero(~(_margin(limit, values, _size(limit, values)) >= 0.0))
     return [(float(t[bad[0]]), float(values[bad[0]]), limit)] if len(bad) else []

@@ -83,9 +83,10 @@ class Limit:
         """Return the expression for a system."""
         evaluate: Callable[..., ca.SX] = self.expression
         given = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
-        found = as_expression(evaluate(*given), f"{system.name}: the limit of {self.quantity}")
+        whose = f"{system.name}: the limit of {self.quantity}" if self.quantity else f"{system.name}: a limit"
+        found = as_expression(evaluate(*given), whose)
         if found.shape != (1, 1):
-            raise InvalidModel(f"{system.name}: the limit of {self.quantity} has shape {found.shape}, not (1, 1)")
+            raise InvalidModel(f"{whose} has shape {found.shape}, not (1, 1)")
         return found
 
 
