@@ -317,7 +317,9 @@ def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write():
     refused(sc.InvalidModel, said, lambda: a_scene(driven_pendulum()))
 
 
-@pytest.mark.parametrize("call", [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion])
+@pytest.mark.parametrize(
+    "call", [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion, lambda s: sc.export_fmu(s, "x.fmu")]
+)
 def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call):
     with pytest.raises(sc.InvalidModel, match=r"takes a Scene, not the system pendulum: Scene\(name, models=.*lambda"):
         call(driven_pendulum())

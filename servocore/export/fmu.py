@@ -15,7 +15,7 @@ from servocore.export.page import documentation
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.files import require_places, write_together
-from servocore.model.scene import Scene
+from servocore.model.scene import Scene, require_scene
 
 VERSIONS = (3, 2)
 """Versions of FMI; the first is the default."""
@@ -68,6 +68,7 @@ def export_fmu(
     --------
     >>> export_fmu(crane, "crane.fmu", fmi=2, targets="host")
     """
+    require_scene(scene, "export_fmu")
     file, names = Path(path), chosen_targets(targets, require_version(fmi))
     require_places({"the FMU": file})
     tell("analysing")

@@ -100,7 +100,7 @@ def counted(inputs: Callable[[float], Any], system: MechanicalSystem) -> Inputs:
     def evaluate(time: float) -> Array:
         given = inputs(time)
         try:
-            values = np.asarray(given, dtype=np.float64).reshape(-1)
+            values = np.asarray(() if given is None else given, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):
             raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(given)}") from None
         if len(values) != len(names):
