@@ -315,3 +315,15 @@ def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter()
     assert found["x"][-1] < 0.0
     steep = sc.simulate(block(lambda v: -3e3 * v), lambda _: [3.0], t=[0.0, 2.0])
     assert steep["x"][-1] == pytest.approx(0.5 / 3e3 + 3.0 / 3e3 * (2.0 - 1 / 3e3), rel=1e-4)
+
+
+@pytest.mark.parametrize("slip", [1e-6, 1e-8])
+def test_friction_that_is_smooth_but_steep_ends_soon(slip):
+    """Steps of the velocity of slip are 1e6 and more; the block is at rest until the push overcomes friction."""
+    steep = block(lambda v: -2.0 * ca.tanh(v / slip))
+    t = np.linspace(0.0, 2.0, 41)
+    found = sc.simulate(steep, lambda time: [3.0 * np.sin(time)], t=t, start={"x": 0.0, "x_dot": 0.0})
+    assert found.statistics.factorisations < 200_000
+    begin = np.arcsin(2.0 / 3.0)
+    moved = 3.0 * ((t - begin) * np.cos(begin) - np.sin(t) + np.sin(begin)) - (t - begin) ** 2
+    assert np.abs(found["x"] - np.where(t > begin, moved, 0.0)).max() < 20 * slip

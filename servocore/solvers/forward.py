@@ -1,4 +1,7 @@
-"""The integrator of `simulate`: SciPy's DOP853 step by step, with an end where it would go on without one."""
+"""The integrator of `simulate`: SciPy's DOP853 step by step, with an end where it would go on without one.
+
+Where friction is steep, stability would keep its steps small for minutes: from there on it is SciPy's Radau.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,10 @@ Rate = Callable[[float, Array], Array]
 _WATCHED = 60  # steps; as many are looked at together
 _SLOW = 1e-3  # of the whole time: so little progress in so many steps is looked into
 _NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is looked at
+_MANY = 50_000  # steps ahead: worth the change to an implicit method, if stability alone keeps steps small
+_UNSTABLE = 3.0  # step times rate of decay; accuracy asks for less where something oscillates
+_POWERS = 4  # of the Jacobian, to find its fastest rate
+_RESOLVED = 1e-12  # of a state: what changes over less jumps for any integrator
 _SAME = 2.0  # a force that is a hundred times as far away no larger than this does not grow: it jumps
 
 
@@ -72,11 +79,12 @@ def integrated(
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    states, done, steps = np.repeat(start[:, None], len(t), axis=1), int((t == t[0]).sum()), 0
+    states, done, steps, evaluations = np.repeat(start[:, None], len(t), axis=1), int((t == t[0]).sum()), 0, 0
     if done == len(t):
         return states, 0, 0
-    solver = scipy.integrate.DOP853(rate, t[0], start, t[-1], rtol=tolerance.relative, atol=tolerance.absolute)
-    began, recent = time.monotonic(), deque[tuple[float, Array]](maxlen=_WATCHED)
+    r, a = tolerance.relative, tolerance.absolute
+    solver: scipy.integrate.OdeSolver = scipy.integrate.DOP853(rate, t[0], start, t[-1], rtol=r, atol=a)
+    began, stiff, recent = time.monotonic(), False, deque[tuple[float, Array]](maxlen=_WATCHED)
     while done < len(t):
         message = solver.step()  # None unless it fails
         steps += 1
@@ -93,11 +101,29 @@ def integrated(
         recent.append((solver.t, solver.y))
         if steps % _WATCHED == 0 and solver.t - recent[0][0] < _SLOW * (t[-1] - t[0]):
             _require_no_chatter(name, coordinates, rate, recent)
+            stiff = stiff or _is_stiff(rate, recent, t[-1])
         reached = int(np.searchsorted(t, solver.t, side="right"))
         if reached > done:
             states[:, done:reached] = solver.dense_output()(t[done:reached])
             done = reached
-    return states, steps, int(solver.nfev)
+        if stiff and isinstance(solver, scipy.integrate.DOP853):
+            evaluations += int(solver.nfev)
+            solver = scipy.integrate.Radau(rate, solver.t, solver.y, t[-1], rtol=r, atol=a)
+    return states, steps, evaluations + int(solver.nfev)
+
+
+def _is_stiff(rate: Rate, recent: deque[tuple[float, Array]], end: float) -> bool:
+    """Whether an explicit method has very many steps ahead that only stability keeps so small."""
+    (began, _), (before, last), (at, state) = recent[0], recent[-2], recent[-1]
+    if (end - at) * (len(recent) - 1) < _MANY * (at - began):
+        return False
+    here, aside = rate(at, state), state - last
+    size, fastest = float(np.linalg.norm(aside)), 0.0
+    for _ in range(_POWERS):
+        change = rate(at, state + aside) - here
+        fastest = float(np.linalg.norm(change)) / size if size else 0.0
+        aside = change / fastest if fastest else aside
+    return fastest * (at - before) > _UNSTABLE
 
 
 def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recent: deque[tuple[float, Array]]) -> None:
@@ -115,7 +141,8 @@ def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recen
         near, far = (_change(rate, at, middle, k, factor * float(ranges[k])) for factor in (_NEAR, _FAR))
         worst = int(np.abs(near).argmax())
         jump = float(abs(near[worst]))
-        if abs(far[worst]) < _SAME * jump and jump * (at - began) ** (1 if k >= n else 2) > ranges[k]:
+        same = abs(far[worst]) < _SAME * jump and jump * (at - began) ** (1 if k >= n else 2) > ranges[k]
+        if same and _is_jump(rate, at, middle, k, _NEAR * float(ranges[k]), worst):
             quantity, x = (f"the velocity of {coordinates[k - n]}", "v") if k >= n else (coordinates[k], "x")
             where = "sign" if abs(middle[k]) <= _NEAR * ranges[k] else f"passing of {middle[k]:.3g}"
             raise IntegrationFailed(
@@ -124,6 +151,25 @@ def _require_no_chatter(name: str, coordinates: Sequence[str], rate: Rate, recen
                 f" friction sticks; a smooth form does, such as tanh({x}/{x}_s) for sign({x}), where {x}_s is about a"
                 f" thousandth of the usual {x}"
             )
+
+
+def _is_jump(rate: Rate, at: float, state: Array, entry: int, distance: float, which: int) -> bool:
+    """Whether an acceleration changes at one place, within a distance of a state, or on the way from side to side."""
+    places = [state[entry] - distance, state[entry] + distance]
+
+    def found(place: float) -> float:
+        aside = state.copy()
+        aside[entry] = place
+        return float(rate(at, aside)[len(state) // 2 + which])
+
+    values = [found(place) for place in places]
+    whole = abs(values[1] - values[0])
+    while places[1] - places[0] > _RESOLVED * max(1.0, abs(places[0])):
+        middle = sum(places) / 2
+        value = found(middle)
+        k = 0 if abs(value - values[0]) < abs(values[1] - value) else 1
+        places[k], values[k] = middle, value
+    return abs(values[1] - values[0]) > whole / _SAME
 
 
 def _change(rate: Rate, at: float, state: Array, entry: int, distance: float) -> Array:

@@ -42,7 +42,8 @@ def simulate(
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
     The holonomic constraints are differentiated twice and stabilised, see `servocore.stepping.forward_dynamics`; the
-    resulting ordinary differential equation goes to SciPy's DOP853 with error control. With a method of constant step
+    resulting ordinary differential equation goes to SciPy's DOP853 with error control, and to its Radau where it turns
+    out to be very stiff. With a method of constant step
     nothing is differentiated.
 
     Parameters
