@@ -51,6 +51,7 @@ from servocore.planning.flat_system import to_control
 from servocore.planning.report import PlanReport
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 from servocore.planning.space import Box, Space, Sphere
+from servocore.planning.sweep import sweep
 from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
@@ -158,6 +159,7 @@ __all__ = [
     "shortest_duration",
     "simulate",
     "solve",
+    "sweep",
     "three_phase",
     "through",
     "to_control",

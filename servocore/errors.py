@@ -45,11 +45,14 @@ class PlanningFailed(ServocoreError):
 
 _EXTRAS = {
     "control": "control",
+    "distributed": "sweep",
     "fmpy": "fmu",
     "jinja2": "fmu",
     "markdown_it": "fmu",
     "matplotlib": "report",
     "pythonfmu": "fmu",
+    "xarray": "sweep",
+    "zarr": "sweep",
 }
 
 

@@ -14,7 +14,7 @@ import servocore
 from servocore.errors import missing_package
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("control", "fmpy", "jinja2", "markdown_it", "matplotlib", "pythonfmu")
+PACKAGES = ("control", "distributed", "fmpy", "jinja2", "markdown_it", "matplotlib", "pythonfmu", "xarray", "zarr")
 LINE = "--from 5 0 -5 --to -2 2 -2 --duration 20"
 CRANE, LIBRARY = "from crane_fmu.cli import main", "from servocore.cli.commands import main"
 
@@ -47,6 +47,7 @@ def test_solving_needs_no_extra(code, arguments, tmp_path):
         (CRANE, f"feedforward {LINE} --plot inputs.png", "report"),
         (LIBRARY, "export cars -o cars.fmu --targets host", "fmu"),
         (LIBRARY, "sensitivities cars --plot cars.png", "report"),
+        (LIBRARY, "sweep cars --vary duration=5:9:3 -o study", "sweep"),
     ],
 )
 def test_what_needs_an_extra_says_which_and_leaves_nothing(code, arguments, extra, tmp_path):

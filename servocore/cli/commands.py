@@ -30,6 +30,8 @@ from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
 from servocore.cli.plan import PointsCommand, plan_scene
 from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
 from servocore.cli.sensitivities import show_sensitivities
+from servocore.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
+from servocore.cli.sweep import sweep_scene
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
@@ -206,6 +208,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
 
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
+app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_scene)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidModel, described, require_kind, require_real
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class Parameters:
         self._require_known((name,))
         return self.p[self.names.index(name)]
 
-    def values(self, changed: Mapping[str, float] | None = None) -> Array:
+    def values(self, changed: Mapping[str, float] | None = None) -> npt.NDArray[np.float64]:
         """Return the vector p: the defaults, with the values in `changed` in their place.
 
         Raises

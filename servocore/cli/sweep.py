@@ -1,0 +1,184 @@
+"""The command ``servocore sweep``: peaks and margins of many cases, into a store that a later run can complete."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from servocore.cli.choice import chosen
+from servocore.cli.options import Model, Parameters, SceneName
+from servocore.errors import InvalidSetting, missing_package
+from servocore.files import write_together
+from servocore.model.limit_files import limits_of_texts, read_limits
+from servocore.planning.grid import drawn
+from servocore.planning.sweep import sweep
+from servocore.references.csv_file import from_csv
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore sweep rotary_crane --vary load_mass=50:150:100 --vary duration=10:30:50
+--limit F=60 --output study[/cyan]
+
+[cyan]servocore sweep rotary_crane --vary load_mass=50:150 --vary slew_inertia=400:600
+--sample 100000 --seed 1 --output study --resume[/cyan]
+"""
+
+_RANGE = re.compile(r"([^=]+)=([^:]+):([^:]+)(?::([^:]+))?")
+_STORE, _PAGE, _FIGURE = "sweep.zarr", "index.html", "sweep.png"
+
+Varied = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary", metavar="NAME=LOW:HIGH:COUNT",
+        help="A parameter, or the duration, from LOW to HIGH; several give the product. With --sample: NAME=LOW:HIGH.",
+    ),
+]  # fmt: skip
+Sample = Annotated[
+    int | None, typer.Option("--sample", metavar="COUNT", help="Draw so many cases from the ranges instead.")
+]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Of the draw; the same seed draws the same cases.")]
+Folder = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help=f"Where {_STORE} and the page go.")]
+Scheduler = Annotated[
+    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler, whose workers compute.")
+]
+Resume = Annotated[bool, typer.Option("--resume", help="Complete a store that an earlier run left.")]
+LimitTexts = Annotated[
+    list[str] | None, typer.Option("--limit", metavar="NAME=VALUE", help="Tell the margin of F=60, swing=5deg, ...")
+]
+LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
+]
+Instants = Annotated[int, typer.Option("--instants", metavar="N", help="At how many instants a case is looked at.")]
+Inputs = Annotated[bool, typer.Option("--inputs", help="Keep the inputs over time too.")]
+
+
+def sweep_scene(
+    scene: SceneName,
+    output: Folder,
+    vary: Varied = None,
+    sample: Sample = None,
+    seed: Seed = 0,
+    limit: LimitTexts = None,
+    limits: LimitsFile = None,
+    reference: ReferenceFile = None,
+    parameters: Parameters = None,
+    model: Model = None,
+    instants: Instants = 201,
+    inputs: Inputs = False,
+    scheduler: Scheduler = None,
+    resume: Resume = False,
+) -> None:
+    """Compute peaks, margins and swing of many cases of a scene.
+
+    The results stream into DIR/sweep.zarr, which xarray opens. A run that was
+    interrupted goes on with --resume where it stopped; other settings are
+    refused. A case that fails is a row with its sentence. DIR/index.html shows
+    the peak of the first input over what varies.
+    """
+    subject = chosen(scene, parameters)
+    if reference is not None:
+        names = [each.name for each in subject.model(model).outputs]
+        subject = subject.with_reference(from_csv(reference, columns=names))
+    bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
+    varied = _varied(vary or (), sample, seed)
+    if output.exists() and not output.is_dir():
+        raise InvalidSetting(f"cannot write into {output}: it is a file")
+    with _client(scheduler) as client, _SweepProgress() as progress:
+        found = sweep(
+            subject, varied, limits=bounds, store=output / _STORE, resume=resume, instants=instants, inputs=inputs,
+            model=model, distributed=client, progress=progress,
+        )  # fmt: skip
+    from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow to import
+
+    page, figure = sweep_page(found, subject.name)
+    write_together({output / _PAGE: page, output / _FIGURE: figure})
+    failed = int((found.failure.to_numpy() != "").sum())
+    print(f"{output / _STORE}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
+
+
+def _varied(texts: Sequence[str], sample: int | None, seed: int) -> Any:
+    """Return rows of values by name, or the drawn table."""
+    if not texts:
+        raise InvalidSetting("nothing varies: use --vary NAME=LOW:HIGH:COUNT")
+    if sample is not None and sample < 1:
+        raise InvalidSetting(f"--sample must be at least 1, not {sample}")
+    ranges = dict(_range(each, sample is None) for each in texts)
+    if len(ranges) < len(texts):
+        raise InvalidSetting("--vary names something twice")
+    if sample is not None:
+        return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, sample, seed)
+    return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
+
+
+def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
+    found = _RANGE.fullmatch(text)
+    wanted = "NAME=LOW:HIGH:COUNT" if counted else "NAME=LOW:HIGH"
+    try:
+        if found is None or (counted and found[4] is None):
+            raise ValueError
+        low, high, count = float(found[2]), float(found[3]), int(found[4] or 1)
+    except ValueError:
+        raise InvalidSetting(f"--vary {text} is not {wanted}, as in load_mass=50:150{':100' * counted}") from None
+    if not (np.isfinite([low, high]).all() and count >= 1):
+        raise InvalidSetting(f"--vary {text}: the range must be finite, and its count at least 1")
+    return found[1].strip(), (low, high, count)
+
+
+@contextmanager
+def _client(address: str | None) -> Iterator[Any]:
+    """Offer a client of a Dask scheduler, or None without an address."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise missing_package(error) or error from None
+    try:
+        client = Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InvalidSetting(f"no Dask scheduler answers at {address}: {error}") from error
+    with client:
+        yield client
+
+
+class _SweepProgress(AbstractContextManager["_SweepProgress"]):
+    """Cases done, rate and time left, on the error stream: a bar on a terminal, else a line each tenth."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        columns = (
+            TextColumn("sweeping"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+            TimeRemainingColumn(),
+        )  # fmt: skip
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+        self._task = self._progress.add_task("", total=None, rate="")
+        self._console, self._told = console, 0
+
+    def __enter__(self) -> _SweepProgress:
+        self._progress.start()
+        return self
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how many cases are done."""
+        task = self._progress.tasks[0]
+        rate = done / task.elapsed if task.elapsed else 0.0
+        self._progress.update(self._task, completed=done, total=total, rate=f"{rate:.0f} cases/s")
+        tenth = 10 * done // total
+        if not self._console.is_terminal and tenth > self._told:
+            self._told = tenth
+            left = (total - done) / rate if rate else 0.0
+            self._console.print(f"{done} of {total} cases, {rate:.0f} cases/s, {left:.0f} s left", highlight=False)
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()

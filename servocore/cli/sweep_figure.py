@@ -1,0 +1,105 @@
+"""The page of a sweep: the peak of the first input over what varies, and a table of all that was computed."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>Sweep of {title}</title>
+<style>body {{ font: 16px/1.5 sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }}
+img {{ max-width: 100%; }} table {{ border-collapse: collapse; }}
+td, th {{ padding: 0.2rem 1rem 0.2rem 0; text-align: left; }}
+td + td, th + th {{ text-align: right; }} .wide {{ overflow-x: auto; }}</style></head>
+<body><h1>Sweep of {title}</h1>
+<p>{cases} cases, {failed} not solved. What varies: {varied}.</p>
+<img alt="{alt}" src="data:image/png;base64,{picture}">
+<div class="wide"><table><tr><th>quantity</th><th>unit</th><th>least</th><th>median</th><th>largest</th></tr>
+{rows}</table></div>
+{failures}<p>Open the numbers with <code>xarray.open_zarr("sweep.zarr")</code>.</p></body></html>
+"""
+_SENTENCES = 10
+
+
+def sweep_page(found: Any, title: str) -> tuple[str, bytes]:
+    """Return a page about the dataset of a sweep, and its figure as PNG."""
+    first = f"peak_{json.loads(found.attrs['settings'])['quantities'][0]}"
+    figure = Figure(figsize=(7.0, 4.4), layout="constrained", dpi=130)
+    _draw(figure.subplots(), figure, found, first)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", metadata={"Software": None})
+    return _page(found, title, first, stream.getvalue()), stream.getvalue()
+
+
+def _draw(axes: Axes, figure: Figure, found: Any, name: str) -> None:
+    """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
+    varied = [each for each in found.coords if each not in ("case", "path", "instant")]
+    label = f"peak of {name.removeprefix('peak_')} ({found[name].attrs['units']})"
+    if "case" in found.sizes:
+        x = found[varied[0]].to_numpy()
+        if len(varied) == 1:
+            axes.plot(x, found[name].to_numpy(), ".", markersize=3)
+            axes.set_ylabel(label)
+        else:
+            points = axes.scatter(x, found[varied[1]].to_numpy(), c=found[name].to_numpy(), s=5, cmap="viridis")
+            figure.colorbar(points, ax=axes, label=label)
+            axes.set_ylabel(_titled(found, varied[1]))
+        axes.set_xlabel(_titled(found, varied[0]))
+        return
+    shown = found[name].max([each for each in found[name].dims if each not in varied[:2]])
+    if len(varied) < 2 or min(shown.sizes.values()) < 2:
+        long = max(shown.dims, key=lambda each: shown.sizes[each])
+        line = shown.max([each for each in shown.dims if each != long])
+        axes.plot(found[long].to_numpy(), line.to_numpy())
+        axes.set_xlabel(_titled(found, long))
+        axes.set_ylabel(label)
+        return
+    x, y = varied[:2]
+    values = np.ma.masked_invalid(shown.transpose(y, x).to_numpy())
+    mesh = axes.pcolormesh(found[x].to_numpy(), found[y].to_numpy(), values, cmap="viridis", shading="nearest")
+    figure.colorbar(mesh, ax=axes, label=label)
+    if values.count() and min(values.shape) > 2 and values.max() > values.min():
+        lines = axes.contour(found[x].to_numpy(), found[y].to_numpy(), values, colors="white", linewidths=0.8)
+        axes.clabel(lines, fontsize="small")
+    axes.set_xlabel(_titled(found, x))
+    axes.set_ylabel(_titled(found, y))
+
+
+def _titled(found: Any, name: Any) -> str:
+    unit = found[name].attrs.get("units", "")
+    return f"{str(name).replace('_', ' ')} ({unit})" if unit else str(name)
+
+
+def _page(found: Any, title: str, first: str, picture: bytes) -> str:
+    failures = found.failure.to_numpy().ravel()
+    told = list(dict.fromkeys(str(each) for each in failures[failures != ""]))
+    rows = []
+    for name in found:
+        if name == "failure" or "instant" in found[name].dims:
+            continue
+        values = found[name].to_numpy()
+        with np.errstate(all="ignore"):
+            finite = values[np.isfinite(values)]
+        shown = (
+            [f"{each:.4g}" for each in (finite.min(), np.median(finite), finite.max())] if finite.size else ["–"] * 3
+        )
+        cells = "".join(f"<td>{html.escape(str(each))}</td>" for each in (name, found[name].attrs["units"], *shown))
+        rows.append(f"<tr>{cells}</tr>\n")
+    sentences = "".join(f"<li>{html.escape(each)}</li>" for each in told[:_SENTENCES])
+    more = f"<p>Cases that are not solved say, among others:</p><ul>{sentences}</ul>\n" if told else ""
+    settings = json.loads(found.attrs["settings"])
+    varied = ", ".join(
+        f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
+        for name, (_, values) in settings["varied"].items()
+    )
+    return _PAGE.format(
+        title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()), varied=html.escape(varied),
+        alt=f"{first} over what varies", picture=base64.b64encode(picture).decode(), rows="".join(rows), failures=more,
+    )  # fmt: skip

@@ -1,0 +1,244 @@
+"""Sweeps: peaks, margins and swing of many cases of a scene, as an xarray Dataset.
+
+The cases go in blocks through one compiled function, in threads of this process or in the processes of an executor.
+What comes back are a few numbers a case; this process alone writes them: a block is there as a whole or not at all.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from servocore.errors import InvalidSetting, ServocoreError
+from servocore.model.limits import Bounds
+from servocore.model.scene import Scene
+from servocore.numerics.calls import Array
+from servocore.planning.grid import DURATION, Slices
+from servocore.planning.sweep_store import Memory, Sink, Zarr
+from servocore.planning.swept import Swept, in_time, settings_of, settled
+from servocore.planning.swept_cases import SWING, Cases, evaluated, work_of
+from servocore.references.base import Reference
+from servocore.solvers.following import prepared_table
+from servocore.solvers.solve import solve
+
+Progress = Callable[[int, int], None]
+
+_CHUNK = 4096  # cases: enough to keep a worker busy for a tenth of a second, few enough to lose
+
+
+def sweep(
+    scene: Scene,
+    parameters: Any = None,
+    references: Sequence[Reference] | None = None,
+    limits: Mapping[str, Bounds] | None = None,
+    executor: Executor | None = None,
+    *,
+    instants: int = 201,
+    inputs: bool = False,
+    store: str | Path | None = None,
+    resume: bool = False,
+    chunk: int = _CHUNK,
+    model: str | None = None,
+    distributed: Any = None,
+    native: bool | None = None,
+    progress: Progress | None = None,
+) -> Any:
+    """Return peaks, margins and swing of many cases of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Any. Where it has internal dynamics or its branch has to be followed, cases are solved one by one in this
+        process.
+    parameters : mapping of str to array_like, or table, optional
+        Values of parameters in SI units, and of ``duration`` in s. Of several rows the product is swept, one dimension
+        each; a table (a pandas DataFrame, or a list of mappings) has one case a row, dimension ``case``.
+    references : sequence of Reference, optional
+        Paths, dimension ``path``; the scene's own when not given.
+    limits : mapping of str to bounds, optional
+        As for `Scene.with_limits`, beside those that the scene has.
+    executor : concurrent.futures.Executor, optional
+        Where the cases are computed; threads of this process when not given.
+    instants : int
+        At how many instants, evenly from start to end, a case is looked at.
+    inputs : bool
+        Whether the inputs are kept too, dimension ``instant``.
+    store : str or Path, optional
+        A Zarr store that is filled block by block; its content is returned without being read.
+    resume : bool
+        Whether a store of the same settings is completed.
+    chunk : int
+        Most cases of a block; what is in memory at once grows with it.
+    model : str, optional
+        Model of the scene; its smallest when not given.
+    distributed : distributed.Client, optional
+        In place of an executor.
+    native : bool, optional
+        Whether as machine code; see `ExactInversion`.
+    progress : callable, optional
+        Called with (cases done, cases in all).
+
+    Returns
+    -------
+    xarray.Dataset
+        ``peak_NAME`` of every input, ``margin_NAME`` of every limit (negative where it is broken), ``swing`` where the
+        model has it, and ``failure``: the sentence of a case that is not solved, whose numbers are NaN. Units are
+        attributes of the variables, settings those of the dataset.
+
+    Raises
+    ------
+    ServocoreError
+        If something that varies is no parameter or outside its bounds, a limit is not known, a store is there already
+        or is of other settings, or xarray or zarr is not installed.
+
+    Examples
+    --------
+    >>> found = sc.sweep(crane, {"load_mass": np.linspace(50, 150, 100), "duration": np.linspace(10, 30, 50)})
+    >>> found.peak_M_b.sel(load_mass=100, method="nearest").plot()
+    """
+    swept = settled(scene, parameters, references, limits, instants, inputs, model)
+    if executor is not None and distributed is not None:
+        raise InvalidSetting("give either an executor or a client of distributed, not both")
+    if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
+        raise InvalidSetting(f"chunk must be a number of cases, not {chunk!r}")
+    shape = swept.grid.block(chunk)
+    settings = settings_of(swept)
+    sink: Sink = Memory(swept, settings) if store is None else Zarr.opened(Path(store), swept, settings, shape, resume)
+    if distributed is not None:
+        executor = distributed.get_executor()
+    todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
+    done = swept.grid.size - sum(_count(block) for _, block in todo)
+    for number, block, found in _computed(swept, todo, executor, native):
+        sink.put(number, block, found)
+        done += _count(block)
+        if progress is not None:
+            progress(done, swept.grid.size)
+    return sink.dataset()
+
+
+def _count(block: Slices) -> int:
+    return int(np.prod([each.stop - each.start for each in block]))
+
+
+# Computing -----------------------------------------------------------------------------------------------------------
+
+
+def _computed(
+    swept: Swept, todo: list[tuple[int, Slices]], executor: Executor | None, native: bool | None
+) -> Iterator[tuple[int, Slices, dict[str, Any]]]:
+    """Yield the results of blocks as they come, with the sentences of cases that failed."""
+    problem = swept.problem
+    if not problem.flat or problem.follow_branch or problem.system.time.numel() or prepared_table(problem) is not None:
+        for number, block in todo:
+            yield number, block, _one_by_one(swept, block)
+        return
+    work = work_of(problem, swept.limits, native, swept.by_formula)
+    with ThreadPoolExecutor(os.cpu_count() or 1) as own:
+        pool, waiting = executor or own, dict[Future[dict[str, Array]], tuple[int, Slices]]()
+        left = iter(todo)
+        try:
+            while True:
+                while len(waiting) < 2 * (os.cpu_count() or 1) + 2 and (each := next(left, None)) is not None:
+                    cases = _cases(swept, each[1])
+                    waiting[pool.submit(evaluated, work, cases, swept.inputs)] = each
+                if not waiting:
+                    return
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    number, block = waiting.pop(future)
+                    yield number, block, _with_sentences(swept, block, future.result())
+        finally:
+            for future in waiting:
+                future.cancel()
+
+
+def _cases(swept: Swept, block: Slices) -> Cases:
+    """Return the cases of a block as arrays."""
+    grid, problem = swept.grid, swept.problem
+    which, names = grid.paths(block), problem.system.parameters.names
+    p = np.tile(problem.p, (len(which), 1))
+    for name in grid.columns:
+        if name != DURATION:
+            p[:, names.index(name)] = grid.values(name, block)
+    keys = np.column_stack([which, grid.values(DURATION, block) if DURATION in grid.columns else np.zeros(len(which))])
+    different, of_case = np.unique(keys, axis=0, return_inverse=True)
+    laws = [_law(swept, int(path), duration) for path, duration in different]
+    times = [np.linspace(each.start_time, each.end_time, swept.instants) for each in laws]
+    order = problem.array.reference_order
+    if swept.by_formula:
+        paths = np.array([each.formula.numbers(order) for each in laws if each.formula is not None])
+    else:
+        paths = np.stack([each.jet(t, order).reshape(len(t), -1).T for each, t in zip(laws, times, strict=True)])
+    t = np.array(times)
+    if len(laws) > 1:
+        t, paths = t[of_case.ravel()], paths[of_case.ravel()]
+    return Cases(t, paths, p)
+
+
+def _law(swept: Swept, path: int, duration: float) -> Reference:
+    """Return a path in a duration; 0 for its own."""
+    own = swept.references[path]
+    return own if not duration else in_time(own, duration)
+
+
+# Cases that fail, and cases by themselves ----------------------------------------------------------------------------
+
+
+def _with_sentences(swept: Swept, block: Slices, found: dict[str, Array]) -> dict[str, Any]:
+    failures = np.full(len(found["solved"]), "", dtype=object)
+    for k in np.flatnonzero(found["solved"] == 0.0):
+        failures[k] = _sentence(swept, block, int(k))
+    return {**found, "failure": failures}
+
+
+def _sentence(swept: Swept, block: Slices, k: int) -> str:
+    """Return why a case is not solved."""
+    try:
+        _solved(swept, block, k)
+    except ServocoreError as error:
+        return str(error)
+    return f"{swept.problem.name}: not solved at all of {swept.instants} instants from the guess of the model"
+
+
+def _solved(swept: Swept, block: Slices, k: int) -> Any:
+    given = swept.grid.case(block, k)
+    law = _law(swept, int(swept.grid.paths(block)[k]), given.pop(DURATION, 0.0))
+    scene = swept.scene.with_reference(law).with_parameters(**given)
+    unlimited = replace(scene, limits=tuple(each for each in scene.limits if each.of_path))
+    return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)
+
+
+def _one_by_one(swept: Swept, block: Slices) -> dict[str, Any]:
+    """Solve every case of a block, as `solve` does by default."""
+    system, count = swept.problem.system, _count(block)
+    m, limits = len(system.inputs), len(swept.limits)
+    found: dict[str, Any] = {
+        "peaks": np.full((count, m), np.nan),
+        "swing": np.full(count, np.nan),
+        "margins": np.full((count, limits), np.nan),
+        "failure": np.full(count, "", dtype=object),
+    }
+    if swept.inputs:
+        found["inputs"] = np.full((count, swept.instants, m), np.nan)
+    for k in range(count):
+        try:
+            solution = _solved(swept, block, k)
+        except ServocoreError as error:
+            found["failure"][k] = str(error)
+            continue
+        for i, each in enumerate(system.inputs):
+            found["peaks"][k, i] = np.abs(solution[each.name]).max()
+            if swept.inputs:
+                found["inputs"][k, :, i] = solution[each.name]
+        if SWING in solution:
+            found["swing"][k] = np.abs(solution[SWING]).max()
+        for i, limit in enumerate(swept.limits):
+            if limit.quantity in solution:
+                values = solution[limit.quantity]
+                found["margins"][k, i] = min((values - limit.bound).min(), (limit.upper - values).min())
+    return found

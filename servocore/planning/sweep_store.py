@@ -1,0 +1,241 @@
+"""Where the results of a sweep go: into memory, or block by block into a Zarr store that a later run can complete."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from servocore.errors import InvalidSetting, missing_package
+from servocore.planning.grid import CASE, DURATION, PATH, Slices
+from servocore.planning.swept import Swept
+
+INSTANT = "instant"
+"""The dimension of the inputs over time: the share of the duration that has passed."""
+
+DONE = "done"
+"""Which blocks of a store are complete; no part of the dataset."""
+
+_SETTINGS = "settings"
+
+
+class Sink(Protocol):
+    """What takes the results of blocks."""
+
+    def has(self, number: int, /) -> bool:
+        """Whether a block is there."""
+
+    def put(self, number: int, block: Slices, found: Mapping[str, Any], /) -> None:
+        """Take the results of a block."""
+
+    def dataset(self) -> Any:
+        """Return all that was taken."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """One variable of the dataset: which result it is, with its unit; instants too where they are kept."""
+
+    name: str
+    result: str
+    column: int | None
+    unit: str
+    described: str
+    over_time: bool = False
+
+
+def variables_of(swept: Swept) -> list[Variable]:
+    """Return the variables of a sweep's dataset."""
+    system, quantities = swept.problem.system, swept.problem.system.inputs
+    found = [
+        Variable(f"peak_{e.name}", "peaks", k, e.unit, f"largest magnitude of {e.name}")
+        for k, e in enumerate(quantities)
+    ]
+    swing = next((each for each in system.observables if each.name == "swing"), None)
+    if swing is not None:
+        found.append(Variable("swing", "swing", None, swing.unit, "largest swing angle"))
+    found += [
+        Variable(f"margin_{e.quantity}", "margins", k, e.unit, f"least distance of {e.quantity} from its limit")
+        for k, e in enumerate(swept.limits)
+    ]
+    if swept.inputs:
+        found += [Variable(e.name, "inputs", k, e.unit, e.description, True) for k, e in enumerate(quantities)]
+    return [*found, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
+
+
+def _coordinates(swept: Swept) -> dict[str, tuple[str, Any, dict[str, str]]]:
+    units = {each.name: each.unit for each in swept.problem.system.parameters.declared} | {DURATION: "s"}
+    found: dict[str, tuple[str, Any, dict[str, str]]] = {
+        name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in swept.grid.columns.items()
+    }
+    for name in (PATH, CASE):
+        if name in swept.grid.dimensions:
+            found[name] = (name, np.arange(swept.grid.dimensions[name]), {})
+    if swept.inputs:
+        found[INSTANT] = (INSTANT, np.linspace(0.0, 1.0, swept.instants), {"units": "1"})
+    return found
+
+
+def _placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
+    """Return the values of a variable for a block, in its shape."""
+    values = found[variable.result]
+    values = values if variable.column is None else values[..., variable.column]
+    shape = tuple(each.stop - each.start for each in block)
+    return values.reshape(*shape, swept.instants) if variable.over_time else values.reshape(shape)
+
+
+def _xarray() -> Any:
+    try:
+        import xarray  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise missing_package(error) or error from None
+    return xarray
+
+
+class Memory:
+    """Arrays of the whole sweep.
+
+    Parameters
+    ----------
+    swept : Swept
+        What is swept.
+    settings : mapping
+        Become attributes of the dataset.
+    """
+
+    def __init__(self, swept: Swept, settings: Mapping[str, Any]) -> None:
+        self._xarray, self._swept, self._settings = _xarray(), swept, settings
+        self._arrays: dict[str, Any] = {}
+        for each in variables_of(swept):
+            shape = (*swept.grid.shape, swept.instants) if each.over_time else swept.grid.shape
+            text = each.result == "failure"
+            self._arrays[each.name] = np.full(shape, "" if text else np.nan, dtype=object if text else np.float64)
+
+    def has(self, _: int) -> bool:
+        """Nothing is there before it is put."""
+        return False
+
+    def put(self, _: int, block: Slices, found: Mapping[str, Any]) -> None:
+        """Take the results of a block."""
+        for each in variables_of(self._swept):
+            self._arrays[each.name][block] = _placed(self._swept, each, found, block)
+
+    def dataset(self) -> Any:
+        """Return the dataset."""
+        swept, dimensions = self._swept, tuple(self._swept.grid.dimensions)
+        data = {}
+        for each in variables_of(swept):
+            values = self._arrays[each.name]
+            held = values.astype(str) if each.result == "failure" else values
+            data[each.name] = (dimensions + (INSTANT,) * each.over_time, held, _attributes(each))
+        return self._xarray.Dataset(data, _coordinates(swept), {_SETTINGS: json.dumps(self._settings)})
+
+
+class Zarr:
+    """A store in a folder, written block by block: a block of it is a chunk of every array.
+
+    Parameters
+    ----------
+    path : Path
+        Of the store.
+    swept : Swept
+        What is swept.
+    """
+
+    def __init__(self, path: Path, swept: Swept) -> None:
+        self._path, self._swept = path, swept
+        self._group = _zarr().open_group(path, mode="r+")
+        self._done = self._group[DONE]
+        self._known = np.asarray(self._done[:], dtype=bool)
+
+    @classmethod
+    def opened(cls, path: Path, swept: Swept, settings: Mapping[str, Any], shape: Sequence[int], resume: bool) -> Zarr:
+        """Make a store, or open the one that is to be completed.
+
+        Raises
+        ------
+        InvalidSetting
+            If there is one already that is not to be resumed, or its settings are other ones.
+        """
+        held = {**settings, "block": list(shape)}
+        if not path.exists():
+            _made(path, swept, held)
+            return cls(path, swept)
+        try:
+            group = _zarr().open_group(path, mode="r")
+            stored = json.loads(group.attrs[_SETTINGS])
+        except (KeyError, ValueError, OSError) as error:
+            raise InvalidSetting(f"cannot write {path}: it is there already, and is no store of a sweep") from error
+        if not resume:
+            raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
+        other = sorted(name for name in {*held, *stored} if held.get(name) != stored.get(name))
+        if other:
+            raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
+        return cls(path, swept)
+
+    def has(self, number: int) -> bool:
+        """Whether a block is complete."""
+        return bool(self._known[number])
+
+    def put(self, number: int, block: Slices, found: Mapping[str, Any]) -> None:
+        """Write a block, and then that it is there."""
+        with _quiet():
+            for each in variables_of(self._swept):
+                self._group[each.name][block] = _placed(self._swept, each, found, block)
+        self._done[number] = 1
+
+    def dataset(self) -> Any:
+        """Return the dataset, of which nothing is read before it is used."""
+        with _quiet():
+            return _xarray().open_zarr(self._path, consolidated=False).drop_vars(DONE)
+
+
+def _made(path: Path, swept: Swept, settings: Mapping[str, Any]) -> None:
+    """Make a store without results."""
+    zarr, dimensions = _zarr(), tuple(swept.grid.dimensions)
+    block = tuple(settings["block"])
+    blocks = int(np.prod([-(-n // part) for n, part in zip(swept.grid.shape, block, strict=True)]))
+    try:
+        with _quiet():
+            group = zarr.open_group(path, mode="w-")
+            for each in variables_of(swept):
+                over_time = (swept.instants,) if each.over_time else ()
+                text = each.result == "failure"
+                group.create_array(
+                    each.name, shape=(*swept.grid.shape, *over_time), chunks=(*block, *over_time),
+                    dtype=str if text else np.float64, fill_value="" if text else np.nan,
+                    dimension_names=(*dimensions, *([INSTANT] if each.over_time else [])), attributes=_attributes(each),
+                )  # fmt: skip
+            for name, (dimension, values, attributes) in _coordinates(swept).items():
+                group.create_array(name, data=np.asarray(values), dimension_names=(dimension,), attributes=attributes)
+            group.create_array(DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
+            group.attrs.update({_SETTINGS: json.dumps(settings)})
+    except OSError as error:
+        raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _attributes(variable: Variable) -> dict[str, str]:
+    found = {"long_name": variable.described}
+    return found if variable.result == "failure" else {**found, "units": variable.unit}
+
+
+def _zarr() -> Any:
+    try:
+        import zarr  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise missing_package(error) or error from None
+    return zarr
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Hold back Zarr's remark that other libraries may not know its texts yet."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield

@@ -1,0 +1,118 @@
+"""What a sweep does, settled and checked before it begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from servocore.checks.motion_limits import motion_limits
+from servocore.errors import InvalidSetting
+from servocore.model.limits import Limit
+from servocore.model.scene import Scene, require_scene
+from servocore.planning.grid import DURATION, Grid
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.stretched import Stretched
+
+_LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """What a sweep does, settled before it begins.
+
+    Attributes
+    ----------
+    scene : Scene
+        With its limits.
+    model : str or None
+        Of the scene.
+    problem : Problem
+        The scene's.
+    limits : tuple of Limit
+        Whose margins are told.
+    grid : Grid
+        The cases.
+    references : tuple of Reference
+        The paths.
+    instants : int
+        At each of which a case is looked at.
+    inputs : bool
+        Whether the inputs themselves are kept.
+    by_formula : bool
+        Whether all paths, in all durations, are one formula with other numbers.
+    """
+
+    scene: Scene
+    model: str | None
+    problem: Problem
+    limits: tuple[Limit, ...]
+    grid: Grid
+    references: tuple[Reference, ...]
+    instants: int
+    inputs: bool
+    by_formula: bool
+
+
+def settled(
+    scene: Scene, parameters: Any, references: Any, limits: Any, instants: int, inputs: bool, model: str | None
+) -> Swept:
+    """Return what is swept; raises what `sweep` says."""
+    require_scene(scene, "sweep")
+    if isinstance(instants, bool) or not isinstance(instants, int) or instants < 2:
+        raise InvalidSetting(f"instants must be a number of at least 2, not {instants!r}")
+    paths = tuple(references or ())
+    bounded = scene.with_limits(**limits) if limits else scene
+    problem = Problem.of(bounded.with_reference(paths[0]) if paths else bounded, model)
+    grid = Grid.of(parameters, len(paths))
+    declared = {each.name: each for each in problem.system.parameters.declared}
+    for name, (_, values) in grid.columns.items():
+        if name == DURATION:
+            if not (values > 0.0).all():
+                raise InvalidSetting(f"durations must be positive, not {values.min():g} s")
+        elif name not in declared:
+            raise InvalidSetting(
+                f"{scene.name} has no parameter {name}; there are {', '.join(declared)}, and {DURATION}"
+            )
+        else:
+            declared[name].check(float(values.min()))
+            declared[name].check(float(values.max()))
+    for each in paths:
+        bounded.with_reference(each)  # refuses what is no path of this scene
+    paths = paths or (problem.reference,)
+    formula = problem.reference.formula
+    longer = [in_time(each, 2.0 * each.duration) for each in paths] if DURATION in grid.columns else []
+    by_formula = formula is not None and all(each.formula == formula for each in (*paths, *longer))
+    return Swept(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs), by_formula)
+
+
+def settings_of(swept: Swept) -> dict[str, Any]:
+    """Return what makes two sweeps the same, as JSON can hold it."""
+    problem, grid = swept.problem, swept.grid
+    sampled = [
+        each.jet(np.linspace(each.start_time, each.end_time, 17), 2).ravel().tolist() for each in swept.references
+    ]
+    return {
+        "scene": problem.name,
+        "model": problem.system.name,
+        "parameters": dict(zip(problem.system.parameters.names, problem.p.tolist(), strict=True)),
+        "limits": {each.quantity: [each.bound, each.upper] for each in swept.limits},
+        "varied": {name: [dimension, values.tolist()] for name, (dimension, values) in grid.columns.items()},
+        "dimensions": dict(grid.dimensions),
+        "paths": sampled,
+        "quantities": [each.name for each in problem.system.inputs],
+        "instants": swept.instants,
+        "inputs": swept.inputs,
+    }
+
+
+def in_time(path: Reference, duration: float) -> Reference:
+    """Return the same path with the same law in another time."""
+    stretched = Stretched.to(path, duration)
+    if path.formula is None:
+        return stretched
+    same: Reference = replace(path, end_time=stretched.end_time)
+    t = np.linspace(same.start_time, same.end_time, _LOOKED_AT)
+    return same if np.allclose(same.jet(t, 1), stretched.jet(t, 1)) else stretched  # a ramp of its own time

@@ -1,0 +1,277 @@
+"""Sweeps: every case has the numbers of its own solution, wherever it is computed, however often interrupted."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from command_lines import CommandLine
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from outside.systems import elbow_arm, vtol
+
+import servocore as sc
+from servocore.cli.commands import app
+from servocore.planning.grid import Grid, drawn
+
+pytest.importorskip("xarray")
+pytest.importorskip("zarr")
+
+CRANE = sc.scenes.rotary_crane()
+LIMITS = {"F": 60.0, "s.rate": 1.0}
+MASSES, DURATIONS = np.linspace(50.0, 150.0, 7), np.array([10.0, 14.0, 20.0])
+VARIED = {"load_mass": MASSES, "duration": DURATIONS}
+
+
+def assert_case_is_its_solution(found, scene, path, **parameters):
+    solution = sc.solve(scene.with_reference(path).with_parameters(**parameters), step=path.duration / 200)
+    for name in (each.name for each in scene.model().inputs):
+        assert float(found[f"peak_{name}"]) == pytest.approx(np.abs(solution[name]).max(), rel=1e-12)
+    if "swing" in solution:
+        assert float(found.swing) == pytest.approx(np.abs(solution["swing"]).max(), rel=1e-9)
+    return solution
+
+
+def default_path(duration):
+    return sc.rest_to_rest(CRANE.reference.start, CRANE.reference.end, duration)
+
+
+def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution():
+    found = sc.sweep(CRANE, VARIED, limits=LIMITS)
+    assert dict(found.sizes) == {"load_mass": 7, "duration": 3}
+    for i, k in ((0, 0), (3, 1), (6, 2)):
+        case, path = found.isel(load_mass=i, duration=k), default_path(DURATIONS[k])
+        solution = assert_case_is_its_solution(case, CRANE, path, load_mass=MASSES[i])
+        assert float(case.margin_F) == pytest.approx(60.0 - np.abs(solution["F"]).max(), rel=1e-12)
+        rate = np.gradient(solution["s"], solution.t)[2:-2]
+        assert float(case["margin_s.rate"]) == pytest.approx(1.0 - np.abs(rate).max(), abs=1e-3)
+    assert (found.failure == "").all()
+
+
+def test_units_coordinates_and_settings_are_told():
+    found = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=21)
+    assert found.peak_M_b.attrs["units"] == "N.m"
+    assert found.load_mass.attrs["units"] == "kg"
+    assert found.duration.attrs["units"] == "s"
+    assert found.margin_F.attrs["units"] == "N"
+    assert found.M_b.dims == ("load_mass", "duration", "instant")
+    np.testing.assert_array_equal(np.abs(found.M_b).max("instant"), found.peak_M_b)
+    assert '"scene": "rotary_crane"' in found.attrs["settings"]
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.lists(st.tuples(st.floats(30.0, 300.0), st.floats(9.0, 40.0)), min_size=1, max_size=5))
+def test_rows_of_a_table_are_cases(rows):
+    table = [{"load_mass": mass, "duration": duration} for mass, duration in rows]
+    found = sc.sweep(CRANE, table)
+    assert found.sizes["case"] == len(rows)
+    mass, duration = rows[-1]
+    assert_case_is_its_solution(found.isel(case=-1), CRANE, default_path(duration), load_mass=mass)
+
+
+def test_paths_vary_too_whatever_they_are():
+    t = np.linspace(0.0, 15.0, 80)
+    paths = [CRANE.reference, sc.sampled(t, sc.rest_to_rest((4.0, 0.0, -5.0), (1.0, 3.0, -4.0), 15.0).jet(t, 0)[:, 0])]
+    found = sc.sweep(CRANE, {"load_mass": [80.0, 120.0], "duration": [18.0]}, paths)
+    assert dict(found.sizes) == {"path": 2, "load_mass": 2, "duration": 1}
+    own = sc.sweep(CRANE, {"load_mass": [80.0, 120.0]}, paths)
+    assert_case_is_its_solution(own.isel(path=1, load_mass=0), CRANE, paths[1], load_mass=80.0)
+
+
+@pytest.mark.parametrize("scene", [sc.scenes.mass_on_car(), elbow_arm().scene, vtol().scene], ids=lambda e: e.name)
+def test_scenes_that_need_it_are_solved_case_by_case(scene):
+    duration = scene.reference.duration
+    found = sc.sweep(scene, {"duration": [1.25 * duration, 1.5 * duration]}, instants=201)
+    solution = sc.solve(scene, step=duration / 200)
+    assert set(found.sizes) == {"duration"}
+    assert (found.failure == "").all()
+    names = [each.name for each in scene.model().inputs]
+    assert all(0.0 < float(found[f"peak_{name}"][0]) < 2.0 * np.abs(solution[name]).max() for name in names)
+
+
+def test_a_case_that_fails_is_a_row_with_its_sentence():
+    found = sc.sweep(CRANE, {"duration": [1.0, 20.0]})
+    with pytest.raises(sc.ServocoreError) as refused:
+        sc.solve(CRANE.with_reference(default_path(1.0)), step=1.0 / 200)
+    assert str(found.failure[0].item()) == str(refused.value)
+    assert np.isnan(found.peak_M_b[0])
+    assert found.failure[1] == ""
+    assert np.isfinite(found.peak_M_b[1])
+
+
+@pytest.mark.parametrize("chunk", [1, 5, 21])
+def test_a_store_holds_what_memory_does(tmp_path, chunk):
+    kept = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31)
+    stored = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31, store=tmp_path / "s.zarr", chunk=chunk)
+    assert stored.drop_attrs().load().identical(kept.drop_attrs())
+
+
+class Interrupted(Exception):
+    pass
+
+
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
+    store, seen = tmp_path / "s.zarr", []
+
+    def stop(done, _):
+        if done >= 9:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        sc.sweep(CRANE, VARIED, store=store, chunk=3, progress=stop)
+    found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda done, _: seen.append(done))
+    assert seen[0] >= 12
+    assert seen[-1] == 21
+    assert len(seen) <= 4
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
+DRIVER = """
+import numpy as np, servocore as sc, time
+varied = {"load_mass": np.linspace(50.0, 150.0, 7), "duration": np.array([10.0, 14.0, 20.0])}
+
+def tell(*_):
+    print("block", flush=True)
+    time.sleep(0.3)
+
+sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tell)
+"""
+
+
+def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path):
+    driver = subprocess.Popen([sys.executable, "-c", DRIVER], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
+    for _ in range(2):
+        assert driver.stdout.readline() == "block\n"
+    driver.kill()
+    driver.wait()
+    driver.stdout.close()
+    seen = []
+    found = sc.sweep(
+        CRANE, VARIED, store=tmp_path / "s.zarr", chunk=3, resume=True, progress=lambda done, _: seen.append(done)
+    )
+    assert 2 <= len(seen) <= 5
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
+def test_processes_compute_the_same_digits():
+    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
+        found = sc.sweep(CRANE, VARIED, limits=LIMITS, executor=pool, chunk=6)
+    assert found.identical(sc.sweep(CRANE, VARIED, limits=LIMITS))
+
+
+def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path):
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50)
+    with cluster, distributed.Client(cluster) as client:
+        killed = []
+
+        def kill(done, _):
+            if done >= 6 and not killed:
+                killed.append(next(iter(cluster.workers.values())))
+                killed[0].process.process.kill()
+                time.sleep(0.1)
+
+        found = sc.sweep(CRANE, VARIED, distributed=client, store=tmp_path / "s.zarr", chunk=1, progress=kill)
+    assert killed
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"parameters": {"weight": [1.0]}}, "has no parameter weight"),
+        ({"parameters": {"load_mass": [-1.0, 50.0]}}, "load_mass = -1"),
+        ({"parameters": {"load_mass": [np.nan]}}, "must be a row of finite numbers"),
+        ({"parameters": {"duration": [0.0]}}, "durations must be positive"),
+        ({"parameters": {}}, "nothing varies"),
+        ({"parameters": [{"load_mass": 1.0}, {"rope": 2.0}]}, "all have the same names"),
+        ({"limits": {"colour": 3.0}}, "colour"),
+        ({"limits": {"F.rate": 200.0}}, "F.rate takes a derivative that a sweep does not have"),
+        ({"instants": 1}, "at least 2"),
+        ({"chunk": 0}, "chunk must be a number of cases"),
+    ],
+)
+def test_what_is_wrong_is_named_before_anything_is_computed(change, said, tmp_path):
+    store = tmp_path / "s.zarr"
+    with pytest.raises(sc.ServocoreError, match=said):
+        sc.sweep(CRANE, **{"parameters": VARIED, "store": store, **change})
+
+
+def test_a_store_of_another_sweep_is_not_resumed(tmp_path):
+    store = tmp_path / "s.zarr"
+    sc.sweep(CRANE, VARIED, store=store)
+    with pytest.raises(sc.InvalidSetting, match="is there already"):
+        sc.sweep(CRANE, VARIED, store=store)
+    with pytest.raises(sc.InvalidSetting, match="another sweep, whose instants differ"):
+        sc.sweep(CRANE, VARIED, store=store, instants=101, resume=True)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(sc.InvalidSetting, match="no store of a sweep"):
+        sc.sweep(CRANE, VARIED, store=tmp_path / "folder", resume=True)
+
+
+@given(
+    st.lists(st.integers(1, 9), min_size=1, max_size=4),
+    st.integers(1, 60),
+)
+def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths, most):
+    grid = Grid.of({f"p{k}": np.arange(n, dtype=float) for k, n in enumerate(lengths)}, 0)
+    shape, seen = grid.block(most), np.zeros(grid.shape, dtype=int)
+    assert np.prod(shape) <= most
+    for _, block in grid.blocks(shape):
+        seen[block] += 1
+        for k, name in enumerate(grid.columns):
+            assert set(grid.values(name, block)) == set(range(block[k].start, block[k].stop))
+    assert (seen == 1).all()
+
+
+def test_draws_fill_the_ranges_evenly_and_come_again():
+    rows = drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
+    assert rows == drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
+    values = np.sort([each["a"] for each in rows])
+    assert (np.floor(values * 50) == np.arange(50)).all()
+
+
+# The command ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path, monkeypatch):
+    xarray = pytest.importorskip("xarray")
+    monkeypatch.chdir(tmp_path)
+    line = CommandLine(app, "servocore")
+    words = ["sweep", "rotary_crane", "--vary", "load_mass=50:150:7", "--vary", "duration=10:20:3", "--limit", "F=60"]
+    run = line(*words, "-o", "study")
+    assert run.exit_code == 0
+    assert "21 of 21 cases" in run.stderr
+    with xarray.open_zarr(tmp_path / "study" / "sweep.zarr", consolidated=False) as found:
+        own = sc.sweep(CRANE, {"load_mass": MASSES, "duration": np.linspace(10.0, 20.0, 3)}, limits={"F": 60.0})
+        np.testing.assert_array_equal(found.peak_M_b, own.peak_M_b)
+        np.testing.assert_array_equal(found.margin_F, own.margin_F)
+    page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
+    assert "21 cases, 0 not solved" in page
+    assert "peak_M_b" in page
+    assert (tmp_path / "study" / "sweep.png").read_bytes().startswith(b"\x89PNG")
+    line.assert_refused(line(*words, "-o", "study"), "is there already: resume it")
+    assert line(*words, "-o", "study", "--resume").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("rotary_crane -o study", "nothing varies: use --vary"),
+        ("rotary_crane --vary load_mass=50:150 -o study", "is not NAME=LOW:HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=a:150:3 -o study", "is not NAME=LOW:HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=50:150:3 --vary load_mass=1:2:2 -o study", "names something twice"),
+        ("rotary_crane --vary weight=1:2:2 -o study", "has no parameter weight"),
+        ("rotary_crane --vary load_mass=50:150 --sample 0 -o study", "--sample must be at least 1"),
+    ],
+)
+def test_the_command_refuses_in_one_sentence(words, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = CommandLine(app, "servocore")
+    line.assert_refused(line("sweep", *words.split()), said)
+    assert list(tmp_path.iterdir()) == []
