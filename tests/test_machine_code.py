@@ -21,6 +21,7 @@ from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem
 from servocore.solvers.taylor import Taylor
+from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
 
 SOURCE = "int servocore_answer(void) { return 42; }\n"
@@ -206,6 +207,20 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
     running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
     assert not running.exists()
     assert not list((tmp_path / "cache").glob("*.building"))
+
+
+@pytest.mark.usefixtures("compiler", "own_cache")
+def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits():
+    crane = sc.scenes.overhead_crane()
+    problem = Problem.of(crane)
+    how = (sc.Projected(), sc.BackwardEuler())
+    program = program_of(problem, *how)
+    first = sc.solve(crane, *how)
+    assert program_of(problem, *how, None) is program
+    BACKGROUND.wait()
+    assert program_of(problem, *how, None).step.class_name() == "External"
+    np.testing.assert_array_equal(sc.solve(crane, *how).values, first.values)
+    assert program_of(problem, *how, False) is program
 
 
 # Where it is kept ----------------------------------------------------------------------------------------------------

@@ -73,14 +73,14 @@ class ToTolerance:
         What is stepped, and how.
     control : Adaptive
         The accuracy wanted.
-    native : bool
-        Whether as machine code.
+    native : bool, optional
+        Whether as machine code; in the background where there is much to do when not given.
     """
 
     formulation: Formulation
     method: Method
     control: Adaptive
-    native: bool = False
+    native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Solve to the tolerance; see `Route`.
@@ -91,7 +91,7 @@ class ToTolerance:
             If the tolerance cannot be met, with what was reached and why.
         """
         first = given_start_of(self.formulation, self.method)
-        program = program_of(problem, self.formulation, self.method, self.native)
+        program = program_of(problem, self.formulation, self.method, self.native, len(times))
         order = self.method.orders(program.index).forces
         if program.index <= 1:
             return _by_steps(problem, StepControl(self.control, program, problem, order), times, first, progress)

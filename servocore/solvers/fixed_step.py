@@ -22,16 +22,16 @@ class FixedStep:
     ----------
     formulation, method : Formulation, Method
         What is stepped, and how.
-    native : bool
-        Whether as machine code.
+    native : bool, optional
+        Whether as machine code; in the background where there is much to do when not given.
     """
 
     formulation: Formulation
     method: Method
-    native: bool = False
+    native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
         first = given_start_of(self.formulation, self.method)
-        program = program_of(problem, self.formulation, self.method, self.native)
+        program = program_of(problem, self.formulation, self.method, self.native, len(times))
         return solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])

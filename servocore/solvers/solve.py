@@ -198,10 +198,10 @@ def chosen_route(
     if not problem.dae(formulation).x.numel():
         return Pointwise(formulation, method, native)
     if isinstance(step, Adaptive):
-        return ToTolerance(formulation, method, step, bool(native))
+        return ToTolerance(formulation, method, step, native)
     if isinstance(formulation, Reduced):
-        return StateSelection(formulation, method, bool(native))
-    return FixedStep(formulation, method, bool(native))
+        return StateSelection(formulation, method, native)
+    return FixedStep(formulation, method, native)
 
 
 def judge_of(problem: Problem, route: Route) -> Judge:

@@ -38,13 +38,13 @@ class StateSelection:
         With the states to begin with.
     method : Method
         How the internal dynamics are stepped.
-    native : bool
-        Whether as machine code.
+    native : bool, optional
+        Whether as machine code; in the background where there is much to do when not given.
     """
 
     formulation: Reduced
     method: Method
-    native: bool = False
+    native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step a reduced form with internal dynamics through the instants; see `Route`.
@@ -55,7 +55,7 @@ class StateSelection:
             If a step is not solved and no other choice of states helps.
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
-        program = program_of(problem, formulation, self.method, self.native)
+        program = program_of(problem, formulation, self.method, self.native, len(times))
         state, _ = begin(problem, program, step, given_start_of(formulation, self.method))
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
@@ -74,7 +74,7 @@ class StateSelection:
             if better is not None and at < count:
                 restarted_at = at
                 formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
-                program = program_of(problem, formulation, self.method, self.native)
+                program = program_of(problem, formulation, self.method, self.native, len(times))
                 state = self._restarted(problem, program, formulation, float(times[at]), step, values[:, good])
             if progress is not None:
                 progress(at, count)

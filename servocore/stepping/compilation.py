@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 
 import casadi as ca
@@ -15,8 +16,9 @@ from servocore.methods.base import Discretisation, Method, instantaneous
 from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.limits import Limit
 from servocore.numerics.calls import Array, Call
-from servocore.numerics.machine_code import compiled
+from servocore.numerics.machine_code import BACKGROUND, Build, automatic, build_of, compiled, library_of, loaded
 from servocore.numerics.square_systems import compile_solver
+from servocore.numerics.vectorised import MANY
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.given_starts import started
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
@@ -29,7 +31,9 @@ from servocore.structure.inversion import Inversion, compile_inversion, inversio
 _IN_MACHINE_CODE = ("start", "step", "observe")
 
 
-def program_of(problem: Problem, formulation: Formulation, method: Method, native: bool = False) -> Program:
+def program_of(
+    problem: Problem, formulation: Formulation, method: Method, native: bool | None = False, steps: int = 0
+) -> Program:
     """Return the program of a problem; asked again for the same system and settings, the same program.
 
     Parameters
@@ -38,12 +42,51 @@ def program_of(problem: Problem, formulation: Formulation, method: Method, nativ
         What is to be stepped.
     formulation, method : Formulation, Method
         How.
-    native : bool
-        Whether a C compiler shall turn it into machine code.
+    native : bool or None
+        Whether a C compiler shall turn it into machine code; with None it does so in the background where the program
+        is asked for again, or for many steps.
+    steps : int
+        How many are to be taken.
     """
     make = _in_machine_code if native else compile_program
-    of_path = tuple(each for each in problem.limits if each.of_path)
-    return problem.resolved.once(make, formulation, method, of_path, problem.follow_branch)
+    settings = formulation, method, tuple(each for each in problem.limits if each.of_path), problem.follow_branch
+    program = problem.resolved.once(make, *settings)
+    if native is not None or not automatic():
+        return program
+    return problem.resolved.once(_later_in_machine_code, *settings).program(program, steps)
+
+
+@dataclass
+class _Later:
+    """Machine code of a program that comes when it is ready."""
+
+    calls: int = 0
+    build: Build | None = None
+    made: Program | None = None
+    given_up: bool = False
+
+    def program(self, program: Program, steps: int) -> Program:
+        """Return the program as machine code if that is there, and as it is if not."""
+        self.calls += 1
+        if self.made is not None or self.given_up or (self.calls < 2 and steps < MANY):
+            return self.made or program
+        functions = {name: getattr(program, name) for name in _IN_MACHINE_CODE}
+        asked = self.build is not None
+        self.build = self.build or build_of(functions, program.name)
+        if asked and BACKGROUND.pending(self.build):
+            return program
+        library = library_of(self.build)
+        if library is not None:
+            with suppress(RuntimeError):  # a library that cannot be loaded
+                self.made = replace(program, **loaded(library, functions))
+        self.given_up = self.made is None and (asked or library is not None)
+        if not asked and library is None:
+            BACKGROUND.ask(self.build)
+        return self.made or program
+
+
+def _later_in_machine_code(*_: object) -> _Later:
+    return _Later()
 
 
 def _in_machine_code(
