@@ -16,8 +16,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import platformdirs
-
 FOLDER = "SERVOCORE_CACHE"
 """Environment variable with the folder, if not the user's own for caches."""
 
@@ -44,6 +42,8 @@ class CodeCache:
     @classmethod
     def of_user(cls) -> CodeCache:
         """Return that of the environment variable `FOLDER`, or else the one in the user's folder for caches."""
+        import platformdirs  # noqa: PLC0415 - it takes a tenth of the time that importing the library takes
+
         named = os.environ.get(FOLDER)
         return cls(Path(named) if named else platformdirs.user_cache_path("servocore") / "machine-code")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import pairwise
 from typing import Any
@@ -20,6 +19,7 @@ from servocore.numerics.vector_code import LANES, NAME, chain_source, vector_sou
 MANY = 10_000
 """Instants from which on machine code is worth being made for a first call."""
 
+_SECOND = 2  # call from which on it is worth a look
 _MOST_OPERATIONS = 30_000  # of one expression: beyond, compilers take minutes
 _BYTES = 8
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
@@ -39,6 +39,8 @@ class Vectorised:
         in the background when there is enough to do.
     of_what : str
         For messages.
+    again : bool
+        Whether what it is for was evaluated before.
     in_a_row : bool
         Whether one after the other: the first result of an instant is the first argument of the next.
 
@@ -55,6 +57,7 @@ class Vectorised:
         native: bool | None,
         of_what: str,
         *,
+        again: bool = False,
         in_a_row: bool = False,
     ) -> None:
         self._in_a_row = in_a_row
@@ -62,14 +65,15 @@ class Vectorised:
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._run: Any = None
         self._build: Build | None = None
-        self._calls = 0
+        self._calls = int(again)
         self._asked = False
         self._settled = native is False or not self._short()
         if native and not self._settled:
             self._require()
 
-    def ready(self, count: int) -> bool:
-        """Whether machine code is there for so many instants; asking for them brings it nearer."""
+    def ready(self, count: int, called: bool = False) -> bool:
+        """Whether machine code is there for so many instants, of which a call (is it one?) brings it nearer."""
+        self._calls += called
         if not self._settled:
             self._look(count)
         return self._run is not None
@@ -94,7 +98,8 @@ class Vectorised:
 
     def _look(self, count: int) -> None:
         """Take machine code that is there; ask for it where there is much to do."""
-        self._calls += 1
+        if self._calls < _SECOND and count < MANY:
+            return  # to write the source takes longer than to evaluate once
         if self._build is None:
             source = self._source() if automatic() else None
             if source is None:
@@ -109,7 +114,7 @@ class Vectorised:
                 with suppress(OSError):
                     self._load(library)
             self._settled = library is not None or self._asked
-        if not self._settled and (self._calls > 1 or count >= MANY):
+        if not self._settled:
             self._asked = True
             BACKGROUND.ask(self._build)
 
@@ -132,7 +137,7 @@ class Vectorised:
             count = each.shape[-1] if along else count
             cases = len(each) if each.ndim == 2 + along else cases
         batch = cases > 1 or any(each.ndim == 2 + along for each, along in zip(arguments, self._along, strict=True))
-        if self.ready(count * cases) and count:
+        if self.ready(count * cases, called=True) and count:
             found = self._in_machine_code(arguments, cases, count)
             return found if batch else [each[0] for each in found]
         if not batch:
@@ -181,6 +186,8 @@ class Vectorised:
                 each + _BYTES * (first * size * count + begin) for each, size in zip(targets, self._sizes, strict=True)
             ]
             self._run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
+
+        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
 
         by_case = cases >= threads
         parts = np.linspace(0, cases if by_case else count, threads + 1).astype(int).tolist()

@@ -31,6 +31,7 @@ CLOSED_FORM = "one: the closed form of the model at every instant, which turns t
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
 _LESS_THAN_HALF = 0.4531  # of an interval: in the middle of symmetric paths singular instants are to be expected
+_MANY = 500  # instants from which on machine code compares neighbours
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _MOST_CONNECTED = 4  # intervals that are looked into where the model gives its motion in closed form
 _SINGULAR_CONDITION = 1e12
@@ -77,7 +78,7 @@ class Branch:
 
     def jumps(self, t: Array, states: Array, native: bool | None = False) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
-        if native is not False:
+        if native is not False and len(t) > _MANY:
             apart = self.problem.resolved.once(_compiled_apart, native)
             if apart.ready(len(t) - 1):
                 (together,) = apart(states[:, :-1], states[:, 1:], np.diff(t)[None], self.scale)

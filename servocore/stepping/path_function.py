@@ -9,10 +9,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.calls import Array
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.vectorised import MANY, Vectorised
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
+
+_SECOND = 2  # call from which on machine code is worth a look
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,15 +49,15 @@ class PathFunction:
             If there is no C compiler.
         """
         if self.native:
-            self._on_path(reference)
+            self._on_path(reference, MANY)
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at the instants `t` (N,), shape (rows, N) each."""
         reference = problem.reference
-        chosen, formula = self._on_path(reference)
+        chosen, formula = self._on_path(reference, len(t), called=True)
         if formula is not None and chosen.ready(len(t)) and np.isfinite(t).all():
             return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
-        return self.at_jets(reference.jet(t, self.order), problem.p, formula is None)
+        return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
 
     def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
         """Return the results of cases, shape (cases, rows, N) each.
@@ -63,9 +65,9 @@ class PathFunction:
         There is one path a case, or one for all; `p` has shape (cases, size), or (size,) for all.
         """
         formulas = [each.formula for each in references]
-        chosen, formula = self._on_path(references[0])
         p = p if p.ndim == 2 or len(references) > 1 else p[None]
         count = len(t) * max(len(references), len(p) if p.ndim == 2 else 1)
+        chosen, formula = self._on_path(references[0], count, called=True)
         if formula is not None and all(each == formula for each in formulas) and chosen.ready(count):
             numbers = [each.numbers(self.order) for each in formulas if each is not None]
             return chosen(t[None], np.array(numbers if len(numbers) > 1 else numbers[0]), p)
@@ -75,19 +77,28 @@ class PathFunction:
 
     def ready(self, problem: Problem, count: int) -> bool:
         """Whether machine code is there for so many instants."""
-        return self._on_path(problem.reference)[0].ready(count)
+        return self._on_path(problem.reference, count)[0].ready(count)
 
     def at_jets(self, jets: Array, p: Array, compiled: bool = True) -> list[Array]:
         """Return the same for reference jets (N, order + 1, m), by machine code if there is such for jets."""
         of_jets = self.resolved.once(_of_jets, self)
         return (of_jets if compiled else of_jets.interpreted)(jets.reshape(len(jets), -1).T, p)
 
-    def _on_path(self, reference: Reference) -> tuple[Vectorised, Formula | None]:
-        """Return what evaluates on a path, with the path inside if that is a formula."""
-        formula = reference.formula
-        if self.native is False or formula is None or not self.function.is_a("SXFunction"):
+    def _on_path(self, reference: Reference, count: int, called: bool = False) -> tuple[Vectorised, Formula | None]:
+        """Return what evaluates on a path, with the path inside if that is a formula.
+
+        That pays from the second call on.
+        """
+        formula, calls = reference.formula, self.resolved.once(_calls, self)
+        calls[0] += called
+        once = self.native is None and calls[0] < _SECOND and count < MANY
+        if once or self.native is False or formula is None or not self.function.is_a("SXFunction"):
             return self.resolved.once(_of_jets, self), None
         return self.resolved.once(_of_time, self, formula), formula
+
+
+def _calls(_: ResolvedSystem, __: PathFunction) -> list[int]:
+    return [0]
 
 
 def _of_jets(resolved: ResolvedSystem, of: PathFunction) -> Vectorised:
@@ -101,4 +112,4 @@ def _of_time(resolved: ResolvedSystem, of: PathFunction, formula: Formula) -> Ve
     numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
     results = of.function.call([ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order)), p])
     function = ca.Function("sc_on_path", [t, numbers, p], results, {"cse": True})
-    return Vectorised(function, (True, False, False), of.native, resolved.system.name)
+    return Vectorised(function, (True, False, False), of.native, resolved.system.name, again=True)
