@@ -5,6 +5,7 @@ Dense linear algebra on parts costs what the parts do, on the whole matrix its c
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -65,6 +66,14 @@ def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     )
 
 
+def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
+    """Return the parts in groups of equal numbers of rows and columns."""
+    found: dict[tuple[int, int], list[Part]] = {}
+    for part in parts:
+        found.setdefault((len(part.rows), len(part.columns)), []).append(part)
+    return list(found.values())
+
+
 def filled(matrix: ca.DM) -> Array:
     """Return a sparse matrix with its zeros: CasADi itself goes through all of them one by one."""
     found = np.zeros(matrix.shape)
@@ -76,6 +85,9 @@ def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
     places = (each.tolist() for each in np.nonzero(matrix))
     parts = [each for each in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(each.entries)]
-    found = [np.linalg.svd(matrix[np.ix_(each.rows, each.columns)], compute_uv=False) for each in parts]
+    found = [
+        np.linalg.svd(np.stack([matrix[np.ix_(each.rows, each.columns)] for each in same]), compute_uv=False).ravel()
+        for same in of_one_shape(parts)
+    ]
     values = np.sort(np.concatenate([*found, np.zeros(min(matrix.shape))]))[::-1]
     return np.asarray(values[: min(matrix.shape)])

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
-from servocore.numerics.components import Part, filled, parts_of
+from servocore.numerics.components import Part, filled, of_one_shape, parts_of
 from servocore.numerics.rounding import UNIT, Array, evaluate
 
 ABSENT = -1
@@ -226,11 +226,14 @@ def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
     """Return the same of a sparse square matrix at N instants, from its entries (nnz, N), part by part."""
     finite = np.atleast_1d(np.isfinite(entries).all(axis=0))
     largest, least = np.zeros(len(finite)), np.full(len(finite), np.inf)
-    for part in parts:
-        if len(part.rows) != len(part.columns):
-            return np.full(len(finite), np.inf)
-        values = np.linalg.svd(equilibrated(part.dense(np.where(finite, entries, 0.0))), compute_uv=False)
-        largest, least = np.maximum(largest, values[:, 0]), np.minimum(least, values[:, -1])
+    if any(len(part.rows) != len(part.columns) for part in parts):
+        return np.full(len(finite), np.inf)
+    entries = entries if finite.all() else np.where(finite, entries, 0.0)
+    for same in of_one_shape(parts):  # a call for each of hundreds of parts takes longer than their decomposition
+        stacked = equilibrated(np.stack([part.dense(entries) for part in same]))
+        values = np.linalg.svd(stacked, compute_uv=False)
+        largest = np.maximum(largest, values[:, :, 0].max(axis=0))
+        least = np.minimum(least, values[:, :, -1].min(axis=0))
     regular = finite & (least > 0.0)
     return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
 
