@@ -23,7 +23,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import inversion, system_jacobian, system_jacobian_entries
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian, system_jacobian_entries
 from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
@@ -207,6 +207,11 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
 
     What a guess that knows nothing of the path does not solve is solved from a neighbour.
     """
+    expression = problem.resolved.once(inversion).expression
+    if expression is not None:
+        states, _, residual = at_instants(expression, jets=jets, p=problem.p)
+        if (residual < LARGEST_RESIDUAL).all():
+            return list(states.T)
     invert, search = problem.resolved.once(_survey_functions)
     found = [invert(jet.T, problem.p)[0] for jet in jets]
     solved = [bool(np.isfinite(values).all()) for values in found]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import casadi as ca
@@ -46,10 +47,50 @@ class Inversion:
     """
 
     guess: ca.Function
-    search: ca.Function
     expression: ca.Function | None
-    sought: ca.Function
-    function: ca.Function
+    _array: DerivativeArray
+    _equations: _Equations
+    _made: dict[str, ca.Function] = field(default_factory=dict, repr=False)
+
+    @property
+    def search(self) -> ca.Function:
+        """See above; compiled when first asked for, as what follows from it: `analyse` seldom needs any."""
+        return self._once("search", lambda: _compile_search(self._array, self._equations))
+
+    @property
+    def sought(self) -> ca.Function:
+        """See above."""
+        return self._once("sought", self._compile_sought)
+
+    @property
+    def function(self) -> ca.Function:
+        """See above."""
+        return self._once("function", self._compile_function)
+
+    def _once(self, name: str, make: Callable[[], ca.Function]) -> ca.Function:
+        if name not in self._made:
+            self._made[name] = make()
+        return self._made[name]
+
+    def _arguments(self) -> list[ca.MX]:
+        return [ca.MX.sym(name, *self.guess.size_in(k)) for k, name in enumerate(("gamma", "p"))]
+
+    def _compile_sought(self) -> ca.Function:
+        gamma, p = self._arguments()
+        return ca.Function("sc_search", [gamma, p], list(self.search(gamma, p, self.guess(gamma, p))))
+
+    def _compile_function(self) -> ca.Function:
+        gamma, p = self._arguments()
+        if self.expression is None:
+            found = self.sought(gamma, p)
+        else:
+            quick = self.expression(gamma, p)
+            given = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
+            accept = ca.Function("sc_accept", given, given[:3])
+            reject = ca.Function("sc_reject", given, list(self.sought(*given[3:])))
+            choose = ca.Function.if_else("sc_choose", accept, reject)
+            found = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
+        return ca.Function("sc_inversion", [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
 
     def searched(self, gamma: Array, p: Array, guess: Array) -> Array:
         """Return the unknowns (size, N) by Newton's method from guesses (size, N); `gamma` has jets side by side."""
@@ -92,21 +133,8 @@ def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
 def compile_inversion(array: DerivativeArray) -> Inversion:
     """Compile the exact inversion of a derivative array."""
     equations = _equations(array)
-    guess, search = _compile_guess(array), _compile_search(array, equations)
-    expression = _compile_flat(array, equations, guess)
-    gamma, p = (ca.MX.sym(name, *guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
-    sought = ca.Function("sc_search", [gamma, p], list(search(gamma, p, guess(gamma, p))))
-    if expression is None:
-        found = sought(gamma, p)
-    else:
-        quick = expression(gamma, p)
-        given = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
-        accept = ca.Function("sc_accept", given, given[:3])
-        reject = ca.Function("sc_reject", given, list(sought(*given[3:])))
-        choose = ca.Function.if_else("sc_choose", accept, reject)
-        found = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
-    function = ca.Function("sc_inversion", [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
-    return Inversion(guess, search, expression, sought, function)
+    guess = _compile_guess(array)
+    return Inversion(guess, _compile_flat(array, equations, guess), array, equations)
 
 
 def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Function) -> ca.Function | None:
