@@ -20,6 +20,7 @@ from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
 from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem
+from servocore.solvers.exact_inversion import compile_inputs
 from servocore.solvers.taylor import Taylor
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
@@ -208,6 +209,18 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
     running = Path("/proc") / Path(f"{slow}.pid").read_text().strip()
     assert not running.exists()
     assert not list((tmp_path / "cache").glob("*.building"))
+
+
+@pytest.mark.usefixtures("compiler", "own_cache")
+def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its_bits():
+    crane, t = sc.scenes.overhead_crane(), np.linspace(0.0, 3.0, 300)
+    inputs = sc.ExactInversion(crane)
+    first = inputs(t)
+    inputs(t)
+    BACKGROUND.wait()
+    np.testing.assert_array_equal(inputs(t), first)
+    quick = Problem.of(crane).resolved.once(compile_inputs, None).quick
+    assert quick.ready(Problem.of(crane), len(t))
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")

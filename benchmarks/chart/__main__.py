@@ -12,6 +12,8 @@ from benchmarks.chart.facts import gather
 from benchmarks.chart.figures import draw_all
 from benchmarks.chart.page import PAGE, render
 from benchmarks.chart.record import read_record, write_record
+from benchmarks.chart.scale import FILE, measure_scale, read_points, scale_page, write_points
+from benchmarks.chart.scale import PAGE as SCALE_PAGE
 from benchmarks.chart.study import PEERS, Effort, carry_out, problems
 
 OUT = Path("docs") / "speed-accuracy"
@@ -37,15 +39,20 @@ def main(arguments: list[str]) -> None:
 
     if not chosen.draw:
         effort = Effort(smoke=chosen.smoke, peers=tuple(chosen.peers), only=tuple(chosen.only),
-                        budget=0.02 if chosen.smoke else 0.08)  # fmt: skip
+                        budget=0.02 if chosen.smoke else 0.06)  # fmt: skip
         timed = carry_out(effort, say)
         measured = {each.row.scene for each in timed}
         facts = gather([each for each in problems() if each.name in measured], chosen.smoke)
+        say("cost against size")
+        points = measure_scale(chosen.smoke)
         facts["minutes"] = round((time.perf_counter() - begin) / 60, 1)
         write_record(chosen.out, timed, facts)
+        write_points(chosen.out, points)
     record = read_record(chosen.out)
     draw_all(record, chosen.out)
     (chosen.out / PAGE).write_text(render(record), encoding="utf-8")
+    if (chosen.out / FILE).exists():
+        (chosen.out / SCALE_PAGE).write_text(scale_page(read_points(chosen.out)), encoding="utf-8")
     say(f"wrote {chosen.out}")
 
 

@@ -48,8 +48,11 @@ def measure_costs(problem_scene: sc.Scene, models: Sequence[str], repeats: int =
         for model in models:
             functions, arguments = functions_of(problem_scene, model)
             step = problem_scene.reference.duration / OUTPUT_INTERVALS
-            inversion, t = sc.ExactInversion(problem_scene, model), np.arange(1, OUTPUT_INTERVALS + 1) * step
-            runs[model, "solve"] = partial(sc.solve, problem_scene, sc.Reduced(), step=step, model=model)
+            inversion, t = (
+                sc.ExactInversion(problem_scene, model, native=False),
+                np.arange(1, OUTPUT_INTERVALS + 1) * step,
+            )
+            runs[model, "solve"] = partial(sc.solve, problem_scene, sc.Reduced(), step=step, model=model, native=False)
             runs[model, "inversion"] = partial(inversion, t + problem_scene.reference.start_time)
             begin = processor_time()
             external = in_c(functions, Path(folder))
@@ -69,7 +72,9 @@ def functions_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> 
     problem = sc.Problem.of(scene, model)
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)[1:]
     jets = scene.reference.jet(t, problem.array.reference_order)
-    functions = compile_inputs(problem.resolved)[0].map(f"sc_{model}_inputs", "serial", steps, [], [])
+    functions = compile_inputs(problem.resolved, False).quick.function.map(
+        f"sc_{model}_inputs", "serial", steps, [], []
+    )
     return functions, (side_by_side(jets), np.tile(problem.p[:, None], steps))
 
 
@@ -116,11 +121,11 @@ def shares_of_solve(scene: sc.Scene, repeats: int = 40) -> list[tuple[str, float
     Shares are those of a profiler, which makes many short calls look dearer than few long ones.
     """
     step = scene.reference.duration / OUTPUT_INTERVALS
-    sc.solve(scene, sc.Reduced(), step=step)
+    sc.solve(scene, sc.Reduced(), step=step, native=False)
     profile = cProfile.Profile()
     profile.enable()
     for _ in range(repeats):
-        sc.solve(scene, sc.Reduced(), step=step)
+        sc.solve(scene, sc.Reduced(), step=step, native=False)
     profile.disable()
     stats = pstats.Stats(profile).stats  # type: ignore[attr-defined]
     (whole,) = (each for each in stats if each[2] == "solve" and each[0].endswith("solve.py"))

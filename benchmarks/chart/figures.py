@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.chart.own import CLOSED_FORM, IN_MACHINE_CODE, INVERTED, NAME, SOLVED
+from benchmarks.chart.candidate import OUTPUT_INTERVALS
+from benchmarks.chart.own import CLOSED_FORM, COMPILED, INVERTED, NAME, SOLVED
 from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
@@ -39,7 +40,11 @@ FAMILIES: dict[str, object] = {
     "backward-euler": "-", "bdf": "-", "radau": "--", "trapezoidal": "-.", "gauss": "-.", "generalized-alpha": ":",
 }  # fmt: skip
 OLDEST = 1e-16  # an error of zero is drawn here
-FORM_TITLES = {"projected": "projected form (index 3 or 2)", "reduced": "reduced form (index 1, or algebraic)"}
+FORM_TITLES = {"projected": "projected form (index {projected})", "reduced": "reduced form (index 1, or algebraic)"}
+PROJECTED_INDEX = {"three_cars": 5, "mass_on_car": 2, "arm": 2}  # of others 3
+
+SOLVERS = (NAME, "plain NumPy/SciPy", "casadi", "scikit-sundae", "scipy_dae", "gekko", "pyomo.dae", "exudyn")
+"""One colour a solver on all pages."""
 
 Spread = Callable[[Row], tuple[float, float]]
 
@@ -53,6 +58,7 @@ def draw_all(record: Record, folder: Path) -> list[str]:
             names.append(_save(_two_forms(rows, record.spread, scene, "error"), folder, f"work-precision-{scene}"))
             names.append(_save(_two_forms(rows, record.spread, scene, "violation"), folder, f"violation-{scene}"))
         main = record.scenes[0]
+        names.append(_save(_overview(record, main), folder, "overview"))
         names.append(_save(_methods(record.of(main), main), folder, "methods"))
         names.append(_save(_orders(*record.order_study), folder, "orders"))
     return names
@@ -65,17 +71,50 @@ def _save(figure: Figure, folder: Path, name: str) -> str:
     return name
 
 
+def _overview(record: Record, scene: str) -> Figure:
+    """Draw error against time of all solvers in one panel, whatever their form; our default is marked."""
+    rows = record.of(scene)
+    figure, axis = plt.subplots(figsize=(9.0, 5.0), layout="constrained")
+    others = dict.fromkeys(row.solver for row in rows if row.solver not in (NAME, CLOSED_FORM))
+    for solver in (NAME, *others):
+        own = [row for row in rows if row.solver == solver and row.error is not None]
+        _line(axis, front(row for row in own if COMPILED not in row.method), record.spread, "error", solver,
+              colour_of(solver))  # fmt: skip
+    compiled = front(row for row in rows if row.solver == NAME and COMPILED in row.method)
+    _line(axis, compiled, record.spread, "error", f"{NAME}, machine code", len(COLOURS) - 1)
+    _closed_form(axis, rows, "error")
+    alone = [each["compiled"] for each in record.facts.get("costs", ()) if each["compiled"]]
+    if alone:
+        axis.axvline(1e-6 * OUTPUT_INTERVALS * min(alone), color="black", linewidth=1.6,
+                     label="the formulas in C, one thread")  # fmt: skip
+    default = [row for row in rows if (row.solver, row.method, row.setting) == (NAME, SOLVED, "200 steps")]
+    if default and default[0].solved:
+        point = default[0].seconds, max(default[0].error or 0.0, OLDEST)
+        axis.annotate("default: sc.solve(scene)", point, (12, 40), textcoords="offset points", fontsize=9,
+                      arrowprops={"arrowstyle": "->", "linewidth": 1.6})  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
+             ylabel="largest error of any input / its peak [1]",
+             title=f"{scene.replace('_', ' ')}, 200 intervals: every solver at its best")  # fmt: skip
+    figure.legend(loc="outside lower center", ncols=5)
+    return figure
+
+
 def _two_forms(rows: Sequence[Row], spread: Spread, scene: str, what: str) -> Figure:
     """Draw the fronts of all solvers, one panel a form; what they give beside it, for the same points."""
     figure, axes = plt.subplots(1, 2, figsize=(9.0, 4.6), sharex=True, sharey=True, layout="constrained")
     solvers = list(dict.fromkeys([NAME, *(row.solver for row in rows if row.solver != CLOSED_FORM)]))
     for form, axis in zip(FORM_TITLES, axes, strict=True):
-        for k, solver in enumerate(solvers):
+        for solver in solvers:
             own = [row for row in rows if (row.solver, row.formulation) == (solver, form)]
-            own = [row for row in own if row.method != IN_MACHINE_CODE and getattr(row, what) is not None]
-            _line(axis, front(own), spread, what, solver, k)
+            own = [row for row in own if COMPILED not in row.method and getattr(row, what) is not None]
+            _line(axis, front(own), spread, what, solver, colour_of(solver))
         _closed_form(axis, rows, what)
-        axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]", title=FORM_TITLES[form])
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="time of the solve [s]",
+            title=FORM_TITLES[form].format(projected=PROJECTED_INDEX.get(scene, 3)),
+        )
     label = "largest error of any input / its peak [1]" if what == "error" else "largest constraint violation [m, rad]"
     axes[0].set_ylabel(label)
     handles = {text: line for axis in axes for line, text in zip(*axis.get_legend_handles_labels(), strict=True)}
@@ -83,6 +122,11 @@ def _two_forms(rows: Sequence[Row], spread: Spread, scene: str, what: str) -> Fi
     figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=min(5, len(handles)))
     figure.suptitle(f"{scene.replace('_', ' ')}: best settings of every solver", fontsize=10.5)
     return figure
+
+
+def colour_of(solver: str) -> int:
+    """Return the number of a solver's colour, marker and dash."""
+    return SOLVERS.index(solver) if solver in SOLVERS else len(SOLVERS)
 
 
 def _line(axis: Axes, points: Sequence[Row], spread: Spread, what: str, label: str, k: int) -> None:
@@ -139,7 +183,7 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
         axis.plot([row.seconds for row in points], [max(row.error, OLDEST) for row in points], label=label,
                   **_family(method))  # fmt: skip
     for method, marker, words in ((SOLVED, "*", "exact inversion by solve"), (INVERTED, "P", "ExactInversion"),
-                                  (IN_MACHINE_CODE, "X", "ExactInversion, machine code")):  # fmt: skip
+                                  (INVERTED + COMPILED, "X", "ExactInversion, machine code")):  # fmt: skip
         exact = [row for row in own if (row.model, row.method) == (model, method)]
         axis.plot([row.seconds for row in exact], [row.error for row in exact], marker + ":", color="black",
                   markersize=9, label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip

@@ -21,8 +21,11 @@ from benchmarks.chart.candidate import (
 
 NAME, CLOSED_FORM = "servocore", "closed-form"
 
-SOLVED, INVERTED, IN_MACHINE_CODE = "exact inversion", "ExactInversion", "ExactInversion, machine code"
-"""The exact inversion by `solve`, with motion and checks; inputs alone, prepared once; the same as machine code."""
+SOLVED, INVERTED, PREPARED = "exact inversion", "ExactInversion", "DynamicInversion"
+"""The exact inversion by `solve`, with motion and checks; inputs alone, prepared once; with internal dynamics."""
+
+COMPILED = ", machine code"
+"""How methods end, the library's and the peers', whose functions a compiler has made ready."""
 
 METHODS: tuple[sc.Method, ...] = (
     sc.BackwardEuler(), *(sc.BDF(order) for order in range(2, 7)), *(sc.RadauIIA(stages) for stages in range(2, 8)),
@@ -37,6 +40,7 @@ DIVISIONS = (1, 2, 4, 8, 16)  # of each output interval
 FEW_DIVISIONS = (1, 4, 16)
 INTERNAL_DIVISIONS = (1, 4)  # on a reduced form with internal dynamics, which needs no small steps
 TOLERANCES = (1e-3, 1e-6, 1e-9)
+PREPARED_TOLERANCES = (1e-3, 1e-6, 5e-10)
 ADAPTIVE: tuple[sc.Method, ...] = (sc.BDF(4), sc.RadauIIA(5))
 ORDER_STEPS = (25, 50, 100, 200, 400, 800, 1600, 3200, 6400)
 ORDER_DURATION = 20.0
@@ -76,11 +80,27 @@ def order_candidates(problem: Problem, smoke: bool = False) -> list[Candidate]:
 def _reduced(problem: Problem, model: str | None, methods: Sequence[sc.Method] = METHODS) -> list[Candidate]:
     """List the reduced form: one solve an instant, or an integration of the internal dynamics."""
     index = sc.Stepper(problem.scene, sc.Reduced(), sc.BackwardEuler(), 0.1, model).index
+    grids, both = (*COARSE, OUTPUT_INTERVALS), (False, True)
     if index == 0:
-        grids = (*COARSE, OUTPUT_INTERVALS)
-        solved = [_candidate(problem, model, sc.Reduced(), sc.BackwardEuler(), steps, SOLVED) for steps in grids]
-        return solved + [_inverted(problem, model, steps, native) for native in (False, True) for steps in grids]
+        how = sc.Reduced(), sc.BackwardEuler()
+        found = [_candidate(problem, model, *how, steps, SOLVED, native) for native in both for steps in grids]
+        return found + [_inverted(problem, model, steps, native) for native in both for steps in grids]
+    first = model in (None, problem.scene.default_model)
+    prepared = [_dynamic(problem, model, tolerance, native) for native in both for tolerance in PREPARED_TOLERANCES]
     return [
+        *(prepared if first else []),
+        *[
+            Candidate(
+                problem,
+                NAME,
+                model or problem.scene.default_model,
+                sc.Reduced().name,
+                "Sundials",
+                f"rtol = {rtol:g}",
+                partial(_prepare, problem, sc.Reduced(), sc.Sundials(rtol), model, step=None),
+            )
+            for rtol in (TOLERANCES if first else ())
+        ],
         *_fixed(problem, model, sc.Reduced(), methods, INTERNAL_DIVISIONS),
         *_fixed(problem, model, sc.Reduced(), [each for each in methods if each in FEW_METHODS], FEW_DIVISIONS[-1:]),
     ]
@@ -98,9 +118,24 @@ def _inverted(problem: Problem, model: str | None, intervals: int, native: bool)
 
         return Prepared(lambda: on_output_grid(inversion(t).T), read)
 
-    method = IN_MACHINE_CODE if native else INVERTED
+    method = INVERTED + (COMPILED if native else "")
     return Candidate(problem, NAME, model or problem.scene.default_model, sc.Reduced().name, method,
                      f"{intervals} instants", prepare)  # fmt: skip
+
+
+def _dynamic(problem: Problem, model: str | None, tolerance: float, native: bool) -> Candidate:
+    """Return the inputs of a scene with internal dynamics, prepared once, integrated in every run."""
+
+    def prepare() -> Prepared:
+        inversion, t = sc.DynamicInversion(problem.scene, model, tolerance=tolerance, native=native), problem.grid()
+
+        def read(found: Array) -> Answer:
+            return Answer(dict(zip(problem.inputs, found.T, strict=True)), float("nan"))
+
+        return Prepared(lambda: inversion(t), read, lambda _: f"{inversion.steps} steps")
+
+    return Candidate(problem, NAME, model or problem.scene.default_model, sc.Reduced().name,
+                     PREPARED + (COMPILED if native else ""), f"tolerance = {tolerance:g}", prepare)  # fmt: skip
 
 
 def _fixed(
@@ -122,12 +157,19 @@ def _fixed(
 
 
 def _candidate(
-    problem: Problem, model: str | None, formulation: sc.Formulation, method: sc.Method, steps: int, name: str = ""
+    problem: Problem,
+    model: str | None,
+    formulation: sc.Formulation,
+    method: sc.Method,
+    steps: int,
+    name: str = "",
+    native: bool = False,
 ) -> Candidate:
     step = problem.scene.reference.duration / steps
     return Candidate(
-        problem, NAME, model or problem.scene.default_model, formulation.name, name or method.name, f"{steps} steps",
-        partial(_prepare, problem, formulation, method, model, step=step),
+        problem, NAME, model or problem.scene.default_model, formulation.name,
+        (name or method.name) + (COMPILED if native else ""), f"{steps} steps",
+        partial(_prepare, problem, formulation, method, model, step=step, native=native),
     )  # fmt: skip
 
 
@@ -147,14 +189,15 @@ def _adaptive(problem: Problem, model: str) -> list[Candidate]:
 def _prepare(
     problem: Problem,
     formulation: sc.Formulation,
-    method: sc.Method,
+    method: sc.Method | sc.Route,
     model: str | None,
-    step: float | sc.Adaptive,
+    step: float | sc.Adaptive | None,
+    native: bool = False,
 ) -> Prepared:
     """Compile everything by solving once."""
 
     def run() -> tuple[sc.Solution, Array]:
-        solution = sc.solve(problem.scene, formulation, method, step=step, model=model)
+        solution = sc.solve(problem.scene, formulation, method, step=step, model=model, native=native)
         return solution, on_output_grid(solution.values[:, : len(problem.inputs)].T)
 
     first, _ = run()

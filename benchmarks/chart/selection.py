@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
-from benchmarks.chart.own import CLOSED_FORM, IN_MACHINE_CODE, NAME
+from benchmarks.chart.own import CLOSED_FORM, COMPILED, NAME
 from benchmarks.chart.rows import Row
 
 ACCURACIES = (1e-3, 1e-6, 1e-9)
@@ -19,7 +19,12 @@ def is_own(row: Row) -> bool:
 
 def is_interpreted(row: Row) -> bool:
     """Whether the row is the library's, evaluated by the interpreter that the peers' functions are evaluated by."""
-    return is_own(row) and row.method != IN_MACHINE_CODE
+    return is_own(row) and not is_compiled(row)
+
+
+def is_compiled(row: Row) -> bool:
+    """Whether machine code evaluates the row, the library's or a peer's."""
+    return COMPILED in row.method
 
 
 def is_peer(row: Row) -> bool:
@@ -71,6 +76,22 @@ def compare(rows: Sequence[Row], scene: str) -> list[Comparison]:
         Comparison(
             accuracy,
             fastest(here, accuracy, is_interpreted),
+            fastest(
+                here, accuracy, lambda row: is_peer(row) and not is_compiled(row) and row.formulation == "projected"
+            ),
+            fastest(here, accuracy, lambda row: is_peer(row) and not is_compiled(row) and row.formulation == "reduced"),
+        )
+        for accuracy in ACCURACIES
+    ]
+
+
+def compare_compiled(rows: Sequence[Row], scene: str) -> list[Comparison]:
+    """Compare our fastest route with the fastest peers on one scene, machine code or not, at all `ACCURACIES`."""
+    here = [row for row in rows if row.scene == scene]
+    return [
+        Comparison(
+            accuracy,
+            fastest(here, accuracy, is_own),
             fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "projected"),
             fastest(here, accuracy, lambda row: is_peer(row) and row.formulation == "reduced"),
         )

@@ -23,6 +23,12 @@ from benchmarks.peers.base import Effort, Lean, available_forms, inside, named, 
 NAME, DISTRIBUTION = "casadi", "casadi"
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
+COMPILED_TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-11)
+COMPILED_OPTIONS = {
+    "jit": True, "compiler": "shell",
+    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False},
+}  # fmt: skip
+"""With functions that a compiler has made ready, as ours are where they are machine code."""
 ELEMENTS = (200, 400, 800)  # of low order
 COLLOCATION = {
     ("radau", 1): ELEMENTS, ("radau", 2): ELEMENTS, ("radau", 3): (100, *ELEMENTS), ("radau", 4): (*COARSE, 200, 400),
@@ -44,6 +50,13 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
                           partial(prepare, form, "idas", idas_options(form, tolerance)))
                 for tolerance in inside(TOLERANCES, effort.smoke)
             ]  # fmt: skip
+            if form.formulation == "reduced" and not effort.smoke:
+                found += [
+                    Candidate(problem, NAME, model, form.formulation, named("idas, machine code", form),
+                              f"reltol = {tolerance:g}",
+                              partial(prepare, form, "idas", {**idas_options(form, tolerance), **COMPILED_OPTIONS}))
+                    for tolerance in COMPILED_TOLERANCES
+                ]  # fmt: skip
             for (scheme, order), elements in inside(list(collocations(form).items()), effort.smoke):
                 found += [
                     Candidate(problem, NAME, model, form.formulation, named(f"collocation, {scheme} {order}", form),

@@ -55,7 +55,7 @@ class PathFunction:
         """Return the results at the instants `t` (N,), shape (rows, N) each."""
         reference = problem.reference
         chosen, formula = self._on_path(reference, len(t), called=True)
-        if formula is not None and chosen.ready(len(t)) and np.isfinite(t).all():
+        if formula is not None and chosen.ready(len(t), called=True) and np.isfinite(t).all():
             return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
         return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
 
@@ -68,7 +68,7 @@ class PathFunction:
         p = p if p.ndim == 2 or len(references) > 1 else p[None]
         count = len(t) * max(len(references), len(p) if p.ndim == 2 else 1)
         chosen, formula = self._on_path(references[0], count, called=True)
-        if formula is not None and all(each == formula for each in formulas) and chosen.ready(count):
+        if formula is not None and all(each == formula for each in formulas) and chosen.ready(count, called=True):
             numbers = [each.numbers(self.order) for each in formulas if each is not None]
             return chosen(t[None], np.array(numbers if len(numbers) > 1 else numbers[0]), p)
         jets = np.stack([each.jet(t, self.order).reshape(len(t), -1).T for each in references])

@@ -1,0 +1,235 @@
+"""What size costs: cranes side by side, an elastic bar in ever more pieces, and a cold start; `scale.csv` and its page.
+
+Gantry cranes of 6 coordinates each stand in one system, independent of one another: what they cost together should be
+what they cost one by one, an exponent of one. Beside them stand SUNDIALS' idas on the same reduced form, with all
+derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy. Times are processor times, the smallest
+of several; solves are interpreted.
+"""
+
+from __future__ import annotations
+
+import csv
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+import servocore as sc
+from benchmarks.chart.tables import markdown
+from benchmarks.chart.timing import processor_time
+from benchmarks.copies import cranes
+from benchmarks.peers.base import Lean
+from servocore.numerics.machine_code import BACKGROUND
+from servocore.scenes.bar_marching import march_bar
+from servocore.structure.inversion import inversion
+
+FILE, PAGE = "scale.csv", "scale.md"
+COLUMNS = ("what", "size", "quantity", "value", "unit")
+CRANES, BARS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000)
+CRANE, BAR, COLD, MANY = "gantry cranes in one system", "elastic bar, space marching", "cold start", "10,000 instants"
+MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes
+STEPS, INSTANTS, LARGE = 200, 1000, 10_000
+REPEATS = 5
+_FROM = 4  # cranes: below, what is fixed shows
+
+_START = """
+import time
+begin = time.process_time()
+import servocore as sc
+imported = time.process_time()
+crane = sc.scenes.rotary_crane()
+sc.analyse(crane)
+analysed = time.process_time()
+sc.solve(crane)
+print(imported - begin, analysed - imported, time.process_time() - analysed)
+"""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One line of the file."""
+
+    what: str
+    size: int
+    quantity: str
+    value: float
+    unit: str
+
+
+def measure_scale(smoke: bool = False) -> list[Point]:
+    """Measure everything."""
+    sc.analyse(sc.scenes.gantry_crane())  # what is imported when first needed
+    found = [point for count in (CRANES[:2] if smoke else CRANES) for point in _cranes(count)]
+    found += [point for pieces in (BARS[:2] if smoke else BARS) for point in _bar(pieces)]
+    found += _many_instants()
+    return [*found, *_cold_start(1 if smoke else 3)]
+
+
+def _seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:
+    times = []
+    for _ in range(repeats):
+        begin = processor_time()
+        run()
+        times.append(processor_time() - begin)
+    return min(times)
+
+
+def _cranes(count: int) -> Iterator[Point]:
+    scene, alone = cranes(count)
+    scene.model()
+    path = scene.reference
+    t = np.linspace(path.start_time, path.end_time, INSTANTS)
+    step = path.duration / STEPS
+    yield Point(CRANE, count, "analyse", _seconds(lambda: sc.analyse(scene), 1), "s")
+    for words, native in (("interpreted", False), ("machine code", None)):
+        inputs = sc.ExactInversion(scene, native=native)
+        for _ in range(2):
+            inputs(t)
+            BACKGROUND.wait()
+        value = _seconds(lambda each=inputs: each(t)) / INSTANTS * 1e6
+        yield Point(CRANE, count, f"ExactInversion, {words}", value, "us an instant")
+    yield Point(CRANE, count, "closed form in NumPy",
+                _seconds(lambda: [each.exact(t) for each in alone]) / INSTANTS * 1e6, "us an instant")  # fmt: skip
+    for name, arguments in (("solve", ()), ("projected backward Euler", (sc.Projected(), sc.BackwardEuler()))):
+        first = _seconds(lambda given=arguments: sc.solve(scene, *given, step=step, native=False), 1)
+        yield Point(CRANE, count, f"{name}, the first", first, "s")
+        later = _seconds(lambda given=arguments: sc.solve(scene, *given, step=step, native=False))
+        yield Point(CRANE, count, f"{name}, {STEPS} steps", 1e3 * later, "ms")
+    if count <= MOST_OF_PEER:
+        yield Point(CRANE, count, f"idas, 1e-6, {STEPS} intervals", 1e3 * _seconds(_idas(scene), 2), "ms")
+
+
+def _idas(scene: sc.Scene) -> Callable[[], object]:
+    """Return a run of idas on the equations of exact inversion: a clock, and everything else algebraic."""
+    problem = sc.Problem.of(scene)
+    dae, order, formula = problem.dae(sc.Reduced()), problem.array.reference_order, scene.reference.formula
+    assert formula is not None
+    clock, time = ca.SX.sym("clock"), ca.SX.sym("t")
+    gamma = ca.horzcat(*formula.jet(time, [ca.SX(each) for each in formula.numbers(order)], order))
+    symbols = ca.vertcat(ca.vec(dae.gamma[:, : order + 1]), dae.p)
+    alg = ca.substitute(dae.h, symbols, ca.vertcat(ca.vec(gamma), problem.p))
+    t = np.linspace(scene.reference.start_time, scene.reference.end_time, STEPS + 1)
+    equations = {"x": clock, "z": dae.z, "t": time, "ode": ca.SX(1), "alg": alg}
+    options = {"reltol": 1e-6, "abstol": 1e-6, "max_num_steps": 20_000}
+    integrate = Lean(ca.integrator("sc_peer", "idas", equations, t[0], list(t[1:]), options))
+    jet = scene.reference.jet(t[:1], order)[0].T
+    z0 = np.asarray(problem.resolved.once(inversion).function(jet, problem.p)[0]).ravel()
+    return lambda: integrate(np.zeros(1), z0)
+
+
+def _bar(pieces: int) -> Iterator[Point]:
+    path = sc.rest_to_rest((0.0,), (0.1,), 0.02)
+    data = {"length": 1.0, "axial_stiffness": 2e5, "line_mass": 0.1, "end_mass": 0.1}
+    value = _seconds(lambda: march_bar(path, **data, pieces=pieces))
+    yield Point(BAR, pieces, "march_bar", 1e3 * value, "ms")
+
+
+def _many_instants() -> Iterator[Point]:
+    """Measure the crane at 10,000 instants; the share of the checks is that of `checks=False`."""
+    crane = sc.scenes.rotary_crane()
+    path = crane.reference
+    t, step = np.linspace(path.start_time, path.end_time, LARGE), path.duration / (LARGE - 1)
+    for words, native in (("interpreted", False), ("machine code", True)):
+        prepared = sc.ExactInversion(crane, native=native)
+        runs = {
+            "ExactInversion": lambda inputs=prepared: inputs(t),
+            "solve": lambda given=native: sc.solve(crane, step=step, native=given),
+            "solve without checks": lambda given=native: sc.solve(crane, step=step, native=given, checks=False),
+        }
+        for name, run in runs.items():
+            run()
+            yield Point(MANY, 1, f"{name}, {words}", _seconds(run, 3 * REPEATS) / LARGE * 1e6, "us an instant")
+    masses = np.linspace(50.0, 150.0, 500)
+    batch = sc.Batch(crane, native=True)
+    few = np.linspace(path.start_time, path.end_time, 201)
+    value = _seconds(lambda: batch(few, {"load_mass": masses})) / (len(few) * len(masses)) * 1e6
+    yield Point(MANY, len(masses), "Batch of 201 instants each, machine code", value, "us an instant")
+
+
+def _cold_start(repeats: int) -> Iterator[Point]:
+    """Measure the rotary crane in processes of their own: the smallest of several."""
+    runs = [
+        subprocess.run([sys.executable, "-c", _START], capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(repeats)
+    ]
+    for name, values in zip(("import", "analyse", "first solve"), zip(*runs, strict=True), strict=True):
+        yield Point(COLD, 1, name, min(map(float, values)), "s")
+
+
+def write_points(folder: Path, points: Sequence[Point]) -> None:
+    """Write the file."""
+    with (folder / FILE).open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for each in points:
+            writer.writerow((each.what, each.size, each.quantity, f"{each.value:.4g}", each.unit))
+
+
+def read_points(folder: Path) -> list[Point]:
+    """Undo `write_points`."""
+    with (folder / FILE).open(newline="") as stream:
+        return [
+            Point(line["what"], int(line["size"]), line["quantity"], float(line["value"]), line["unit"])
+            for line in csv.DictReader(stream)
+        ]
+
+
+def exponent(points: Sequence[Point]) -> float | None:
+    """Return the slope of values over sizes in logarithms, from four cranes on; None for fewer than two."""
+    kept = [each for each in points if each.size >= _FROM]
+    if len(kept) < 2:
+        return None
+    return float(np.polyfit(np.log([each.size for each in kept]), np.log([each.value for each in kept]), 1)[0])
+
+
+def _value(points: Sequence[Point], what: str, size: int, quantity: str) -> float | None:
+    return next(
+        (each.value for each in points if (each.what, each.size, each.quantity) == (what, size, quantity)), None
+    )
+
+
+def wanted(points: Sequence[Point]) -> list[tuple[str, str, str, str]]:
+    """Judge what must hold of sizes: (what, wanted, measured, met)."""
+    limits: list[tuple[str, str, float | None, float]] = [
+        (f"{CRANE}, {size}: {quantity}", unit, _value(points, CRANE, size, quantity), most)
+        for size in CRANES
+        for quantity, unit, most in (("ExactInversion, interpreted", "us an instant", 1.5 * size),)
+    ]
+    limits += [(f"{CRANE}, {size}: analyse", "s", _value(points, CRANE, size, "analyse"), most)
+               for size, most in ((40, 1.0), (160, 5.0))]  # fmt: skip
+    limits.append((f"{MANY}: ExactInversion, machine code", "us an instant",
+                   _value(points, MANY, 1, "ExactInversion, machine code"), 0.15))  # fmt: skip
+    limits.append(
+        (f"{MANY}: solve, machine code", "us an instant", _value(points, MANY, 1, "solve, machine code"), 0.6)
+    )
+    limits += [(f"{COLD}: {name}", "s", _value(points, COLD, 1, name), most)
+               for name, most in (("import", 0.3), ("analyse", 0.5), ("first solve", 0.04))]  # fmt: skip
+    verdicts = {True: "yes", False: "**no**"}
+    return [
+        (what, f"at most {most:g} {unit}", f"{value:.3g}", verdicts[value <= most])
+        for what, unit, value, most in limits
+        if value is not None
+    ]
+
+
+def scale_page(points: Sequence[Point]) -> str:
+    """Write the page of sizes."""
+    parts = ["# Cost against size", (__doc__ or "").partition("\n\n")[2].strip()]
+    parts += ["## What must hold", markdown(("what", "wanted", "measured", "met"), wanted(points), 9)]
+    for what in dict.fromkeys(each.what for each in points):
+        own = [each for each in points if each.what == what]
+        sizes = list(dict.fromkeys(each.size for each in own))
+        lines = []
+        for quantity in dict.fromkeys(each.quantity for each in own):
+            row = [each for each in own if each.quantity == quantity]
+            known = {each.size: f"{each.value:.3g}" for each in row}
+            slope = exponent(row)
+            lines.append((f"{quantity}, {row[0].unit}", *(known.get(size, "-") for size in sizes),
+                          "-" if slope is None else f"{slope:.2f}"))  # fmt: skip
+        parts += [f"## {what[0].upper()}{what[1:]}", markdown(("", *map(str, sizes), "exponent"), lines, 9)]
+    parts.append("The file of these numbers is [scale.csv](scale.csv).")
+    return "\n\n".join(each.rstrip("\n") for each in parts) + "\n"
