@@ -10,6 +10,7 @@ from benchmarks.chart.c_cost import FLAGS
 from benchmarks.chart.candidate import OUTPUT_INTERVALS
 from benchmarks.chart.record import Record
 from benchmarks.chart.requirements import ratios_table, requirements_table
+from benchmarks.chart.selection import compare_compiled
 from benchmarks.chart.study import PEERS
 
 PAGE = "index.md"
@@ -41,11 +42,28 @@ def render(record: Record) -> str:
                                   [(f"`{name}`", f"{100 * share:.0f} %") for name, share in facts["shares"]]),
         "figures": "\n".join(_figures(name) for name in record.scenes),
         "picks": tables.picks(record),
+        "slower": slower(record),
     }  # fmt: skip
     text = _TEXTS.read_text(encoding="utf-8")
     for key, value in values.items():
         text = text.replace(f"<<{key}>>", value.rstrip("\n"))
     return text
+
+
+def slower(record: Record) -> str:
+    """Say in one sentence where a peer is faster than every route of the library, machine code on both sides."""
+    found: dict[str, list[str]] = {}
+    for scene in record.scenes:
+        for each in compare_compiled(record.rows, scene):
+            ratios = [(each.ratio(peer), peer) for peer in (each.projected, each.reduced)]
+            faster = [(ratio, peer) for ratio, peer in ratios if ratio is not None and peer is not None and ratio < 1.0]
+            if faster:
+                ratio, peer = min(faster, key=lambda pair: pair[0])
+                words = f"{each.accuracy:g} ({peer.solver}, {ratio:.1f} of our time)"
+                found.setdefault(_title(scene).lower(), []).append(words)
+    if not found:
+        return "No peer is faster than our fastest route on any scene of this page at 1e-3, 1e-6 or 1e-9."
+    return f"We are slower on {'; '.join(scene + ' at ' + ', '.join(errors) for scene, errors in found.items())}."
 
 
 def _peer(name: str, text: str) -> str:

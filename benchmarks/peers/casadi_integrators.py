@@ -10,6 +10,7 @@ costs no accuracy.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from functools import partial
 
@@ -26,7 +27,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
 COMPILED_TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-11)
 COMPILED_OPTIONS = {
     "jit": True, "compiler": "shell",
-    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False},
+    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False, "folder": f"{tempfile.gettempdir()}/"},
 }  # fmt: skip
 """With functions that a compiler has made ready, as ours are where they are machine code."""
 ELEMENTS = (200, 400, 800)  # of low order
