@@ -132,11 +132,11 @@ class Vectorised:
         list of ndarray
             Results, shape (rows, N), or (cases, rows, N) if an argument has cases.
         """
-        cases, count = 1, 0
+        cases, count, batch = 1, 0, False
         for each, along in zip(arguments, self._along, strict=True):
             count = each.shape[-1] if along else count
-            cases = len(each) if each.ndim == 2 + along else cases
-        batch = cases > 1 or any(each.ndim == 2 + along for each, along in zip(arguments, self._along, strict=True))
+            if each.ndim == 2 + along:
+                cases, batch = len(each), True
         if self.ready(count * cases, called=True) and count:
             found = self._in_machine_code(arguments, cases, count)
             return found if batch else [each[0] for each in found]
@@ -202,8 +202,12 @@ def _addresses(arrays: list[Array]) -> list[int]:
     return [each.__array_interface__["data"][0] for each in arrays]
 
 
+_LONGS = [ctypes.c_long * size for size in range(33)]
+
+
 def _longs(values: list[int]) -> Any:
-    return (ctypes.c_long * max(len(values), 1))(*values)
+    size = len(values)
+    return (_LONGS[size] if size < len(_LONGS) else ctypes.c_long * size)(*values)
 
 
 def _processors() -> int:

@@ -20,7 +20,7 @@ from servocore.solution import Solution
 from servocore.solvers.loop import begin
 from servocore.solvers.solve import solve
 from servocore.stepping.compilation import given_start_of, program_of
-from servocore.stepping.explicit_steps import Between, ExplicitSteps, compile_explicit_steps
+from servocore.stepping.explicit_steps import Along, ExplicitSteps, compile_explicit_steps
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _INSTANTS = 201  # at which they are compared
@@ -94,7 +94,7 @@ class DynamicInversion:
             problem, program_of(problem, Reduced(), BackwardEuler()), 0.0, given_start_of(Reduced(), BackwardEuler())
         )
         self._start = first[: len(problem.array.states)]
-        self._known: dict[tuple[int, bytes], Between] = {}
+        self._known: dict[tuple[int, bytes], Along] = {}
         self.steps = self._enough(checked, tolerance)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
@@ -131,13 +131,10 @@ class DynamicInversion:
 
     def _integrated(self, t: Array, count: int) -> Array:
         """Return inputs and what must be positive, (columns, N), by some number of steps."""
-        problem, reference = self._problem, self._problem.reference
-        states, rates = self._steps.run(reference, problem.p, self._start, count)
-        h = reference.duration / count
         key = count, t.tobytes()
-        if key not in self._known:
-            self._known = {key: Between.of((t - reference.start_time) / h, count)}
-        return self._steps.read(reference, problem.p, t, self._known[key].states(states, rates, h))
+        if key not in self._known:  # tables of instants are asked for again and again
+            self._known = {key: self._steps.along(self._problem.reference, t, count)}
+        return self._steps.inputs_along(self._known[key], self._problem.p, self._start)
 
     def _enough(self, checked: Solution, tolerance: float) -> int:
         """Return how many steps keep the tolerance, from comparisons with twice as many."""

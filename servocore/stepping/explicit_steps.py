@@ -44,6 +44,79 @@ def order_eight() -> Tableau:
 
 
 @dataclass(frozen=True, eq=False)
+class Between:
+    """What states are at some instants of a run of steps evenly apart.
+
+    Attributes
+    ----------
+    beside : ndarray, shape (4, N)
+        The steps beside every instant.
+    of_values, of_rates : ndarray, shape (4, N)
+        Weights of the values there, and of the rates times h.
+    matrices : (ndarray, ndarray) or None
+        The same as matrices, shape (steps + 1, N), where these are small: their product costs less than to gather.
+    """
+
+    beside: npt.NDArray[np.intp]
+    of_values: Array
+    of_rates: Array
+    matrices: tuple[Array, Array] | None
+
+    @classmethod
+    def of(cls, place: Array, count: int) -> Between:
+        """Prepare for instants (N,), in steps from the start, of a run of `count` steps."""
+        nodes = min(_NODES, count + 1)
+        first = np.clip(np.floor(place).astype(np.intp) - (nodes // 2 - 1), 0, count + 1 - nodes)
+        s = place - first
+        values, rates = np.empty((nodes, len(s))), np.empty((nodes, len(s)))
+        for i in range(nodes):
+            others = [j for j in range(nodes) if j != i]
+            basis = np.prod([(s - j) / (i - j) for j in others], axis=0) ** 2
+            slope = sum(1.0 / (i - j) for j in others)
+            values[i], rates[i] = (1.0 - 2.0 * slope * (s - i)) * basis, (s - i) * basis
+        beside = first + np.arange(nodes)[:, None]
+        if count * len(place) > _DENSE:
+            return cls(beside, values, rates, None)
+        dense = np.zeros((2, count + 1, len(place)))
+        for each, weights in zip(dense, (values, rates), strict=True):
+            each[beside, np.arange(len(place))] = weights
+        return cls(beside, values, rates, (dense[0], dense[1]))
+
+    def states(self, values: Array, rates: Array, h: float) -> Array:
+        """Return states (..., states, N) from those of the run and their rates (..., states, count + 1)."""
+        found: Array
+        if self.matrices is not None:
+            # Contiguous, for products of matrices that lie otherwise round otherwise.
+            of_values, of_rates = self.matrices
+            found = np.ascontiguousarray(values) @ of_values + np.ascontiguousarray(h * rates) @ of_rates
+            return found
+        found = (values[..., self.beside] * self.of_values + rates[..., self.beside] * (h * self.of_rates)).sum(axis=-2)
+        return found
+
+
+class Along(NamedTuple):
+    """A path as steps and instants need it.
+
+    Attributes
+    ----------
+    h : float
+        Step in s.
+    numbers : ndarray
+        Of the path, where that is a formula.
+    steps, instants : ndarray
+        Times of both, or the path's derivatives at the nodes and at the instants.
+    between : Between
+        Where the instants lie between the steps.
+    """
+
+    h: float
+    numbers: Array
+    steps: Array
+    instants: Array
+    between: Between
+
+
+@dataclass(frozen=True, eq=False)
 class ExplicitSteps:
     """Steps and readings of a system on paths of one kind.
 
@@ -67,29 +140,35 @@ class ExplicitSteps:
     formula: Formula | None
     nodes: Array
 
-    def run(self, reference: Reference, p: Array, start: Array, count: int) -> tuple[Array, Array]:
+    def along(self, reference: Reference, t: Array, count: int) -> Along:
+        """Prepare for a path, for instants of it (N,), and for so many steps from its start to its end."""
+        h = reference.duration / count
+        starts: Array = reference.start_time + h * np.arange(count + 1.0)
+        numbers: Array = np.zeros(1)
+        tables: list[Array]
+        if self.formula is not None and reference.formula is not None:
+            numbers = np.array(reference.formula.numbers(self.order))
+            tables = [starts[None], t[None]]
+        else:
+            nodes = (starts[:, None] + h * self.nodes).ravel()
+            jets = (reference.jet(each, self.order) for each in (nodes, t))
+            tables = [each.reshape(size, -1).T for each, size in zip(jets, (count + 1, len(t)), strict=True)]
+        return Along(h, numbers, tables[0], tables[1], Between.of((t - reference.start_time) / h, count))
+
+    def run(self, along: Along, p: Array, start: Array) -> tuple[Array, Array]:
         """Step from the start of a path to its end; return states and rates (states, count + 1).
 
         `start` has shape (states,), `p` (size,); with cases, (cases, states) and (cases, size) give
         (cases, states, count + 1).
         """
-        h = reference.duration / count
-        times: Array = reference.start_time + h * np.arange(count + 1.0)
-        settings = np.concatenate([np.full((*p.shape[:-1], 1), h), p], axis=-1)
-        path, numbers = self._path(reference, times, h * self.nodes)
-        ends, rates = self.steps(start, path, numbers, settings)
+        settings = np.concatenate([np.full((*p.shape[:-1], 1), along.h), p], axis=-1)
+        ends, rates = self.steps(start, along.steps, along.numbers, settings)
         return np.concatenate([start[..., None], ends[..., :-1]], axis=-1), rates
 
-    def read(self, reference: Reference, p: Array, t: Array, states: Array) -> Array:
-        """Return inputs and what must be positive, (columns, N), for states (states, N) at instants."""
-        path, numbers = self._path(reference, t, np.zeros(1))
-        return self.inputs(states, path, numbers, p)[0]
-
-    def _path(self, reference: Reference, t: Array, offsets: Array) -> tuple[Array, Array]:
-        if self.formula is not None and reference.formula is not None:
-            return t[None], np.array(reference.formula.numbers(self.order))
-        jets = reference.jet((t[:, None] + offsets).ravel(), self.order)
-        return jets.reshape(len(t), -1).T, np.zeros(1)
+    def inputs_along(self, along: Along, p: Array, start: Array) -> Array:
+        """Return inputs and what must be positive at the instants, (columns, N), or (cases, columns, N)."""
+        states = along.between.states(*self.run(along, p, start), along.h)
+        return self.inputs(states, along.instants, along.numbers, p)[0]
 
 
 def compile_explicit_steps(resolved: ResolvedSystem, formula: Formula | None, native: bool | None) -> ExplicitSteps:
@@ -155,54 +234,3 @@ def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX)
 
 def _rates(array: DerivativeArray, unknowns: ca.SX) -> ca.SX:
     return unknowns[array.places((j, order + 1) for j, order in array.states)]
-
-
-@dataclass(frozen=True, eq=False)
-class Between:
-    """What states are at some instants of a run of steps evenly apart.
-
-    Attributes
-    ----------
-    beside : ndarray, shape (4, N)
-        The steps beside every instant.
-    of_values, of_rates : ndarray, shape (4, N)
-        Weights of the values there, and of the rates times h.
-    matrices : (ndarray, ndarray) or None
-        The same as matrices, shape (steps + 1, N), where these are small: their product costs less than to gather.
-    """
-
-    beside: npt.NDArray[np.intp]
-    of_values: Array
-    of_rates: Array
-    matrices: tuple[Array, Array] | None
-
-    @classmethod
-    def of(cls, place: Array, count: int) -> Between:
-        """Prepare for instants (N,), in steps from the start, of a run of `count` steps."""
-        nodes = min(_NODES, count + 1)
-        first = np.clip(np.floor(place).astype(np.intp) - (nodes // 2 - 1), 0, count + 1 - nodes)
-        s = place - first
-        values, rates = np.empty((nodes, len(s))), np.empty((nodes, len(s)))
-        for i in range(nodes):
-            others = [j for j in range(nodes) if j != i]
-            basis = np.prod([(s - j) / (i - j) for j in others], axis=0) ** 2
-            slope = sum(1.0 / (i - j) for j in others)
-            values[i], rates[i] = (1.0 - 2.0 * slope * (s - i)) * basis, (s - i) * basis
-        beside = first + np.arange(nodes)[:, None]
-        if count * len(place) > _DENSE:
-            return cls(beside, values, rates, None)
-        dense = np.zeros((2, count + 1, len(place)))
-        for each, weights in zip(dense, (values, rates), strict=True):
-            each[beside, np.arange(len(place))] = weights
-        return cls(beside, values, rates, (dense[0], dense[1]))
-
-    def states(self, values: Array, rates: Array, h: float) -> Array:
-        """Return states (..., states, N) from those of the run and their rates (..., states, count + 1)."""
-        found: Array
-        if self.matrices is not None:
-            # Contiguous, for products of matrices that lie otherwise round otherwise.
-            of_values, of_rates = self.matrices
-            found = np.ascontiguousarray(values) @ of_values + np.ascontiguousarray(h * rates) @ of_rates
-            return found
-        found = (values[..., self.beside] * self.of_values + rates[..., self.beside] * (h * self.of_rates)).sum(axis=-2)
-        return found
