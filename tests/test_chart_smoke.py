@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import servocore as sc  # noqa: E402
-from benchmarks.chart import own, selection  # noqa: E402
+from benchmarks.chart import own, scale, selection  # noqa: E402
 from benchmarks.chart.__main__ import main  # noqa: E402
 from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem  # noqa: E402
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form  # noqa: E402
@@ -75,6 +75,23 @@ def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke):
         assert (smoke / f"{name}.png").stat().st_size > 10_000
 
 
+def test_a_run_writes_what_size_costs(smoke):
+    assert (smoke / "scale.csv").read_text(encoding="utf-8").splitlines()[0] == "what,size,quantity,value,unit"
+    points = scale.read_points(smoke)
+    assert {each.what for each in points} == {scale.CRANE, scale.BAR}
+    assert all(each.value > 0.0 for each in points)
+    assert (smoke / scale.PAGE).read_text(encoding="utf-8") == scale.scale_page(points)
+
+
+def test_exponents_are_slopes_and_limits_are_judged():
+    points = [scale.Point(scale.CRANE, size, "analyse", 0.01 * size**1.5, "s") for size in (1, 4, 16, 40, 160)]
+    assert scale.exponent(points) == pytest.approx(1.5)
+    assert scale.exponent(points[:2]) is None
+    assert [line[-1] for line in scale.wanted(points)] == ["**no**", "**no**"]
+    points = [scale.Point(scale.CRANE, size, "analyse", 0.01 * size, "s") for size in (1, 4, 16, 40, 160)]
+    assert [line[-1] for line in scale.wanted(points)] == ["yes", "yes"]
+
+
 def test_what_is_read_back_is_what_was_measured(smoke):
     record = read_record(smoke)
     assert record.scenes == ["rotary_crane"]
@@ -125,7 +142,7 @@ def test_the_committed_results_cover_scenes_models_and_peers():
 def test_every_figure_of_the_page_is_there():
     text = (DOCS / PAGE).read_text(encoding="utf-8")
     shown = [part.split(")")[0] for part in text.split("](") if part.split(")")[0].endswith(".svg")]
-    assert len(shown) == 2 * len(SCENES) + 2
+    assert len(shown) == 2 * len(SCENES) + 3
     for name in shown:
         assert (DOCS / name).exists()
         assert (DOCS / name).with_suffix(".png").exists()
@@ -237,7 +254,7 @@ def test_a_plain_run_of_the_library_is_what_a_row_times():
     (candidate,) = (
         each
         for each in own.candidates(problem, smoke=True)
-        if each.setting == "200 steps" and each.formulation == "reduced"
+        if (each.setting, each.formulation, each.method) == ("200 steps", "reduced", own.SOLVED)
     )
     solution, _ = candidate.prepare().run()
     assert isinstance(solution, sc.Solution)

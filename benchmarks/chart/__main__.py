@@ -39,7 +39,7 @@ def main(arguments: list[str]) -> None:
 
     if not chosen.draw:
         effort = Effort(smoke=chosen.smoke, peers=tuple(chosen.peers), only=tuple(chosen.only),
-                        budget=0.02 if chosen.smoke else 0.06)  # fmt: skip
+                        budget=0.02 if chosen.smoke else 0.05)  # fmt: skip
         timed = carry_out(effort, say)
         measured = {each.row.scene for each in timed}
         facts = gather([each for each in problems() if each.name in measured], chosen.smoke)

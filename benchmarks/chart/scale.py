@@ -63,10 +63,11 @@ class Point:
 def measure_scale(smoke: bool = False) -> list[Point]:
     """Measure everything."""
     sc.analyse(sc.scenes.gantry_crane())  # what is imported when first needed
-    found = [point for count in (CRANES[:2] if smoke else CRANES) for point in _cranes(count)]
-    found += [point for pieces in (BARS[:2] if smoke else BARS) for point in _bar(pieces)]
-    found += _many_instants()
-    return [*found, *_cold_start(1 if smoke else 3)]
+    if smoke:
+        return [*_cranes(CRANES[0]), *(point for pieces in BARS[:2] for point in _bar(pieces))]
+    found = [point for count in CRANES for point in _cranes(count)]
+    found += [point for pieces in BARS for point in _bar(pieces)]
+    return [*found, *_many_instants(), *_cold_start(3)]
 
 
 def _seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:

@@ -78,8 +78,10 @@ def solve(
         Initial values of the internal dynamics by name, ``theta`` and ``theta_dot``; at rest when not given.
     progress : callable, optional
         Called with (steps done, steps in all) from time to time.
-    native, checks : bool
-        Whether a C compiler shall make machine code first, for many solves; False leaves out limits and warnings.
+    native : bool, optional
+        Whether as machine code: True makes it first, False never; else it comes in the background for many solves.
+    checks : bool
+        False leaves out limits and warnings.
 
     Returns
     -------
