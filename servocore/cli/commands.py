@@ -31,10 +31,11 @@ from servocore.cli.plan import PointsCommand, plan_scene
 from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
 from servocore.cli.sensitivities import show_sensitivities
 from servocore.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
-from servocore.cli.sweep import sweep_scene
+from servocore.cli.sweep import sweep_command
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
+from servocore.planning.sweep import sweep
 from servocore.scenes import REGISTRY
 
 NAME = "servocore"
@@ -208,7 +209,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
 
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
-app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_scene)
+app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_command(sweep))
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +19,6 @@ from servocore.errors import InvalidSetting, missing_package
 from servocore.files import write_together
 from servocore.model.limit_files import limits_of_texts, read_limits
 from servocore.planning.grid import drawn
-from servocore.planning.sweep import sweep
 from servocore.references.csv_file import from_csv
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -62,48 +61,53 @@ Instants = Annotated[int, typer.Option("--instants", metavar="N", help="At how m
 Inputs = Annotated[bool, typer.Option("--inputs", help="Keep the inputs over time too.")]
 
 
-def sweep_scene(
-    scene: SceneName,
-    output: Folder,
-    vary: Varied = None,
-    sample: Sample = None,
-    seed: Seed = 0,
-    limit: LimitTexts = None,
-    limits: LimitsFile = None,
-    reference: ReferenceFile = None,
-    parameters: Parameters = None,
-    model: Model = None,
-    instants: Instants = 201,
-    inputs: Inputs = False,
-    scheduler: Scheduler = None,
-    resume: Resume = False,
-) -> None:
-    """Compute peaks, margins and swing of many cases of a scene.
+def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
+    """Return the command around `servocore.sweep`, which whoever assembles the commands hands over."""
 
-    The results stream into DIR/sweep.zarr, which xarray opens. A run that was
-    interrupted goes on with --resume where it stopped; other settings are
-    refused. A case that fails is a row with its sentence. DIR/index.html shows
-    the peak of the first input over what varies.
-    """
-    subject = chosen(scene, parameters)
-    if reference is not None:
-        names = [each.name for each in subject.model(model).outputs]
-        subject = subject.with_reference(from_csv(reference, columns=names))
-    bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
-    varied = _varied(vary or (), sample, seed)
-    if output.exists() and not output.is_dir():
-        raise InvalidSetting(f"cannot write into {output}: it is a file")
-    with _client(scheduler) as client, _SweepProgress() as progress:
-        found = sweep(
-            subject, varied, limits=bounds, store=output / _STORE, resume=resume, instants=instants, inputs=inputs,
-            model=model, distributed=client, progress=progress,
-        )  # fmt: skip
-    from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow to import
+    def sweep_scene(
+        scene: SceneName,
+        output: Folder,
+        vary: Varied = None,
+        sample: Sample = None,
+        seed: Seed = 0,
+        limit: LimitTexts = None,
+        limits: LimitsFile = None,
+        reference: ReferenceFile = None,
+        parameters: Parameters = None,
+        model: Model = None,
+        instants: Instants = 201,
+        inputs: Inputs = False,
+        scheduler: Scheduler = None,
+        resume: Resume = False,
+    ) -> None:
+        """Compute peaks, margins and swing of many cases of a scene.
 
-    page, figure = sweep_page(found, subject.name)
-    write_together({output / _PAGE: page, output / _FIGURE: figure})
-    failed = int((found.failure.to_numpy() != "").sum())
-    print(f"{output / _STORE}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
+        The results stream into DIR/sweep.zarr, which xarray opens. A run that was
+        interrupted goes on with --resume where it stopped; other settings are
+        refused. A case that fails is a row with its sentence. DIR/index.html shows
+        the peak of the first input over what varies.
+        """
+        subject = chosen(scene, parameters)
+        if reference is not None:
+            names = [each.name for each in subject.model(model).outputs]
+            subject = subject.with_reference(from_csv(reference, columns=names))
+        bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
+        varied = _varied(vary or (), sample, seed)
+        if output.exists() and not output.is_dir():
+            raise InvalidSetting(f"cannot write into {output}: it is a file")
+        with _client(scheduler) as client, _SweepProgress() as progress:
+            found = sweep(
+                subject, varied, limits=bounds, store=output / _STORE, resume=resume, instants=instants, inputs=inputs,
+                model=model, distributed=client, progress=progress,
+            )  # fmt: skip
+        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow to import
+
+        page, figure = sweep_page(found, subject.name)
+        write_together({output / _PAGE: page, output / _FIGURE: figure})
+        failed = int((found.failure.to_numpy() != "").sum())
+        print(f"{output / _STORE}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
+
+    return sweep_scene
 
 
 def _varied(texts: Sequence[str], sample: int | None, seed: int) -> Any:
