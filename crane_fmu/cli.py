@@ -268,18 +268,25 @@ def ssp(
     tolerance: Tolerance = None,
     profile: ProfileName = None,
     parameters: ParametersFile = None,
+    native: Annotated[bool, typer.Option("--native", help="FMUs in C, which need no Python where they run.")] = False,
+    targets: Annotated[
+        str | None, typer.Option("--targets", metavar="LIST", help="Platforms of --native, as of servocore export.")
+    ] = None,
 ) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s. With --reference or --profile the load goes that way, with
-    --parameters the crane is that of the file, without anything to set in the tool.
+    --parameters the crane is that of the file, without anything to set in the tool. With --native they are in C.
     """
+    if targets is not None and not native:
+        raise sc.InvalidSetting("--targets belongs to --native")
     from crane_fmu.build import Wishes, build_ssp  # noqa: PLC0415
 
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     with PatientProgress("building the system") as progress:
-        files = build_ssp(output, progress.describe, Wishes(reference, tolerance, profile, changed))
+        wishes = Wishes(reference, tolerance, profile, changed, native, targets)
+        files = build_ssp(output, progress.describe, wishes)
     print(*files, sep="\n")
 
 

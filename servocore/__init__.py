@@ -19,7 +19,10 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
-from servocore.export.fmu import export_fmu
+from servocore.export.feedback import SampledFeedback
+from servocore.export.fmu import export_fmu, export_plant, export_trajectory
+from servocore.export.plant_model import PlantWishes
+from servocore.export.trajectory_model import TrajectoryWishes
 from servocore.export.wasm import export_wasm
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import (
@@ -120,6 +123,7 @@ __all__ = [
     "PlanReport",
     "PlanningFailed",
     "Plant",
+    "PlantWishes",
     "Potential",
     "Profile",
     "Program",
@@ -127,6 +131,7 @@ __all__ = [
     "RadauIIA",
     "Reduced",
     "Reference",
+    "SampledFeedback",
     "Scene",
     "Sensitivities",
     "ServocoreError",
@@ -139,10 +144,13 @@ __all__ = [
     "Stepper",
     "StructureReport",
     "Sundials",
+    "TrajectoryWishes",
     "Trapezoidal",
     "analyse",
     "compile_plant",
     "export_fmu",
+    "export_plant",
+    "export_trajectory",
     "export_wasm",
     "factors_of_texts",
     "fastest",

@@ -25,7 +25,7 @@ from loop_information import smallest_distance
 from loop_stability import laws, sensitivity, transition_norms
 from loops import BOUNDS, STEPS, Case, deviation, fastest, random_case
 
-from crane_fmu.slave.feedback import LARGEST_TURN
+from crane_fmu.slave.interface import LARGEST_TURN
 
 TARGET = Path(__file__).parents[1] / "docs" / "pictures"
 MASTERS = {"start": "Jacobi", "end": "Gauss-Seidel"}

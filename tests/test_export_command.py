@@ -16,8 +16,8 @@ from native_fmu import exported, joined, scene_called
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.export import targets
-from servocore.export.building import identifier_of
 from servocore.export.c_source import export_c
+from servocore.export.names import identifier_of
 from servocore.export.units import base_units, per_time
 
 run = CommandLine(app, "servocore")

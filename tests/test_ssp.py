@@ -84,7 +84,7 @@ def test_a_steady_wind_leaves_no_lasting_error():
 ECOS = """
 import sys
 from ecospy import EcosSimulation
-with EcosSimulation(ssp_path=sys.argv[1], step_size=0.01) as simulation:
+with EcosSimulation(ssp_path=sys.argv[1], step_size=float(sys.argv[3])) as simulation:
     simulation.init()
     simulation.step(int(sys.argv[2]))
     for name in ("trajectory", "plant"):
@@ -94,7 +94,7 @@ LIBCOSIM = """
 import sys
 from libcosimpy.CosimExecution import CosimExecution
 from libcosimpy.CosimObserver import CosimObserver
-execution = CosimExecution.from_ssp_file(sys.argv[1], 10_000_000)
+execution = CosimExecution.from_ssp_file(sys.argv[1], round(1e9 * float(sys.argv[3])))
 observer = CosimObserver.create_last_value()
 execution.add_observer(observer)
 assert all(execution.step() for _ in range(int(sys.argv[2])))
@@ -109,11 +109,11 @@ for name in ("trajectory", "plant"):
 MASTERS = {"ecospy": ECOS, "libcosimpy": LIBCOSIM}
 
 
-def places(package, file, steps):
+def places(package, file, steps, step=STEP):
     """Where trajectory and plant have the load after so many steps in another master."""
     if find_spec(package) is None or in_a_process(f"import {package}").returncode:
         pytest.skip(f"{package} is not installed or does not load")
-    done = in_a_process(MASTERS[package], file, str(steps))
+    done = in_a_process(MASTERS[package], file, str(steps), str(step))
     found = [line.split()[1:] for line in done.stdout.splitlines() if line.startswith("place")]
     return np.array(found, dtype=float)
 

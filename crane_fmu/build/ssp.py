@@ -19,6 +19,7 @@ from crane_fmu.build.bundle import Progress
 from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
+from crane_fmu.build.native import NativeWishes, native_fmus
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import filled_folder, put
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, Variable, components
@@ -53,12 +54,18 @@ class Wishes:
         Time law of the straight line.
     parameters : mapping of str to float
         Of the crane.
+    native : bool
+        Whether the FMUs shall be in C, without Python.
+    targets : str, optional
+        Platforms of native FMUs, as of `sc.export_fmu`.
     """
 
     path: Path | None = None
     tolerance: float | None = None
     profile: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
+    native: bool = False
+    targets: str | None = None
 
     def reference(self) -> sc.Reference | None:
         """Return the path in the table, or None without one; raises `InvalidSetting` for wishes that exclude others."""
@@ -78,7 +85,7 @@ def build_ssp(
     progress: Progress = lambda _: None,
     wishes: Wishes = Wishes(),
 ) -> tuple[Path, ...]:
-    """Build the three FMUs with their cross-check files and pack them.
+    """Build the three FMUs, those with Python with their cross-check files, and pack them.
 
     Parameters
     ----------
@@ -100,7 +107,6 @@ def build_ssp(
         If a file cannot be read or written, wishes exclude each other, or an FMU fails its check.
     """
     reference = wishes.reference()
-    table = None if reference is None else table_of(reference).encode()
     starts: dict[str, float | str] = dict(wishes.parameters)
     duration = 20.0
     if wishes.profile is not None:
@@ -112,18 +118,26 @@ def build_ssp(
             starts |= dict(zip(components(vector), first, strict=True))
         duration = reference.end_time
     with filled_folder(directory) as draft:
-        fmus = [
-            build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None, starts)
-            for kind in KINDS.values()
-        ]
-        progress("writing the cross-check files")
-        for fmu in fmus:
-            cross_check(fmu, reference, starts)
+        if wishes.native:
+            fmus = native_fmus(draft, NativeWishes(reference, starts, wishes.targets), progress)
+        else:
+            fmus = _python_fmus(draft, reference, starts, progress)
         members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
         system = zipped({_STRUCTURE: description(starts, duration), **members}, _STRUCTURE)
         put(draft, {SYSTEM_FILE: system})
         names = [*(each.name for each in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
+
+
+def _python_fmus(draft: Path, reference: sc.Reference | None, starts: Starts, progress: Progress) -> list[Path]:
+    table = None if reference is None else table_of(reference).encode()
+    fmus = [
+        build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None, starts) for kind in KINDS.values()
+    ]
+    progress("writing the cross-check files")
+    for fmu in fmus:
+        cross_check(fmu, reference, starts)
+    return fmus
 
 
 def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:

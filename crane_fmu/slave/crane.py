@@ -22,8 +22,16 @@ from crane_fmu.slave.estimate import (
     first_sample,
     with_sample,
 )
-from crane_fmu.slave.feedback import LARGEST_TURN, Feedback, fastest_pendulum, feedbacks
-from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, FEEDBACK_FILE, FEEDBACK_INPUTS, ORDERS, program_file
+from crane_fmu.slave.feedback import Feedback, fastest_pendulum, feedbacks
+from crane_fmu.slave.interface import (
+    CRANE_PARAMETERS,
+    DIMENSION,
+    FEEDBACK_FILE,
+    FEEDBACK_INPUTS,
+    LARGEST_TURN,
+    ORDERS,
+    program_file,
+)
 from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
 from crane_fmu.slave.quick import QuickStep, quick_step

@@ -16,9 +16,6 @@ from crane_fmu.slave.interface import FEEDBACK_FORMAT, INPUT_TIMES
 from crane_fmu.slave.paths import Array
 from servocore import InvalidSetting
 
-LARGEST_TURN = 1.0
-"""Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
-
 Call = Callable[..., list[Array]]
 
 

@@ -51,6 +51,9 @@ FROM_FILE = "file"
 INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
 """Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
 
+LARGEST_TURN = 1.0
+"""Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
+
 FEEDBACK_FILE, FEEDBACK_FORMAT = "feedback.json", "servocore feedback 2"
 """The file with the functions of the feedback, and how it begins."""
 

@@ -15,12 +15,14 @@ from servocore.errors import InvalidSetting
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
-from servocore.export.fmu import export_fmu, require_version
+from servocore.export.fmu import export_fmu, export_plant, export_trajectory, require_built, require_version
 from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
+from servocore.export.trajectory_model import TrajectoryWishes
 from servocore.export.wasm import export_wasm, loader_beside, require_module
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene as SceneValue
+from servocore.references.csv_file import from_csv
 from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -32,6 +34,8 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore export cars --parameters heavy.toml --c cars_source[/cyan]
 
 [cyan]servocore export rotary_crane --wasm crane.wasm[/cyan]
+
+[cyan]servocore export rotary_crane --plant -o plant.fmu[/cyan]
 """
 
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.fmu", help="The FMU to write.")]
@@ -51,6 +55,13 @@ CrossCheck = Annotated[
 Folder = Annotated[
     Path | None, typer.Option("--c", metavar="DIR", help="Write C source for other hosts into this new folder as well.")
 ]
+PlantWanted = Annotated[bool, typer.Option("--plant", help="Export where the scene goes under its inputs instead.")]
+TrajectoryWanted = Annotated[
+    bool, typer.Option("--trajectory", help="Export a generator of paths for the scene instead.")
+]
+CarriedPath = Annotated[
+    Path | None, typer.Option("--reference", metavar="FILE.csv", help="A path that --trajectory shall carry.")
+]
 Module = Annotated[
     Path | None,
     typer.Option(
@@ -69,14 +80,22 @@ def export_scene(
     cross_check: CrossCheck = False,
     c: Folder = None,
     wasm: Module = None,
+    plant: PlantWanted = False,
+    trajectory: TrajectoryWanted = False,
+    reference: CarriedPath = None,
 ) -> None:
     """Export the inverse model of a scene for tools without Python.
 
     The FMU is native: it needs no Python and no other library. Its inputs are
     the path and the derivatives that the scene needs, its outputs the inputs of
     the mechanical system and what its model observes. Scenes whose internal
-    dynamics are unstable are refused.
+    dynamics are unstable are refused. With --plant it is the forward dynamics that
+    is exported, with --trajectory a generator of the path and its derivatives.
     """
+    if plant or trajectory or reference is not None:
+        _require_one(plant, trajectory, (reference, c, wasm, cross_check), output)
+        _export_beside(scene, plant, (output, parameters, reference), fmi, model, targets)
+        return
     subject = _possible(scene, parameters, {"-o": output, "--c": c, "--wasm": wasm}, fmi, targets, cross_check)
     with PatientProgress("exporting") as progress:
         checked = {}
@@ -104,8 +123,7 @@ def _told(
 ) -> None:
     """Say what was written."""
     if output is not None:
-        note = "" if targets is not None or zig() else "; for this machine only: install servocore[native] for others"
-        print(f"{output}: {subject.name}, FMI {fmi}{note}")
+        print(f"{output}: {subject.name}, FMI {fmi}{_noted(targets)}")
     if c is not None:
         print(f"{c}: C source of {subject.name}")
     if wasm is not None:
@@ -133,3 +151,43 @@ def _possible(
     if c is not None:
         require_folder(subject, c)
     return subject
+
+
+def _require_one(plant: bool, trajectory: bool, others: tuple[object, ...], output: Path | None) -> None:
+    """Raise `InvalidSetting` if options do not go with --plant or --trajectory."""
+    reference, *rest = others
+    if plant and trajectory:
+        raise InvalidSetting("--plant and --trajectory are FMUs of their own: ask for one at a time")
+    if reference is not None and not trajectory:
+        raise InvalidSetting("--reference belongs to --trajectory")
+    if any(rest):
+        raise InvalidSetting("--c, --wasm and --cross-check are about inverse models: not with --plant or --trajectory")
+    if output is None:
+        raise InvalidSetting("name the file to write with -o FILE.fmu")
+
+
+def _export_beside(
+    scene: str, plant: bool, files: tuple[Path | None, Path | None, Path | None], fmi: int, model: str | None,
+    targets: str | None,
+) -> None:  # fmt: skip
+    """Export plant or trajectory, what an inverse model stands between."""
+    output, parameters, reference = files
+    if output is None:
+        return
+    require_built(output, targets, fmi)
+    subject = chosen(scene, parameters)
+    require_places({"--output": output}, [parameters, reference])
+    with PatientProgress("exporting") as progress:
+        if plant:
+            export_plant(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
+        else:
+            names = [each.name for each in subject.model(model).outputs]
+            path = None if reference is None else from_csv(reference, columns=names)
+            export_trajectory(
+                subject, output, TrajectoryWishes(path), fmi=fmi, model=model, targets=targets, tell=progress.describe
+            )
+    print(f"{output}: {'plant' if plant else 'trajectory'} of {subject.name}, FMI {fmi}{_noted(targets)}")
+
+
+def _noted(targets: str | None) -> str:
+    return "" if targets is not None or zig() else "; for this machine only: install servocore[native] for others"

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import keyword
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -16,10 +15,14 @@ from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, SINGULAR, inte
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
-from servocore.export import variables
+from servocore.export import variables as rows
 from servocore.export.evaluated import timed_path, wanted
-from servocore.export.inverse_model import Bound, InverseModel, Mathematics
-from servocore.export.variables import Variable
+from servocore.export.feedback import SampledFeedback
+from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.names import identifier_of, require_different
+from servocore.export.native_model import Bound
+from servocore.export.tangents import tangent
+from servocore.export.variables import INPUT_TIME, Variable
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import instantaneous
 from servocore.methods.collocation import RadauIIA
@@ -40,13 +43,16 @@ from servocore.structure.inversion import inversion
 METHOD = RadauIIA(3)
 """What steps the internal dynamics, on the reduced form."""
 
+TERMINALS = {
+    "path": ("input", "the path to follow with its derivatives"),
+    "result": ("output", "what the drives have to do, and the motion that results"),
+}
+"""What belongs together in the eyes of a host."""
+
 _ROUND_OFF = 1e-9  # of a limit on what moves: beyond it by less is on it
 
-_LONGEST_IDENTIFIER = 40
-_NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  # files, and CMake's own targets
 
-
-def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
+def inverse_model(scene: Scene, model: str | None = None, feedback: SampledFeedback | None = None) -> InverseModel:
     """Analyse and compile a scene for export.
 
     Parameters
@@ -55,6 +61,8 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
         With its parameter values; its own path gives start values and default experiment only.
     model : str, optional
         Model of the scene; its smallest when not given.
+    feedback : SampledFeedback, optional
+        For scenes without internal dynamics.
 
     Raises
     ------
@@ -76,6 +84,9 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
+    variables = tuple(_variables(problem, compiled, scene.tracked, home, feedback))
+    if feedback is not None and compiled.state_size:
+        raise InvalidModel(f"{scene.name} cannot have a feedback: its inputs are stepped, not found at every instant")
     return InverseModel(
         identifier=identifier,
         title=scene.name,
@@ -83,24 +94,23 @@ def inverse_model(scene: Scene, model: str | None = None) -> InverseModel:
         description=f"Inverse dynamics of {scene.name.replace('_', ' ')}: the inputs"
         f" {', '.join(each.name for each in system.inputs)} that make {', '.join(each.name for each in system.outputs)}"
         " follow a path",
+        kernel="inverse",
+        own=_own(compiled, len(system.outputs), feedback),
+        functions={**compiled.functions, **(feedback.functions(identifier) if feedback else {})},
+        variables=variables,
+        choices=(INPUT_TIME,),
+        outputs=compiled.outputs,
+        limits=compiled.limits,
+        depends=_with_measured(compiled, feedback),
+        differentiable=feedback is None,
+        terminals=TERMINALS,
         mathematics=compiled,
-        variables=tuple(_variables(problem, compiled, scene.tracked, home)),
         components=len(system.outputs),
         method="" if problem.flat else METHOD.name,
         timed=bool(system.time.numel()),
         start_time=scene.reference.start_time if system.time.numel() else 0.0,
         duration=scene.reference.duration,
     )
-
-
-def identifier_of(name: str) -> str:
-    """Return a name as an identifier of C, as short as functions' names have to be."""
-    # CasADi takes no two underscores in a row.
-    found = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
-    if not found:
-        return "model"
-    taken = not found[0].isalpha() or keyword.iskeyword(found) or found.lower() in _NAMES_TAKEN
-    return f"model_{found}" if taken else found
 
 
 def followed(problem: Problem) -> Problem:
@@ -115,38 +125,63 @@ def followed(problem: Problem) -> Problem:
     return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
 
 
-def _variables(problem: Problem, compiled: Mathematics, tracked: str, home: Array) -> Sequence[Variable]:
+def _variables(
+    problem: Problem, compiled: Mathematics, tracked: str, home: Array, feedback: SampledFeedback | None
+) -> Sequence[Variable]:
     system, array = problem.system, problem.array
-    found = variables.path_variables(system.outputs, tracked, compiled.orders, home)
+    found = rows.path_variables(system.outputs, tracked, compiled.orders, home)
     place = len(system.outputs) * compiled.orders
-    found += variables.output_variables(compiled.outputs, place)
+    if feedback is not None:
+        found += rows.measured_variables(feedback.measured, place)
+        place += feedback.numbers
+    found += rows.output_variables(compiled.outputs, place)
     place += len(compiled.outputs)
-    found += variables.parameter_variables(system.parameters.declared, problem.p, place)
+    found += rows.parameter_variables(system.parameters.declared, problem.p, place)
     place += len(system.parameters)
+    if feedback is not None:
+        found += rows.feedback_settings(system.inputs, feedback.distance, place)
     if compiled.state_size:
-        found.append(variables.internal_step(place))
+        found.append(rows.internal_step(place))
         place += 1
     if not problem.flat:
         quantities = {f"q.{each.name}": each for each in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
-        found += variables.start_variables(array.named_states, units, place)
-        found += variables.state_variables(array.named_states, units, place + len(units))
-    _require_different(problem, found, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
+        found += rows.start_variables(array.named_states, units, place)
+        found += rows.state_variables(array.named_states, units, place + len(units))
+    require_different(problem, found, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
     return found
 
 
-def _require_different(problem: Problem, found: Sequence[Variable], taken: Sequence[str]) -> None:
-    names = [name for each in found for name in each.scalar_names]
-    every = [*names, *taken]
-    repeated = sorted({name for name in every if every.count(name) > 1})
-    if repeated:
-        raise InvalidModel(f"{problem.name} cannot be exported: variables named twice: {', '.join(repeated)}")
-    broken = [name for name in names if not re.fullmatch(r"[a-zA-Z_]\w*(\.\w+)*(\[\d+\])?", name, flags=re.ASCII)]
-    if broken:
-        raise InvalidModel(
-            f"{problem.name} cannot be exported: FMI has no variable called {broken[0]!r}; names are the letters a to z"
-            f" and A to Z, digits and underscores"
-        )
+def _own(compiled: Mathematics, components: int, feedback: SampledFeedback | None) -> dict[str, Any]:
+    """Return what the kernel needs to know."""
+    return {
+        "components": components,
+        "orders": compiled.orders,
+        "state_size": compiled.state_size,
+        "nodes": compiled.nodes,
+        "has_quick": int("quick" in compiled.functions),
+        "end_conditions": end_conditions(compiled.orders),
+        "feedback": feedback.own() if feedback else None,
+    }
+
+
+def _with_measured(compiled: Mathematics, feedback: SampledFeedback | None) -> npt.NDArray[np.bool_]:
+    """Return which outputs depend on which inputs: the drives' on what is measured too."""
+    if feedback is None:
+        return compiled.depends
+    drives, measured = feedback.laws["feedback_start"].numel_out(1), feedback.numbers
+    rows = np.arange(len(compiled.outputs)) < drives
+    return np.hstack([compiled.depends, np.repeat(rows[:, None], measured, axis=1)])
+
+
+def end_conditions(orders: int) -> list[list[float]]:
+    """Return the inverse of the conditions at the end of a step on the upper half of a polynomial's coefficients.
+
+    The polynomial of degree 2 orders - 1 joins two instants at which a path and its derivatives are known.
+    """
+    falling = [[math.factorial(j) / math.factorial(j - k) for j in range(orders, 2 * orders)] for k in range(orders)]
+    found: list[list[float]] = np.linalg.inv(np.array(falling)).tolist()
+    return found
 
 
 # The mathematics --------------------------------------------------------------------------------------------------
@@ -257,7 +292,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
         )
     begun = [ca.MX(0, 1), outputs]
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
-    functions["begin_tangent"] = _tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
+    functions["begin_tangent"] = tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
     depends = _dependence(functions.get("quick", functions["begin"]), 0 if "quick" in functions else 1)
     return Mathematics(identifier, functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
 
@@ -286,8 +321,8 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     functions = {
         "advance": ca.Function(f"{identifier}_advance", step, [after, stepped, within, left]),
         "begin": ca.Function(f"{identifier}_begin", begin, [first, outputs, kept, residual]),
-        "begin_tangent": _tangent(f"{identifier}_begin_tangent", begin, [first, outputs], [G, P]),
-        "advance_tangent": _tangent(f"{identifier}_advance_tangent", step, [after, stepped], [S, N, P]),
+        "begin_tangent": tangent(f"{identifier}_begin_tangent", begin, [first, outputs], [G, P]),
+        "advance_tangent": tangent(f"{identifier}_advance_tangent", step, [after, stepped], [S, N, P]),
     }
     depends = np.ones((len(known.outputs), G.numel()), dtype=bool)  # also through the state
     return Mathematics(identifier, functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
@@ -310,14 +345,6 @@ def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, moved: ca.MX) ->
         found, _, residual = inverse.function(used, p)
     restart = compile_restart(array, inverse, dae, dae, discretised(dae, METHOD), order)
     return restart(found, path, 0, p), residual
-
-
-def _tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by: Sequence[ca.MX]) -> ca.Function:
-    """Compile (arguments, directions of some of them) -> derivatives of the results along them."""
-    directions = [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
-    x, direction = ca.veccat(*by), ca.veccat(*directions)
-    found = [ca.densify(ca.jtimes(each, x, direction)) if each.numel() else each for each in results]
-    return ca.Function(name, [*arguments, *directions], found)
 
 
 def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:

@@ -7,8 +7,9 @@ import tempfile
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
-from servocore.export.building import identifier_of, inverse_model
+from servocore.export.building import inverse_model
 from servocore.export.inverse_model import InverseModel, Mathematics
+from servocore.export.names import identifier_of
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import write_together
@@ -73,6 +74,7 @@ def c_files(model: InverseModel) -> dict[str, str]:
     values = tables(model) | {
         "parameter_list": [each for each in model.of("parameter") if each.name != INTERNAL_STEP],
         "rest": [start for each in model.of("input") for start in each.starts],
+        "parameters": model.numbers("parameter") - len(model.settings),
         "functions": tuple(mathematics.functions),
         "scratch": mathematics.scratch(),
         "integrated": bool(model.method),
@@ -102,7 +104,7 @@ def c_files(model: InverseModel) -> dict[str, str]:
 def _path_functions() -> str:
     """Return what joins two instants, without the lines that make it a header."""
     text = (SHARED / "path.h").read_text(encoding="utf-8")
-    return text[text.index("enum { AT_START") : text.rindex("#endif")].rstrip()
+    return text[text.index("/* Continue a path") : text.rindex("#endif")].rstrip()
 
 
 def _blocks(source: str) -> int:

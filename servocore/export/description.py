@@ -1,14 +1,14 @@
-"""The model descriptions of FMI 2 and 3, the build description, and terminals: XML made from an `InverseModel`."""
+"""The model descriptions of FMI 2 and 3, the build description, and terminals: XML made from a `NativeModel`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from xml.etree import ElementTree as ET
 
-from servocore.export.inverse_model import InverseModel
+from servocore.export.native_model import NativeModel
 from servocore.export.sources import compiled_files
 from servocore.export.units import base_units
-from servocore.export.variables import INPUT_TIMES, INTERNAL_STEP, Variable
+from servocore.export.variables import INTERNAL_STEP, Choice, Variable
 
 _TOOL = "servocore"
 _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
@@ -20,7 +20,6 @@ _DISPLAY_UNITS: Mapping[str, Mapping[str, float]] = {
     "N.m": {"kN.m": 1e-3},
 }
 _SHOWN = {"rad": "deg", "rad/s": "deg/s"}  # instead of the unit itself
-_INPUT_TIME = "instant of a communication step that its inputs belong to"
 _CATEGORIES = {
     "logStatusWarning": "What may be a mistake: a path whose derivatives are not connected.",
     "logStatusDiscard": "Steps that are refused: a path beyond the limits of the model, inputs that are not finite.",
@@ -29,21 +28,24 @@ _CATEGORIES = {
 _FASTEST_STEPS = 1000  # of a default experiment: FMPy doubles the step of longer ones
 
 
-def fmi2_description(model: InverseModel, token: str) -> bytes:
+def fmi2_description(model: NativeModel, token: str) -> bytes:
     """Return modelDescription.xml of FMI 2.0."""
     root = ET.Element(
         "fmiModelDescription", fmiVersion="2.0", modelName=model.title, guid=token, description=model.description,
         generationTool=_TOOL, variableNamingConvention="structured", numberOfEventIndicators="0",
     )  # fmt: skip
-    abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
-                 "providesDirectionalDerivative", "canNotUseMemoryManagementFunctions")  # fmt: skip
+    abilities = ["canHandleVariableCommunicationStepSize", "canGetAndSetFMUstate", "canSerializeFMUstate",
+                 "canNotUseMemoryManagementFunctions"]  # fmt: skip
+    abilities += ["providesDirectionalDerivative"] if model.differentiable else []
     simulation = _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     files = _add(simulation, "SourceFiles")
     for name in compiled_files(model, 2):
         _add(files, "File", name=name)
     _unit_definitions(root, model)
     types = _add(root, "TypeDefinitions")
-    _items(_add(_add(types, "SimpleType", name="InputTime", description=_INPUT_TIME), "Enumeration"))
+    for choice in model.choices:
+        kind = _add(types, "SimpleType", name=choice.type_name, description=choice.description)
+        _items(_add(kind, "Enumeration"), choice)
     _categories(root, "LogCategories")
     _experiment(root, model)
     table = _add(root, "ModelVariables")
@@ -57,35 +59,37 @@ def fmi2_description(model: InverseModel, token: str) -> bytes:
             if variable.starts:
                 real.set("start", repr(variable.starts[k]))
     count = sum(len(each.scalar_names) for each in model.variables)
-    row = _add(table, "ScalarVariable", name="input_time", valueReference=str(count), description=_INPUT_TIME,
-                        causality="parameter", variability="fixed")  # fmt: skip
-    _add(row, "Enumeration", declaredType="InputTime", start="1")
+    for k, choice in enumerate(model.choices):
+        row = _add(table, "ScalarVariable", name=choice.name, valueReference=str(count + k),
+                   description=choice.description, causality="parameter", variability="fixed")  # fmt: skip
+        _add(row, "Enumeration", declaredType=choice.type_name, start=str(choice.start))
     _fmi2_structure(root, model)
     return document(root)
 
 
-def _fmi2_structure(root: ET.Element, model: InverseModel) -> None:
+def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
     structure = _add(root, "ModelStructure")
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for each in model.of("parameter") if each.name != INTERNAL_STEP for k in _places(each)]
-    for row, output in enumerate(model.of("output")):
-        of_path = [k for k, used in enumerate(model.mathematics.depends[row]) if used]
+    for row, place in enumerate(k for each in model.of("output") for k in _places(each)):
+        of_path = [k for k, used in enumerate(model.depends[row]) if used]
         for parent, on in ((outputs, of_path), (initial, [*of_path, *parameters])):
-            _add(parent, "Unknown", index=str(output.place + 1), **_dependencies([k + 1 for k in on]))
+            _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
 
-def fmi3_description(model: InverseModel, token: str) -> bytes:
+def fmi3_description(model: NativeModel, token: str) -> bytes:
     """Return modelDescription.xml of FMI 3.0."""
     root = ET.Element(
         "fmiModelDescription", fmiVersion="3.0", modelName=model.title, instantiationToken=token,
         description=model.description, generationTool=_TOOL, variableNamingConvention="structured",
     )  # fmt: skip
-    abilities = ("canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState",
-                 "providesDirectionalDerivatives")  # fmt: skip
+    abilities = ["canHandleVariableCommunicationStepSize", "canGetAndSetFMUState", "canSerializeFMUState"]
+    abilities += ["providesDirectionalDerivatives", "providesAdjointDerivatives"] if model.differentiable else []
     _add(root, "CoSimulation", modelIdentifier=model.identifier, **dict.fromkeys(abilities, "true"))
     _unit_definitions(root, model)
     types = _add(root, "TypeDefinitions")
-    _items(_add(types, "EnumerationType", name="InputTime", description=_INPUT_TIME))
+    for choice in model.choices:
+        _items(_add(types, "EnumerationType", name=choice.type_name, description=choice.description), choice)
     _categories(root, "LogCategories")
     _experiment(root, model)
     table = _add(root, "ModelVariables")
@@ -98,32 +102,38 @@ def fmi3_description(model: InverseModel, token: str) -> bytes:
             row.set("start", " ".join(map(repr, variable.starts)))
         if variable.size is not None:
             _add(row, "Dimension", start=str(variable.size))
-    _add(
-        table, "Enumeration", name="input_time", valueReference=str(len(model.variables)), description=_INPUT_TIME,
-        causality="parameter", variability="fixed", declaredType="InputTime", start="1",
-    )  # fmt: skip
-    _add(table, "Float64", name="time", valueReference=str(len(model.variables) + 1), causality="independent",
+    for reference, choice in enumerate(model.choices, start=len(model.variables)):
+        _add(
+            table, "Enumeration", name=choice.name, valueReference=str(reference), description=choice.description,
+            causality="parameter", variability="fixed", declaredType=choice.type_name, start=str(choice.start),
+        )  # fmt: skip
+    _add(table, "Float64", name="time", valueReference=str(_time_reference(model)), causality="independent",
                   variability="continuous", unit="s")  # fmt: skip
     _fmi3_structure(root, model)
     return document(root)
 
 
-def _fmi3_structure(root: ET.Element, model: InverseModel) -> None:
+def _time_reference(model: NativeModel) -> int:
+    return len(model.variables) + len(model.choices)
+
+
+def _fmi3_structure(root: ET.Element, model: NativeModel) -> None:
     structure = _add(root, "ModelStructure")
     numbers = {id(each): k for k, each in enumerate(model.variables)}
     inputs = [numbers[id(each)] for each in model.of("input")]
     parameters = [numbers[id(each)] for each in model.of("parameter") if each.name != INTERNAL_STEP]
-    time = [len(model.variables) + 1] if model.timed else []
-    unknowns = []
-    for row, output in enumerate(model.of("output")):
-        used = [k for k in inputs if model.mathematics.depends[row][list(_places(model.variables[k]))].any()]
+    time = [_time_reference(model)] if model.timed else []
+    unknowns, row = [], 0
+    for output in model.of("output"):
+        rows = slice(row, row := row + (output.size or 1))
+        used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
         _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies([*used, *time]))
         unknowns.append((numbers[id(output)], [*used, *parameters, *time]))
     for number, on in unknowns:
         _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
 
 
-def build_description(model: InverseModel) -> bytes:
+def build_description(model: NativeModel) -> bytes:
     """Return buildDescription.xml of FMI 3: how a tool builds the library for its own system."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = _add(root, "BuildConfiguration", modelIdentifier=model.identifier)
@@ -133,14 +143,11 @@ def build_description(model: InverseModel) -> bytes:
     return document(root)
 
 
-def terminals(model: InverseModel) -> bytes:
-    """Return terminalsAndIcons.xml of FMI 3: the path as one plug, the drives as another."""
+def terminals(model: NativeModel) -> bytes:
+    """Return terminalsAndIcons.xml of FMI 3: what belongs together as one plug, such as the path."""
     root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
     every = _add(root, "Terminals")
-    for name, causality, text in (
-        ("path", "input", "the path to follow with its derivatives"),
-        ("result", "output", "what the drives have to do, and the motion that results"),
-    ):
+    for name, (causality, text) in model.terminals.items():
         terminal = _add(every, "Terminal", name=name, matchingRule="bus", description=text)
         for each in model.variables:
             if each.causality == causality:
@@ -162,7 +169,7 @@ def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
     return ET.SubElement(parent, tag, attributes)
 
 
-def _unit_definitions(root: ET.Element, model: InverseModel) -> None:
+def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
     definitions = _add(root, "UnitDefinitions")
     for unit in sorted({each.unit for each in model.variables} | {"s"}):
         element, exponents = _add(definitions, "Unit", name=unit), base_units(unit)
@@ -172,9 +179,9 @@ def _unit_definitions(root: ET.Element, model: InverseModel) -> None:
             _add(element, "DisplayUnit", name=display, factor=repr(factor))
 
 
-def _items(enumeration: ET.Element) -> None:
-    for value, name in enumerate(INPUT_TIMES, start=1):
-        _add(enumeration, "Item", name=name, value=str(value), description=f"its {name}")
+def _items(enumeration: ET.Element, choice: Choice) -> None:
+    for value, (name, text) in enumerate(choice.items, start=1):
+        _add(enumeration, "Item", name=name, value=str(value), description=text)
 
 
 def _categories(root: ET.Element, tag: str) -> None:
@@ -183,7 +190,7 @@ def _categories(root: ET.Element, tag: str) -> None:
         _add(parent, "Category", name=name, description=text)
 
 
-def _experiment(root: ET.Element, model: InverseModel) -> None:
+def _experiment(root: ET.Element, model: NativeModel) -> None:
     step = model.duration / _FASTEST_STEPS
     start, stop = model.start_time, model.start_time + model.duration
     _add(root, "DefaultExperiment", startTime=repr(start), stopTime=repr(stop), stepSize=repr(step))

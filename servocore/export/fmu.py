@@ -10,10 +10,13 @@ from pathlib import Path
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
 from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
-from servocore.export.inverse_model import InverseModel
+from servocore.export.feedback import SampledFeedback
+from servocore.export.native_model import NativeModel
 from servocore.export.page import documentation
+from servocore.export.plant_model import PlantWishes, plant_model
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
+from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene, require_scene
 
@@ -30,6 +33,7 @@ def export_fmu(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
+    feedback: SampledFeedback | None = None,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -47,6 +51,8 @@ def export_fmu(
     targets : str, optional
         ``all``, ``host``, or names of platforms with commas between them, such as ``x86_64-windows``. When not given:
         all where the package ziglang is installed, else this machine's own.
+    feedback : SampledFeedback, optional
+        A law that corrects the inputs by what is measured.
     tell : callable
         Told what is being done.
 
@@ -69,13 +75,108 @@ def export_fmu(
     >>> export_fmu(crane, "crane.fmu", fmi=2, targets="host")
     """
     require_scene(scene, "export_fmu")
-    file, names = Path(path), chosen_targets(targets, require_version(fmi))
-    require_places({"the FMU": file})
+    require_built(path, targets, fmi)
     tell("analysing")
-    found = inverse_model(scene, model)
-    sources = fmu_sources(found, fmi)
-    built = libraries(sources, compiled_files(found, fmi), found.identifier, names, fmi, tell)
-    write_together({file: archive(contents(found, fmi, sources, built, names))})
+    return written(inverse_model(scene, model, feedback), path, fmi, targets, tell)
+
+
+def export_plant(
+    scene: Scene,
+    path: str | Path,
+    wishes: PlantWishes | None = None,
+    *,
+    fmi: int = 3,
+    model: str | None = None,
+    targets: str | None = None,
+    tell: Progress = lambda _: None,
+) -> Path:
+    """Write the forward dynamics of a scene as a native FMU for co-simulation: where it goes under its inputs.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its parameter values become the start values of the FMU's; it begins at rest where its path begins.
+    path : str or Path
+        The file.
+    wishes : PlantWishes, optional
+        In what the plant differs from the scene's model.
+    fmi, targets, tell
+        As of `export_fmu`.
+    model : str, optional
+        Model of the scene; when not given the first without constraints, or its smallest.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidModel
+        If constraints are redundant, or the equations hold the time.
+    InvalidSetting
+        As `export_fmu`.
+    """
+    require_scene(scene, "export_plant")
+    require_built(path, targets, fmi)
+    tell("compiling the forward dynamics")
+    return written(plant_model(scene, model, wishes), path, fmi, targets, tell)
+
+
+def export_trajectory(
+    scene: Scene,
+    path: str | Path,
+    wishes: TrajectoryWishes | None = None,
+    *,
+    fmi: int = 3,
+    model: str | None = None,
+    targets: str | None = None,
+    tell: Progress = lambda _: None,
+) -> Path:
+    """Write a generator of paths for a scene as a native FMU: lines by a time law, or a path that is baked in.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its own path gives the start values, and is baked in where it is no line.
+    path : str or Path
+        The file.
+    wishes : TrajectoryWishes, optional
+        What shall be played in place of it.
+    fmi, targets, tell
+        As of `export_fmu`.
+    model : str, optional
+        Model of the scene, which says how many derivatives there are; its smallest when not given.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidReference
+        If the path has other components than the scene, or too few derivatives.
+    InvalidSetting
+        As `export_fmu`.
+    """
+    require_scene(scene, "export_trajectory")
+    require_built(path, targets, fmi)
+    return written(trajectory_model(scene, model, wishes), path, fmi, targets, tell)
+
+
+def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
+    """Raise `InvalidSetting` if an FMU cannot be built for its platforms, or written there."""
+    chosen_targets(targets, require_version(fmi))
+    require_places({"the FMU": Path(path)})
+
+
+def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None, tell: Progress) -> Path:
+    """Compile and write an FMU, and return its file."""
+    file, names = Path(path), chosen_targets(targets, fmi)
+    sources = fmu_sources(model, fmi)
+    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, tell)
+    write_together({file: archive(contents(model, fmi, sources, built, names))})
     return file
 
 
@@ -87,7 +188,7 @@ def require_version(fmi: int) -> int:
 
 
 def contents(
-    model: InverseModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
+    model: NativeModel, fmi: int, sources: Mapping[str, str], built: Mapping[str, bytes], targets: tuple[str, ...]
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
     describe = fmi2_description if fmi == 2 else fmi3_description

@@ -1,4 +1,4 @@
-"""The C sources of an inverse model: the mathematics, its tables, and the files that all scenes share."""
+"""The C sources of what is exported: the mathematics, its tables, and the files that all share."""
 
 from __future__ import annotations
 
@@ -6,20 +6,22 @@ import importlib.util
 import math
 import re
 from collections.abc import Mapping
-from math import factorial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from servocore.errors import InvalidSetting, missing_package
-from servocore.export.inverse_model import InverseModel
+from servocore.export.generated import scratch_of
+from servocore.export.native_model import NativeModel
 from servocore.export.variables import Variable
 
 SHARED = Path(__file__).parent / "c"
 """Folder of the files that all scenes share, and of the templates."""
 
-_SHARED_HEADERS = ("inverse.h", "path.h")
+_KERNELS: Mapping[str, tuple[str, ...]] = {
+    "inverse": ("inverse.h", "path.h"),
+    "plant": ("plant.h",),
+    "trajectory": ("trajectory.h",),
+}
 
 HEADERS: Mapping[int, tuple[str, ...]] = {
     2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
@@ -28,7 +30,7 @@ HEADERS: Mapping[int, tuple[str, ...]] = {
 """The official headers, by version of FMI."""
 
 
-def fmu_sources(model: InverseModel, fmi: int) -> dict[str, str]:
+def fmu_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return all C sources of an FMU by file name, FMI's own headers included.
 
     Raises
@@ -43,25 +45,31 @@ def fmu_sources(model: InverseModel, fmi: int) -> dict[str, str]:
     }
 
 
-def _core_sources(model: InverseModel, fmi: int) -> dict[str, str]:
+def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return the mathematics, the tables and what steps it."""
-    header, source = model.mathematics.source()
+    header, source = model.source()
+    values = tables(model, token_of(model, fmi))
+    own = rendered(f"{model.kernel}_own.h.j2", **values)
     return {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
-        "model.h": rendered("model.h.j2", **tables(model, token_of(model, fmi))),
-        **{name: (SHARED / name).read_text(encoding="utf-8") for name in _SHARED_HEADERS},
+        "model.h": rendered("model.h.j2", **(values | {"own": own})),
+        **{name: (SHARED / name).read_text(encoding="utf-8") for name in _headers(model)},
     }
 
 
-def compiled_files(model: InverseModel, fmi: int) -> tuple[str, ...]:
+def compiled_files(model: NativeModel, fmi: int) -> tuple[str, ...]:
     """Return the names of the files that a compiler is given."""
     return f"fmi{fmi}.c", f"{model.identifier}_mathematics.c"
 
 
-def token_of(model: InverseModel, fmi: int) -> str:
+def token_of(model: NativeModel, fmi: int) -> str:
     """Return the token of a build, which changes with everything that is compiled."""
-    return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in (*_SHARED_HEADERS, f"fmi{fmi}.c")])
+    return model.token(*[(SHARED / name).read_text(encoding="utf-8") for name in (*_headers(model), f"fmi{fmi}.c")])
+
+
+def _headers(model: NativeModel) -> tuple[str, ...]:
+    return "instance.h", *_KERNELS[model.kernel]
 
 
 def rendered(template: str, **values: Any) -> str:
@@ -105,45 +113,33 @@ def c_number(value: float) -> str:
     return repr(float(value))
 
 
-def end_conditions(orders: int) -> np.ndarray:
-    """Return the inverse of the conditions at the end of a step on the upper half of a polynomial's coefficients.
-
-    The polynomial of degree 2 orders - 1 joins two instants at which a path and its derivatives are known.
-    """
-    falling = [[factorial(j) / factorial(j - k) for j in range(orders, 2 * orders)] for k in range(orders)]
-    return np.linalg.inv(np.array(falling))
-
-
-def tables(model: InverseModel, token: str = "") -> dict[str, Any]:
+def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
     """Return what the templates are filled in with."""
-    mathematics = model.mathematics
     return {
         "title": model.title,
         "model": model.model,
         "identifier": model.identifier,
+        "kernel": model.kernel,
         "token": token,
         "stamp": int(token[1:9] or "0", 16),
-        "components": model.components,
-        "orders": mathematics.orders,
-        "outputs": mathematics.outputs,
-        "parameters": len(model.of("parameter")) - len(model.settings),
-        "settings": len(model.settings),
-        "internal": len(model.of("local")),
-        "state_size": mathematics.state_size,
-        "nodes": mathematics.nodes,
+        "inputs": model.numbers("input"),
+        "outputs": model.outputs,
+        "parameters": model.numbers("parameter") - sum(each.size or 1 for each in model.settings),
+        "settings": sum(each.size or 1 for each in model.settings),
+        "internal": model.numbers("local"),
+        "choices": model.choices,
         "limits": model.limits,
         "timed": model.timed,
         "arrays": model.variables,
-        "has_quick": int("quick" in mathematics.functions),
-        "scratch": mathematics.scratch(),
+        "scratch": scratch_of(model.functions.values()),
         "numbers": [row for each in model.variables for row in _numbers(each)],
-        "end_conditions": end_conditions(mathematics.orders).tolist(),
+        **model.own,
     }
 
 
 def _numbers(variable: Variable) -> list[dict[str, Any]]:
     starts = variable.starts or (0.0,) * (variable.size or 1)
-    common = {"unit": variable.unit, "low": variable.low, "high": variable.high}
+    common = {"unit": variable.unit, "low": variable.low, "high": variable.high, "fixed": variable.fixed}
     return [{"name": n, "start": s, **common} for n, s in zip(variable.scalar_names, starts, strict=True)]
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
+
+import numpy as np
 
 from servocore.export.units import per_time
 from servocore.model.quantity import Quantity
@@ -17,8 +19,6 @@ Causality = Literal["input", "output", "parameter", "local"]
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap", "crackle", "pop")
 """Names of a path's derivatives of order 0, 1, ...; further ones are called derivative7, ..."""
 
-INPUT_TIMES = ("start", "end")
-"""Values of input_time, from 1 on: the instant of a communication step that its inputs belong to."""
 
 INTERNAL_STEP = "internal_step"
 """Name of the parameter that divides communication steps."""
@@ -50,6 +50,8 @@ class Variable:
         Typical magnitude.
     fixed : bool
         Whether a parameter keeps its value from the end of the initialization on.
+    setting : bool
+        Whether a parameter is none of the model.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Variable:
     high: float = math.inf
     nominal: float | None = None
     fixed: bool = False
+    setting: bool = False
 
     @property
     def scalar_names(self) -> tuple[str, ...]:
@@ -74,6 +77,45 @@ class Variable:
         """The bounds that there are, by the name of FMI's attribute."""
         found = {"min": self.low, "max": self.high}
         return {name: value for name, value in found.items() if abs(value) < _MOST_DISPLAYED}
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A parameter that is one of some names, which are numbered from 1 on.
+
+    Attributes
+    ----------
+    name, description : str
+        As of a `Variable`.
+    items : mapping of str to str
+        Descriptions by name.
+    start : int
+        Number of the item that is chosen at first.
+    """
+
+    name: str
+    description: str
+    items: tuple[tuple[str, str], ...]
+    start: int = 1
+
+    @property
+    def type_name(self) -> str:
+        """Name of its type."""
+        return "".join(part.capitalize() for part in self.name.split("_"))
+
+    @property
+    def listed(self) -> str:
+        """Its items in a sentence."""
+        names = [f"{k} ({name})" for k, (name, _) in enumerate(self.items, start=1)]
+        return " or ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
+
+
+INPUT_TIME = Choice(
+    "input_time",
+    "instant of a communication step that its inputs belong to",
+    (("start", "its start"), ("end", "its end")),
+)
+"""What every model with inputs has."""
 
 
 def order_name(order: int) -> str:
@@ -88,11 +130,10 @@ def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home:
     (``load.position``); otherwise every component has a name of its own (``y.position``).
     """
     count, found = len(outputs), []
-    together = bool(tracked) and count > 1 and len({each.unit for each in outputs}) == 1
     for order in range(orders):
         starts = [float(value) if order == 0 else 0.0 for value in home]
         what = order_name(order)
-        if together:
+        if together(outputs, tracked):
             text = f"{what} wanted of the {tracked}, components {', '.join(each.name for each in outputs)}"
             unit = per_time(outputs[0].unit, order)
             found.append(Variable(f"{tracked}.{what}", "input", unit, text, order * count, tuple(starts), count))
@@ -129,7 +170,7 @@ def parameter_variables(declared: Sequence[Parameter], values: Array, place: int
 def internal_step(place: int) -> Variable:
     """Return the parameter that divides communication steps."""
     text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
-    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), low=0.0, high=3600.0)
+    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), None, 0.0, 3600.0, setting=True)
 
 
 def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:
@@ -137,7 +178,8 @@ def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], plac
     return [
         Variable(
             f"start.{name.removeprefix('q.')}.{order_name(order)}", "parameter", per_time(unit, order),
-            "added to the internal state at its start; 0: it begins at rest", place + k, (0.0,), fixed=True,
+            "added to the internal state at its start; 0: it begins at rest", place + k, (0.0,),
+            fixed=True, setting=True,
         )
         for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
     ]  # fmt: skip
@@ -152,3 +194,164 @@ def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str], plac
         )
         for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
     ]  # fmt: skip
+
+
+# Of a feedback -------------------------------------------------------------------------------------------------------
+
+
+def measured_variables(measured: Sequence[tuple[Quantity, int | None]], place: int) -> list[Variable]:
+    """Return the inputs of what is measured; all zero, there is no feedback."""
+    found = []
+    for each, size in measured:
+        text = f"measured {each.description or each.name}; all zero: no feedback"
+        found.append(
+            Variable(f"measured.{each.name}", "input", each.unit, text, place, (0.0,) * (size or 1), size=size)
+        )
+        place += size or 1
+    return found
+
+
+def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -> list[Variable]:
+    """Return the parameters of a feedback, in the order in which the kernel finds them."""
+    found = [
+        _setting("feedback", "1", "share of the feedback in the outputs, where motion is measured", (1.0,), 0.0, 1.0),
+        _setting(
+            "feedback_distance",
+            "m",
+            "farther than this from its path there is no feedback",
+            (distance,),
+            1e-3,
+            1e9,
+        ),
+        *(
+            _setting(f"limit.{e.name}", e.unit, f"largest |{e.name}| that the drive gives", (1e9,), 1e-3, 1e9)
+            for e in drives
+        ),
+    ]
+    return [placed(each, place + k) for k, each in enumerate(found)]
+
+
+# Of a plant ----------------------------------------------------------------------------------------------------------
+
+
+def together(outputs: Sequence[Quantity], tracked: str) -> bool:
+    """Whether components of an output are vectors: there is a word for what they belong to, and they have one unit."""
+    return bool(tracked) and len(outputs) > 1 and len({each.unit for each in outputs}) == 1
+
+
+def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> list[Variable]:
+    """Return position and velocity of the servo output as outputs."""
+    found, count = [], len(outputs)
+    for order in range(2):
+        what, first = order_name(order), place + order * count
+        if together(outputs, tracked):
+            text = f"{what} of the {tracked}, components {', '.join(each.name for each in outputs)}"
+            unit = per_time(outputs[0].unit, order)
+            found.append(Variable(f"{tracked}.{what}", "output", unit, text, first, size=count))
+            continue
+        found += [
+            Variable(f"{e.name}.{what}", "output", per_time(e.unit, order), f"{what} of {e.name}", first + k)
+            for k, e in enumerate(outputs)
+        ]
+    return found
+
+
+def plant_settings(
+    outputs: Sequence[Quantity], tracked: str, home: Array, longest: float, errors: Mapping[str, str]
+) -> list[Variable]:
+    """Return the parameters of a plant that are none of its model, in the order in which the kernel finds them."""
+    pushes = [_pushing(each, outputs, tracked) for each in ("wind", "gust")]
+    starts = [("start.position", 0, tuple(map(float, home))), ("start.velocity", 1, (0.0,) * len(outputs))]
+    return [
+        *(
+            _setting(name, "1", f"the plant's {of} is larger by this fraction of it", (0.0,), -0.9, 10.0)
+            for name, of in errors.items()
+        ),
+        *(row for each in pushes for row in each),
+        _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9),
+        _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9),
+        _setting(INTERNAL_STEP, "s", "longest step of the solver, Runge-Kutta of order four", (longest,), 1e-6, 1.0),
+        *(row for name, order, values in starts for row in _starting(name, order, values, outputs, tracked)),
+    ]
+
+
+def offset(name: str, units: Sequence[str]) -> Variable:
+    """Return what is added to coordinates at the start, a vector if to several."""
+    size = len(units) if len(units) > 1 else None
+    text = "added at the start, where it rests otherwise"
+    return replace(_setting(name, units[0], text, (0.0,) * len(units)), size=size, fixed=True)
+
+
+def with_starts(variable: Variable, given: Mapping[str, float]) -> Variable:
+    """Return a variable with those start values that are given by the names of its numbers."""
+    if not variable.starts:
+        return variable
+    values = zip(variable.scalar_names, variable.starts, strict=True)
+    return replace(variable, starts=tuple(float(given.get(name, value)) for name, value in values))
+
+
+def _pushing(name: str, outputs: Sequence[Quantity], tracked: str) -> list[Variable]:
+    text = "constant force" if name == "wind" else "force during the gust"
+    if together(outputs, tracked):
+        whole = _setting(name, "N", f"{text} on the {tracked}", (0.0,) * len(outputs))
+        return [replace(whole, size=len(outputs))]
+    return [_setting(f"{name}.{e.name}", "N", f"{text} on {e.name}, N.m for an angle", (0.0,)) for e in outputs]
+
+
+def _starting(
+    name: str, order: int, values: tuple[float, ...], outputs: Sequence[Quantity], tracked: str
+) -> list[Variable]:
+    what = f"{order_name(order)} at the start"
+    if together(outputs, tracked):
+        whole = _setting(name, per_time(outputs[0].unit, order), f"{what} of the {tracked}", values)
+        return [replace(whole, size=len(values), fixed=True)]
+    return [
+        replace(_setting(f"{name}.{e.name}", per_time(e.unit, order), f"{what} of {e.name}", (value,)), fixed=True)
+        for e, value in zip(outputs, values, strict=True)
+    ]
+
+
+def _setting(
+    name: str, unit: str, text: str, starts: tuple[float, ...], low: float = -math.inf, high: float = math.inf
+) -> Variable:
+    return Variable(name, "parameter", unit, text, 0, starts, low=low, high=high, setting=True)
+
+
+# Of a trajectory -----------------------------------------------------------------------------------------------------
+
+
+def path_outputs(outputs: Sequence[Quantity], tracked: str, orders: int) -> list[Variable]:
+    """Return a path and its derivatives as outputs, named as the inputs of an inverse model."""
+    found = path_variables(outputs, tracked, orders, np.zeros(len(outputs)))
+    return [
+        replace(each, causality="output", starts=(), description=each.description.replace(" wanted of", " of"))
+        for each in found
+    ]
+
+
+def line_settings(
+    outputs: Sequence[Quantity], tracked: str, ends: Array, duration: float, start_time: float
+) -> list[Variable]:
+    """Return the parameters of a line from rest to rest, in the order in which the kernel finds them."""
+    found = []
+    for name, values in zip(("start", "end"), ends, strict=True):
+        text = f"{name} of the path"
+        if together(outputs, tracked):
+            whole = _setting(name, outputs[0].unit, text, tuple(map(float, values)))
+            found.append(replace(whole, size=len(outputs)))
+            continue
+        found += [
+            _setting(f"{name}.{e.name}", e.unit, f"{text}, {e.name}", (float(value),))
+            for e, value in zip(outputs, values, strict=True)
+        ]
+    found += [
+        _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9),
+        _setting("start_time", "s", "when the motion starts; the path rests before", (start_time,), -1e9, 1e9),
+        _setting("ramp", "s", "time to accelerate, for three-phase; 0: a quarter of the duration", (0.0,), 0.0, 1e9),
+    ]
+    return [replace(each, fixed=True) for each in found]
+
+
+def placed(variable: Variable, place: int) -> Variable:
+    """Return a variable with its place."""
+    return replace(variable, place=place)

@@ -66,11 +66,14 @@ static void one_call(fmi3Instance c, double *time)
     fmi3Status status = fmi3OK;
     for (size_t k = 0; k < numbers; k++) values[k] = chance(20) ? 0.5 : chance(2) ? NAN : 1e300;
     for (size_t k = 0; k < given; k++) seeds[k] = chance(20) ? 1.0 : INFINITY;
-    switch (chance(8)) {
+    switch (chance(9)) {
     case 0: status = fmi3GetFloat64(c, references, count, values, numbers); break;
     case 1: status = fmi3SetFloat64(c, references, count, values, numbers); break;
     case 2:
         status = fmi3GetDirectionalDerivative(c, references, count, knowns, others, seeds, given, values, numbers);
+        break;
+    case 8:
+        status = fmi3GetAdjointDerivative(c, knowns, others, references, count, seeds, given, values, numbers);
         break;
     case 3: {
         const fmi3ValueReference choice = chance(4) ? N_ARRAYS : chance(N_ARRAYS + 3);

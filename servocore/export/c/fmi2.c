@@ -1,10 +1,9 @@
-/* FMI 2.0 for co-simulation: a thin layer over inverse.h. A value reference is the place of a number; that of input_time
-   follows after the last one. */
+/* FMI 2.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a number; those of choices
+   follow after the last one. */
 
 #include "fmi2Functions.h"
-#include "inverse.h"
-
-#define INPUT_TIME N_NUMBERS
+#include "model.h"
+#include KERNEL
 
 static const fmi2Status STATUS[] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error};
 
@@ -146,8 +145,9 @@ fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference refe
 {
     REQUIRE(ANY, "fmi2GetInteger");
     for (size_t k = 0; k < count; k++) {
-        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Integer");
-        values[k] = (fmi2Integer)instance->state.input_time;
+        if (references[k] < N_NUMBERS || references[k] >= N_NUMBERS + N_CHOICES)
+            return unknown_reference(instance, references[k], "Integer");
+        values[k] = (fmi2Integer)instance->state.choices[references[k] - N_NUMBERS];
     }
     return fmi2OK;
 }
@@ -157,8 +157,9 @@ fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference refe
 {
     REQUIRE(BEFORE | DURING | AFTER, "fmi2SetInteger");
     for (size_t k = 0; k < count; k++) {
-        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Integer");
-        if (set_input_time(instance, values[k]) != GOOD) return fmi2Error;
+        if (references[k] < N_NUMBERS || references[k] >= N_NUMBERS + N_CHOICES)
+            return unknown_reference(instance, references[k], "Integer");
+        if (set_choice(instance, references[k] - N_NUMBERS, values[k]) != GOOD) return fmi2Error;
     }
     return fmi2OK;
 }

@@ -1,11 +1,11 @@
-/* FMI 3.0 for co-simulation: a thin layer over inverse.h. A value reference is the place of a variable among ARRAYS;
-   those of input_time and time follow after the last one. */
+/* FMI 3.0 for co-simulation: a thin layer over instance.h. A value reference is the place of a variable among ARRAYS;
+   those of choices, and of the time, follow after the last one. */
 
 #include "fmi3Functions.h"
-#include "inverse.h"
+#include "model.h"
+#include KERNEL
 
-#define INPUT_TIME N_ARRAYS
-#define TIME (N_ARRAYS + 1)
+#define TIME (N_ARRAYS + N_CHOICES)
 
 static const fmi3Status STATUS[] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error};
 
@@ -172,8 +172,9 @@ fmi3Status fmi3GetInt64(fmi3Instance component, const fmi3ValueReference referen
     REQUIRE(ANY, "fmi3GetInt64");
     if (count != valueCount) return wrong_count(instance, valueCount);
     for (size_t k = 0; k < count; k++) {
-        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Int64");
-        values[k] = instance->state.input_time;
+        if (references[k] < N_ARRAYS || references[k] >= TIME)
+            return unknown_reference(instance, references[k], "Int64");
+        values[k] = instance->state.choices[references[k] - N_ARRAYS];
     }
     return fmi3OK;
 }
@@ -184,8 +185,9 @@ fmi3Status fmi3SetInt64(fmi3Instance component, const fmi3ValueReference referen
     REQUIRE(BEFORE | DURING | AFTER, "fmi3SetInt64");
     if (count != valueCount) return wrong_count(instance, valueCount);
     for (size_t k = 0; k < count; k++) {
-        if (references[k] != INPUT_TIME) return unknown_reference(instance, references[k], "Int64");
-        if (set_input_time(instance, values[k]) != GOOD) return fmi3Error;
+        if (references[k] < N_ARRAYS || references[k] >= TIME)
+            return unknown_reference(instance, references[k], "Int64");
+        if (set_choice(instance, references[k] - N_ARRAYS, values[k]) != GOOD) return fmi3Error;
     }
     return fmi3OK;
 }
@@ -297,6 +299,21 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance component, const fmi3ValueR
     return STATUS[directional(instance, of, derivativeCount, by, seedCount, seeds, derivatives)];
 }
 
+fmi3Status fmi3GetAdjointDerivative(fmi3Instance component, const fmi3ValueReference unknowns[], size_t unknownCount,
+                                    const fmi3ValueReference knowns[], size_t knownCount, const fmi3Float64 seeds[],
+                                    size_t seedCount, fmi3Float64 sensitivities[], size_t sensitivityCount)
+{
+    size_t of[N_NUMBERS] = {0}, by[N_NUMBERS] = {0};
+    long unknownPlaces, knownPlaces;
+    REQUIRE(DURING | AFTER, "fmi3GetAdjointDerivative");
+    unknownPlaces = spread(instance, unknowns, unknownCount, of);
+    knownPlaces = unknownPlaces < 0 ? -1 : spread(instance, knowns, knownCount, by);
+    if (knownPlaces < 0) return fmi3Error;
+    if ((size_t)unknownPlaces != seedCount) return wrong_count(instance, seedCount);
+    if ((size_t)knownPlaces != sensitivityCount) return wrong_count(instance, sensitivityCount);
+    return STATUS[adjoint(instance, of, seedCount, by, sensitivityCount, seeds, sensitivities)];
+}
+
 /* What there is not ---------------------------------------------------------------------------------------------------- */
 
 #define NOT_OFFERED(name, ...) \
@@ -336,8 +353,6 @@ NOT_OFFERED(fmi3SetClock, const Reference r[], size_t n, const fmi3Clock v[])
 NOT_OFFERED(fmi3GetNumberOfVariableDependencies, Reference r, size_t *n)
 NOT_OFFERED(fmi3GetVariableDependencies, Reference r, size_t a[], Reference b[], size_t c[], fmi3DependencyKind d[],
             size_t n)
-NOT_OFFERED(fmi3GetAdjointDerivative, const Reference u[], size_t a, const Reference k[], size_t b,
-            const fmi3Float64 s[], size_t c, fmi3Float64 v[], size_t d)
 NOT_OFFERED_ALONE(fmi3EnterConfigurationMode)
 NOT_OFFERED_ALONE(fmi3ExitConfigurationMode)
 NOT_OFFERED_ALONE(fmi3EnterEventMode)

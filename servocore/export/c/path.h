@@ -8,8 +8,6 @@
 #include <stdint.h>
 #include <string.h>
 
-enum { AT_START = 1, AT_END = 2 }; /* what instant of a step a path is told for: values of input_time */
-
 /* Continue a path by its Taylor polynomial, tau seconds ahead. */
 static void continued(const double *path, double tau, double *found)
 {
@@ -70,7 +68,7 @@ static void path_within(int64_t input_time, const double *first, const double *t
     if (input_time == AT_START)
         continued(told, fraction * h, found);
     else if (fraction == 1.0)
-        memcpy(found, told, N_INPUTS * sizeof *found);
+        memcpy(found, told, N_PATH * sizeof *found);
     else
         joined(first, told, h, fraction, found);
 }

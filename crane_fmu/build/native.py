@@ -1,0 +1,125 @@
+"""The three FMUs of the system in C, which need no Python: what `servocore` exports, with the crane's own feedback."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+
+import servocore as sc
+from crane_fmu.build.bundle import Progress
+from crane_fmu.build.feedback_law import feedback_functions
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Starts
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN
+
+_COORDINATES = "generalized"  # without constraints: feedback and plant are written in its coordinates
+_DISTANCE = 0.5  # m, from the path
+
+
+@dataclass(frozen=True)
+class NativeWishes:
+    """What a native system shall be.
+
+    Attributes
+    ----------
+    reference : Reference, optional
+        The path that the trajectory carries.
+    starts : mapping of str to float or str
+        Start values of parameters in place of defaults.
+    targets : str, optional
+        Platforms, as `sc.export_fmu` takes them.
+    """
+
+    reference: sc.Reference | None
+    starts: Starts
+    targets: str | None
+
+
+def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path]:
+    """Write trajectory, inverse model and plant, FMI 2, named and with variables as those of PythonFMU.
+
+    Parameters
+    ----------
+    folder : Path
+        Where they go.
+    wishes : NativeWishes
+        Path, start values, platforms.
+    tell : callable
+        Told what is being done.
+    """
+    crane = sc.scenes.rotary_crane()
+    own = {name: value for name, value in wishes.starts.items() if name in crane.model().parameters.names}
+    crane = crane.with_parameters(**{name: float(value) for name, value in own.items()})
+    path = wishes.reference
+    given = {name: float(value) for name, value in wishes.starts.items() if not isinstance(value, str)}
+    profile = wishes.starts.get("profile")
+    named = None if profile in (None, FROM_FILE) else str(profile)
+    line = sc.TrajectoryWishes(path, named, given, LOAD_TRAJECTORY.name)
+    plant = sc.PlantWishes(
+        errors={"mass_error": "load_mass"},
+        offsets={"start.swing": ("swing_in", "swing_out")},
+        extra=(tension_of(crane),),
+        start=given,
+        identifier=CRANE_PLANT.name,
+    )
+    files = [folder / each.file_name for each in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)]
+    on_path, law = crane if path is None else crane.with_reference(path), feedback_of(crane)
+    targets = wishes.targets
+    tell("the trajectory")
+    sc.export_trajectory(crane, files[0], line, fmi=2, targets=targets, tell=tell)
+    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, tell=tell)
+    sc.export_plant(crane, files[2], plant, fmi=2, model=_COORDINATES, targets=targets, tell=tell)
+    return files
+
+
+def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
+    """Return the crane's feedback as an exported inverse model carries it: the same functions as in the PythonFMU."""
+    system = crane.model(_COORDINATES)
+    return sc.SampledFeedback(
+        measured=_measured(),
+        laws=feedback_functions(system),
+        judge=_judge(),
+        not_measured="the feedback needs a measured rope length above 0 m, a measured height of the load below 0 m and"
+        " all measured values connected; feedback = 0 does without",
+        largest_turn=LARGEST_TURN,
+        distance=_DISTANCE,
+    )
+
+
+def _measured() -> tuple[tuple[sc.Quantity, int | None], ...]:
+    """Return what is measured with the sizes of vectors, in the order in which the law takes it."""
+    units = {each.name: each.unit for each in ROTARY_CRANE.interface().of("input")}
+    sizes: dict[str, int | None] = {}
+    for name in FEEDBACK_INPUTS:
+        of, _, index = name.partition("[")
+        sizes[of] = int(index.rstrip("]")) if index else None
+    found = []
+    for name, size in sizes.items():
+        unit = units[f"{name}[1]" if size else name]
+        quantity = name.removeprefix("measured.")
+        found.append((sc.Quantity(quantity, unit, f"{quantity} of the load" if size else quantity), size))
+    return tuple(found)
+
+
+def _judge() -> ca.Function:
+    """Return (path before, measured, p, h) -> whether it makes sense, distance from the path, turn of the pendulum."""
+    path, measured, p, h = ca.SX.sym("path", 15), ca.SX.sym("measured", 12), ca.SX.sym("p", 6), ca.SX.sym("h")
+    length, height = measured[2], measured[8]
+    sensible = ca.logic_and(length > 0, height < 0)
+    distance = ca.norm_2(measured[6:9] - path[:3])
+    rate = ca.sqrt(ca.fmax(p[5] + path[8], 0) / length * (1 + p[2] / p[1]))  # as of `fastest_pendulum`
+    return ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, rate * h)])
+
+
+def tension_of(crane: sc.Scene) -> tuple[sc.Quantity, ca.Function]:
+    """Return the rope's tension as (channels of the plant, force on the load, p) -> N."""
+    names = [each.name for each in sc.compile_plant(crane.model(_COORDINATES)).channels]
+    channels, d, p = ca.SX.sym("channels", len(names)), ca.SX.sym("d", 3), ca.SX.sym("p", 6)
+    known: Mapping[str, ca.SX] = dict(zip(names, ca.vertsplit(channels), strict=True))
+    pull = p[2] * ca.vertcat(*(known[f"{axis}_ddot"] for axis in "xyz")) - d + ca.vertcat(0, 0, p[2] * p[5])
+    s, phi = known["s"], known["phi"]
+    rope = ca.vertcat(s * ca.cos(phi), s * ca.sin(phi), 0) - ca.vertcat(*(known[axis] for axis in "xyz"))
+    tension = sc.Quantity("tension", "N", "rope tension", positive=True)
+    return tension, ca.Function("tension", [channels, d, p], [ca.dot(pull, rope) / known["l"]])

@@ -1,0 +1,446 @@
+/* What all exported FMUs have in common, whatever they compute and whatever their version of FMI: times, checks, steps,
+   variables, states, derivatives.
+
+   The mathematics is generated; the tables of variables (model.h) are filled in for each; a kernel (inverse.h, plant.h,
+   trajectory.h) says what belongs to an instant and how to get to the next, and includes this file. Everything is static
+   and nothing is global but constants: instances never meet, and several such models can be linked into one program.
+   Nothing is allocated but the instance itself and saved states. */
+
+#ifndef INSTANCE_H
+#define INSTANCE_H
+
+#include <float.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define LONGEST_STEP 3600.0       /* s; a longer one is taken for a mistake of the host */
+#define MOST_INTERNAL_STEPS 100000.0
+#define JITTER 1e-6               /* of a step: hosts compute times with rounding */
+#define LONGEST_MESSAGE 512
+
+/* Places of numbers, one after the other: inputs, outputs, parameters of the model, settings, internal states. */
+#define FIRST_OUTPUT N_INPUTS
+#define FIRST_PARAMETER (FIRST_OUTPUT + N_OUTPUTS)
+#define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
+#define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
+
+#if N_INPUTS > 0
+#define AT_START_OF_STEP(state) ((state)->choices[INPUT_TIME] == AT_START)
+#else
+#define AT_START_OF_STEP(state) 0
+#endif
+
+typedef enum { GOOD, WARNING, DISCARD, ERROR } Outcome;
+enum { INSTANTIATED, INITIALIZING, STEPPING, TERMINATED };
+
+/* All that what follows depends on, without pointers and without gaps: copied to save and to restore it. */
+typedef struct {
+    uint64_t stamp;               /* of this model: a saved state of another one is refused */
+    int64_t phase;
+    int64_t choices[N_CHOICES];   /* by the numbers of their items, from 1 on */
+    int64_t due;                  /* whether outputs have yet to be computed from the inputs */
+    int64_t steps;                /* taken so far */
+    int64_t warned;               /* what was told that is told once, a bit each */
+    double inputs[AT_LEAST_1(N_INPUTS)];
+    double heard[AT_LEAST_1(N_INPUTS)]; /* the inputs that the last outputs were computed from */
+    double earlier[AT_LEAST_1(N_INPUTS)]; /* those of the step before */
+    double parameters[AT_LEAST_1(N_PARAMETERS + N_SETTINGS)];
+    double step;                  /* the last one, in s */
+    double stop;                  /* end of the experiment, in s */
+    Moment now, before;
+} State;
+
+typedef struct Instance Instance;
+typedef void (*Reporter)(const Instance *instance, Outcome outcome, const char *message);
+
+struct Instance {
+    State state;
+    double told_inputs[AT_LEAST_1(N_INPUTS)]; /* those of the step that is being taken */
+    Moment work;                  /* where steps are taken, so that one that fails leaves no trace */
+    Work scratch;
+    const double *arguments[SCRATCH_ARGUMENTS];
+    double *results[SCRATCH_RESULTS];
+    casadi_int integers[AT_LEAST_1(SCRATCH_INTEGERS)];
+    double numbers[AT_LEAST_1(SCRATCH_NUMBERS)];
+    Reporter report;
+    void *environment;            /* what the host wants back with a message */
+    void *logger;
+    int told[4];                  /* which outcomes it wants to be told */
+    char *name;
+};
+
+/* What a kernel says. */
+
+/* Fill in instance->work for the instant of the present from the inputs: the start. */
+static Outcome first_moment(Instance *instance);
+/* Take instance->work, which is the present, h seconds further. */
+static Outcome move(Instance *instance, double time, double h);
+/* Tell what is odd about a step that has been taken: GOOD or WARNING. */
+static Outcome remark_step(Instance *instance, double time);
+/* Derivatives of the outputs as they were last computed, by inputs and parameters, along one direction. */
+static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
+
+static Outcome say(const Instance *instance, Outcome outcome, const char *format, ...)
+{
+    char message[LONGEST_MESSAGE];
+    va_list values;
+    if (instance->report != NULL && instance->told[outcome]) {
+        va_start(values, format);
+        vsnprintf(message, sizeof message, format, values);
+        va_end(values);
+        instance->report(instance, outcome, message);
+    }
+    return outcome;
+}
+
+/* What may be called when ---------------------------------------------------------------------------------------- */
+
+#define BEFORE (1u << INSTANTIATED)
+#define DURING (1u << INITIALIZING)
+#define AFTER (1u << STEPPING)
+#define ENDED (1u << TERMINATED)
+#define ANY (BEFORE | DURING | AFTER | ENDED)
+
+/* Whether a call is allowed now; says so if not. */
+static int refused(const Instance *instance, unsigned phases, const char *call)
+{
+    if (instance == NULL) return 1;
+    if (phases >> instance->state.phase & 1u) return 0;
+    say(instance, ERROR, "%s is not allowed now", call);
+    return 1;
+}
+
+static const char *const CATEGORY[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+
+/* Switch what is told on or off: the categories that are named, or all without a name. */
+static Outcome set_logging(Instance *instance, int on, size_t count, const char *const categories[])
+{
+    for (size_t k = 0; k < count; k++) {
+        const int all = strcmp(categories[k], "logAll") == 0;
+        int known = all;
+        for (int outcome = 0; outcome < 4; outcome++)
+            if (all || strcmp(categories[k], CATEGORY[outcome]) == 0) {
+                instance->told[outcome] = on;
+                known = 1;
+            }
+        if (!known) return say(instance, ERROR, "there is no logger category %.100s", categories[k]);
+    }
+    for (int outcome = 0; outcome < 4 && count == 0; outcome++) instance->told[outcome] = on;
+    return GOOD;
+}
+
+/* Start and end -------------------------------------------------------------------------------------------------- */
+
+static void reset(Instance *instance)
+{
+    State *state = &instance->state;
+    memset(state, 0, sizeof *state);
+    state->stamp = STAMP;
+    state->phase = INSTANTIATED;
+    for (size_t k = 0; k < N_CHOICES; k++) state->choices[k] = CHOICES[k].start;
+    state->due = 1;
+    state->stop = DBL_MAX;
+    for (size_t k = 0; k < N_INPUTS; k++) state->inputs[k] = VARIABLES[k].start;
+    for (size_t k = 0; k < N_PARAMETERS + N_SETTINGS; k++)
+        state->parameters[k] = VARIABLES[FIRST_PARAMETER + k].start;
+}
+
+static Instance *new_instance(const char *name)
+{
+    Instance *instance = calloc(1, sizeof *instance);
+    const size_t length = strlen(name) + 1;
+    if (instance == NULL) return NULL;
+    instance->name = malloc(length);
+    if (instance->name == NULL) {
+        free(instance);
+        return NULL;
+    }
+    memcpy(instance->name, name, length);
+    for (int k = 0; k < 4; k++) instance->told[k] = 1;
+    reset(instance);
+    return instance;
+}
+
+static void free_instance(Instance *instance)
+{
+    if (instance == NULL) return;
+    free(instance->name);
+    free(instance);
+}
+
+/* The times of the experiment, which a host tells before or with the initialization. */
+static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
+{
+    if (!(fabs(start) <= DBL_MAX) || (stops && !(stop >= start)))
+        return say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop);
+    instance->state.now.time = start;
+    instance->state.stop = stops ? stop : DBL_MAX;
+    return GOOD;
+}
+
+/* Checks, each with its sentence ------------------------------------------------------------------------------------- */
+
+static int all_finite(const double *values, size_t count)
+{
+    for (size_t k = 0; k < count; k++)
+        if (!(fabs(values[k]) <= DBL_MAX)) return 0;
+    return 1;
+}
+static Outcome require_finite_inputs(const Instance *instance, double time)
+{
+    const double *inputs = instance->state.inputs;
+    for (size_t k = 0; k < N_INPUTS; k++)
+        if (!(fabs(inputs[k]) <= DBL_MAX))
+            return say(instance, DISCARD, "at t = %.6g s the input %s is %g, not a finite number", time,
+                       VARIABLES[k].name, inputs[k]);
+    return GOOD;
+}
+
+static Outcome require_step(const Instance *instance, double time, double h)
+{
+    const double present = instance->state.now.time, size = fmax(fabs(time), fabs(present));
+    if (!(fabs(time) <= DBL_MAX))
+        return say(instance, ERROR, "the communication point must be a finite number, not %g s", time);
+    if (!(h > 0.0 && h <= LONGEST_STEP))
+        return say(instance, ERROR, "at t = %.6g s the communication step is %g s, it must be above 0 s and at most %g s",
+                   time, h, LONGEST_STEP);
+    if (time + h <= time)
+        return say(instance, ERROR, "at t = %.17g s a communication step of %g s is lost in round-off", time, h);
+    if (!(fabs(time - present) <= JITTER * h + 4.0 * DBL_EPSILON * size))
+        return say(instance, ERROR,
+                   "the communication point t = %.9g s lies %s the FMU's time %.9g s;"
+                   " to repeat a step restore the FMU's state first",
+                   time, time < present ? "behind" : "ahead of", present);
+    if (time + h > instance->state.stop + JITTER * h + 4.0 * DBL_EPSILON * size)
+        return say(instance, ERROR, "at t = %.9g s a communication step of %g s goes beyond the stop time of %.9g s", time,
+                   h, instance->state.stop);
+    return GOOD;
+}
+
+/* Outputs ------------------------------------------------------------------------------------------------------------ */
+
+/* Keep angles within half a turn of those before. */
+static void keep_turning(Moment *moment, const Moment *before)
+{
+    const double turn = 6.283185307179586;
+    for (size_t k = 0; k < N_OUTPUTS; k++)
+        if (OUTPUT_WRAPS[k]) {
+            const double change = before->outputs[k] - moment->outputs[k];
+            if (!(fabs(change) <= turn / 2.0)) moment->outputs[k] += turn * floor(change / turn + 0.5);
+        }
+}
+
+/* Compute outputs from the inputs as they are, where that is still to be done: before the first step. */
+static Outcome refresh(Instance *instance)
+{
+    State *state = &instance->state;
+    Outcome outcome;
+    if (!state->due) return GOOD;
+    outcome = require_finite_inputs(instance, state->now.time);
+    if (outcome != GOOD) return outcome;
+    memset(&instance->work, 0, sizeof instance->work);
+    instance->work.time = state->now.time;
+    outcome = first_moment(instance);
+    if (outcome != GOOD) return outcome;
+    state->now = state->before = instance->work;
+    memcpy(state->heard, state->inputs, sizeof state->heard);
+    state->due = 0;
+    return GOOD;
+}
+
+/* Some masters pass connected values on after the first step only: a path is not left for zeros then. */
+static void take_inputs(Instance *instance)
+{
+    State *state = &instance->state;
+    int nothing = state->steps == 0;
+    for (size_t k = 0; k < N_PATH && nothing; k++) nothing = state->inputs[k] == 0.0;
+    memcpy(instance->told_inputs, state->inputs, sizeof instance->told_inputs);
+    if (nothing) memcpy(instance->told_inputs, state->heard, N_PATH * sizeof(double));
+}
+
+/* One communication step: a step that is refused leaves everything as it was. */
+static Outcome do_step(Instance *instance, double time, double h)
+{
+    State *state = &instance->state;
+    Outcome outcome = require_step(instance, time, h), remark;
+    if (outcome == GOOD) outcome = refresh(instance);
+    if (outcome == GOOD)
+        outcome = require_finite_inputs(instance, AT_START_OF_STEP(state) ? time : time + h);
+    if (outcome != GOOD) return outcome;
+    instance->work = state->now;
+    take_inputs(instance);
+    outcome = move(instance, time, h);
+    if (outcome > WARNING) return outcome;
+    remark = remark_step(instance, time);
+    if (outcome == WARNING) remark = WARNING;
+    state->before = state->now;
+    state->now = instance->work;
+    memcpy(state->earlier, state->heard, sizeof state->earlier);
+    memcpy(state->heard, instance->told_inputs, sizeof state->heard);
+    state->step = h;
+    state->steps++;
+    return remark;
+}
+
+/* Variables ---------------------------------------------------------------------------------------------------------- */
+
+static Outcome get_numbers(Instance *instance, size_t first, size_t count, double *values)
+{
+    const State *state = &instance->state;
+    for (size_t k = first; k < first + count; k++) {
+        double value;
+        if (k < FIRST_OUTPUT)
+            value = state->inputs[k];
+        else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
+            value = state->parameters[k - FIRST_PARAMETER];
+        else {
+            const Outcome outcome = refresh(instance);
+            if (outcome != GOOD) return outcome == DISCARD ? ERROR : outcome;
+            value = k < FIRST_PARAMETER ? state->now.outputs[k - FIRST_OUTPUT]
+                                        : INTERNAL(state->now, k - FIRST_INTERNAL);
+        }
+        *values++ = value;
+    }
+    return GOOD;
+}
+
+/* Whether a number may be set; NaN and infinite inputs are met when they are used, with the time. */
+static Outcome set_number(Instance *instance, size_t k, double value)
+{
+    State *state = &instance->state;
+    const Variable *variable = &VARIABLES[k];
+    if (k < N_INPUTS) {
+        state->inputs[k] = value;
+        if (state->phase != STEPPING) state->due = 1;
+        return GOOD;
+    }
+    if (k < FIRST_PARAMETER || k >= FIRST_INTERNAL)
+        return say(instance, ERROR, "%s is calculated and cannot be set", variable->name);
+    if (!(value >= variable->low && value <= variable->high && fabs(value) <= DBL_MAX))
+        return say(instance, ERROR, "%s = %g %s is outside its range [%g, %g] %s", variable->name, value, variable->unit,
+                   variable->low, variable->high, variable->unit);
+    if (variable->fixed && state->phase == STEPPING)
+        return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",
+                   variable->name);
+    state->parameters[k - FIRST_PARAMETER] = value;
+    if (state->phase != STEPPING) state->due = 1;
+    return GOOD;
+}
+
+static Outcome set_choice(Instance *instance, size_t k, int64_t value)
+{
+    if (instance->state.phase == STEPPING)
+        return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",
+                   CHOICES[k].name);
+    if (value < 1 || value > CHOICES[k].count)
+        return say(instance, ERROR, "%s = %lld is unknown; it may be %s", CHOICES[k].name, (long long)value,
+                   CHOICES[k].items);
+    instance->state.choices[k] = value;
+    instance->state.due = 1;
+    return GOOD;
+}
+
+/* States ------------------------------------------------------------------------------------------------------------- */
+
+static Outcome require_state(const Instance *instance, const State *saved)
+{
+    int known = saved->stamp == STAMP && saved->phase >= INSTANTIATED && saved->phase <= TERMINATED;
+    for (size_t k = 0; k < N_CHOICES; k++) known &= saved->choices[k] >= 1 && saved->choices[k] <= CHOICES[k].count;
+    if (!known)
+        return say(instance, ERROR, "the saved state is not one of %s, or of another version of it", MODEL_NAME);
+    return GOOD;
+}
+
+/* Copy a state to where the host keeps it; the memory is new where there is none yet. */
+static Outcome keep_state(const Instance *instance, const State *state, void **saved)
+{
+    if (*saved == NULL) *saved = malloc(sizeof(State));
+    if (*saved == NULL) return say(instance, ERROR, "there is no memory left to save the state in");
+    memcpy(*saved, state, sizeof(State));
+    return GOOD;
+}
+
+static Outcome restore_state(Instance *instance, const void *saved)
+{
+    if (saved == NULL) return say(instance, ERROR, "there is no saved state to restore");
+    if (require_state(instance, saved) != GOOD) return ERROR;
+    memcpy(&instance->state, saved, sizeof(State));
+    return GOOD;
+}
+
+static void free_state(void **saved)
+{
+    if (saved == NULL) return;
+    free(*saved);
+    *saved = NULL;
+}
+
+static Outcome write_state(const Instance *instance, const void *saved, void *bytes, size_t size)
+{
+    if (saved == NULL) return say(instance, ERROR, "there is no saved state to write");
+    if (size < sizeof(State))
+        return say(instance, ERROR, "a state takes %u bytes, there are %u", (unsigned)sizeof(State), (unsigned)size);
+    memcpy(bytes, saved, sizeof(State));
+    return GOOD;
+}
+
+static Outcome read_state(const Instance *instance, const void *bytes, size_t size, void **saved)
+{
+    State state;
+    if (size != sizeof(State))
+        return say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size);
+    memcpy(&state, bytes, sizeof(State));
+    if (require_state(instance, &state) != GOOD) return ERROR;
+    return keep_state(instance, &state, saved);
+}
+
+/* Derivatives -------------------------------------------------------------------------------------------------------- */
+
+/* Add up derivatives of unknowns (places of outputs) by knowns (places of inputs or parameters), times their seeds. */
+static Outcome directional(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
+                           size_t known_count, const double *seeds, double *found)
+{
+    double input_seed[AT_LEAST_1(N_INPUTS)] = {0.0}, parameter_seed[AT_LEAST_1(N_PARAMETERS)] = {0.0}, outputs[N_OUTPUTS];
+    Outcome outcome;
+    for (size_t k = 0; k < unknown_count; k++)
+        if (unknowns[k] < FIRST_OUTPUT || unknowns[k] >= FIRST_PARAMETER)
+            return say(instance, ERROR, "%s is no output: there are derivatives of outputs only",
+                       VARIABLES[unknowns[k]].name);
+    for (size_t k = 0; k < known_count; k++) {
+        const size_t place = knowns[k];
+        if (place < N_INPUTS)
+            input_seed[place] += seeds[k];
+        else if (place >= FIRST_PARAMETER && place < FIRST_PARAMETER + N_PARAMETERS)
+            parameter_seed[place - FIRST_PARAMETER] += seeds[k];
+        else
+            return say(instance, ERROR, "there are no derivatives by %s, only by inputs and parameters of the model",
+                       VARIABLES[place].name);
+    }
+    outcome = differentiate(instance, input_seed, parameter_seed, outputs);
+    if (outcome != GOOD) return outcome;
+    for (size_t k = 0; k < unknown_count; k++) found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
+    return GOOD;
+}
+
+/* Sensitivities of a weighted sum of unknowns, one by each known: a direction at a time, for a step may be many. */
+static Outcome adjoint(Instance *instance, const size_t *unknowns, size_t unknown_count, const size_t *knowns,
+                       size_t known_count, const double *weights, double *found)
+{
+    const double one = 1.0;
+    double each[N_OUTPUTS];
+    if (unknown_count > N_OUTPUTS)
+        return say(instance, ERROR, "there are %d outputs, fewer than asked for", N_OUTPUTS);
+    for (size_t k = 0; k < known_count; k++) {
+        const Outcome outcome = directional(instance, unknowns, unknown_count, &knowns[k], 1, &one, each);
+        if (outcome != GOOD) return outcome;
+        found[k] = 0.0;
+        for (size_t i = 0; i < unknown_count; i++) found[k] += weights[i] * each[i];
+    }
+    return GOOD;
+}
+
+#endif

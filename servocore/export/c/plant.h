@@ -1,0 +1,288 @@
+/* Forward dynamics: where a system goes under its inputs, which run between communication points as is told, disturbed
+   by wind and a gust, and held by brakes until there is an input.
+
+   The mathematics is generated: `begin`, and steps and observation with inputs given or held. */
+
+#ifndef PLANT_H
+#define PLANT_H
+
+#include "model.h"
+
+/* What belongs to one instant. */
+typedef struct {
+    double time;
+    double state[N_STATE];
+    double acting[N_INPUTS];      /* inputs at this instant, continued */
+    double last_step;             /* 0 if there is none to continue the inputs from */
+    int64_t released;             /* 0 while the brakes hold */
+    double outputs[N_OUTPUTS];
+} Moment;
+
+typedef struct {
+    double parameters[AT_LEAST_1(N_PARAMETERS)], next[N_STATE], margins[AT_LEAST_1(N_LIMITS)];
+    double seeds[AT_LEAST_1(N_PARAMETERS)], state_seed[N_STATE], next_seed[N_STATE];
+} Work;
+
+#define INTERNAL(moment, k) (moment).state[k]
+
+#include "instance.h"
+
+/* Settings, behind the parameters. */
+#define PLACE_WIND (N_PARAMETERS + N_ERRORS)
+#define PLACE_GUST (PLACE_WIND + N_PUSHED)
+#define PLACE_GUST_START (PLACE_GUST + N_PUSHED)
+#define PLACE_GUST_DURATION (PLACE_GUST_START + 1)
+#define PLACE_LONGEST (PLACE_GUST_DURATION + 1)
+#define PLACE_POSITION (PLACE_LONGEST + 1)
+#define PLACE_VELOCITY (PLACE_POSITION + N_PUSHED)
+#define PLACE_OFFSETS (PLACE_VELOCITY + N_PUSHED)
+
+enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
+enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
+
+static int any(const double *values, size_t count)
+{
+    for (size_t k = 0; k < count; k++)
+        if (values[k] != 0.0) return 1;
+    return 0;
+}
+
+/* How fast the plant's own parameters grow with those of the model, which they are larger than. */
+static double larger(const State *state, size_t place)
+{
+    double factor = 1.0;
+    for (size_t k = 0; k < N_ERRORS; k++)
+        if (ERRORS[k] == place) factor *= 1.0 + state->parameters[N_PARAMETERS + k];
+    return factor;
+}
+
+static void prepare(Instance *instance)
+{
+    for (size_t k = 0; k < N_PARAMETERS; k++)
+        instance->scratch.parameters[k] = instance->state.parameters[k] * larger(&instance->state, k);
+}
+
+/* The force on the output just after an instant. */
+static void pushed(const double *parameters, double time, double *force)
+{
+    const double start = parameters[PLACE_GUST_START];
+    const int blows = start <= time && time < start + parameters[PLACE_GUST_DURATION];
+    for (size_t k = 0; k < N_PUSHED; k++)
+        force[k] = blows ? parameters[PLACE_WIND + k] + parameters[PLACE_GUST + k] : parameters[PLACE_WIND + k];
+}
+
+/* The mathematics ---------------------------------------------------------------------------------------------------- */
+
+static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
+{
+    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
+}
+
+/* One step of h seconds; the inputs are held where `u` is NULL. Along directions as well where `state_seed` is one. */
+static void one_step(Instance *instance, double *state, const double *u, const double *slope, const double *force,
+                     double h, const double *u_seed, const double *slope_seed)
+{
+    Work *work = &instance->scratch;
+    const double **arguments = instance->arguments;
+    for (int tangent = u_seed != NULL; tangent >= 0; tangent--) {
+        size_t k = 0;
+        arguments[k++] = state;
+        if (u != NULL) {
+            arguments[k++] = u;
+            arguments[k++] = slope;
+        }
+        arguments[k++] = force;
+        arguments[k++] = work->parameters;
+        arguments[k++] = &h;
+        if (tangent) {
+            arguments[k++] = work->state_seed;
+            if (u != NULL) {
+                arguments[k++] = u_seed;
+                arguments[k++] = slope_seed;
+            }
+            arguments[k++] = work->seeds;
+        }
+        instance->results[0] = tangent ? work->next_seed : work->next;
+        if (tangent)
+            call(instance, u != NULL ? MATHEMATICS(step_tangent) : MATHEMATICS(held_step_tangent));
+        else
+            call(instance, u != NULL ? MATHEMATICS(step) : MATHEMATICS(held_step));
+    }
+    if (u_seed != NULL) memcpy(work->state_seed, work->next_seed, sizeof work->state_seed);
+    memcpy(state, work->next, sizeof work->next);
+}
+
+/* Look at a moment: outputs and margins, or their derivatives along work->state_seed and a direction of the inputs. */
+static void observe(Instance *instance, const Moment *moment, double *outputs, const double *u_seed)
+{
+    Work *work = &instance->scratch;
+    const double **arguments = instance->arguments;
+    double force[N_PUSHED];
+    size_t k = 0;
+    pushed(instance->state.parameters, moment->time, force);
+    arguments[k++] = moment->state;
+    if (moment->released) arguments[k++] = moment->acting;
+    arguments[k++] = force;
+    arguments[k++] = work->parameters;
+    instance->results[0] = outputs;
+    if (u_seed == NULL) {
+        instance->results[1] = work->margins;
+        call(instance, moment->released ? MATHEMATICS(observe) : MATHEMATICS(held_observe));
+        return;
+    }
+    arguments[k++] = work->state_seed;
+    if (moment->released) arguments[k++] = u_seed;
+    arguments[k++] = work->seeds;
+    call(instance, moment->released ? MATHEMATICS(observe_tangent) : MATHEMATICS(held_observe_tangent));
+}
+
+/* Steps -------------------------------------------------------------------------------------------------------------- */
+
+static Outcome checked_moment(Instance *instance, Moment *moment, double h)
+{
+    if (!all_finite(moment->state, N_STATE))
+        return say(instance, DISCARD, "the step from t = %.6g s to %.6g s has no finite result: the inputs are too large,"
+                   " or internal_step is", moment->time - h, moment->time);
+    observe(instance, moment, moment->outputs, NULL);
+    for (int k = 0; k < N_LIMITS; k++)
+        if (!(instance->scratch.margins[k] > 0.0))
+            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay above %g %s", moment->time,
+                       LIMITS[k].reason, *LIMITS[k].reason ? ": " : "", LIMITS[k].quantity,
+                       LIMITS[k].bound + instance->scratch.margins[k], LIMITS[k].unit, LIMITS[k].bound, LIMITS[k].unit);
+    for (size_t k = 0; k < N_OUTPUTS; k++)
+        if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
+            return say(instance, DISCARD, "at t = %.6g s %s is %.4g %s, it must stay above 0 %s", moment->time,
+                       VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit,
+                       VARIABLES[FIRST_OUTPUT + k].unit);
+    if (!all_finite(moment->outputs, N_OUTPUTS))
+        return say(instance, DISCARD, "at t = %.6g s the outputs are not finite", moment->time);
+    return GOOD;
+}
+
+static Outcome first_moment(Instance *instance)
+{
+    const double *parameters = instance->state.parameters;
+    Moment *work = &instance->work;
+    double force[N_PUSHED];
+    prepare(instance);
+    instance->arguments[0] = parameters + PLACE_POSITION;
+    instance->arguments[1] = parameters + PLACE_VELOCITY;
+    instance->arguments[2] = parameters + PLACE_OFFSETS;
+    instance->arguments[3] = instance->scratch.parameters;
+    instance->results[0] = work->state;
+    call(instance, MATHEMATICS(begin));
+    if (!all_finite(work->state, N_STATE))
+        return say(instance, DISCARD, "at t = %.6g s no motion has its output where start.position is", work->time);
+    memcpy(work->acting, instance->state.inputs, sizeof work->acting);
+    pushed(parameters, work->time, force);
+    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, N_PUSHED + N_OFFSETS) ||
+                     any(force, N_PUSHED) || instance->state.choices[BRAKES] == NO_BRAKES;
+    return checked_moment(instance, work, 0.0);
+}
+
+/* Inputs at the start of a step, and how fast they change. */
+static void reconstructed(const State *state, const Moment *now, const double *u, const double *heard, double h,
+                          double *begin, double *slope)
+{
+    const int held = state->choices[HOLD] == ZERO_ORDER || !now->released;
+    const int reached = state->choices[INPUT_TIME] == AT_END;
+    for (size_t k = 0; k < N_INPUTS; k++) {
+        begin[k] = !held && reached ? heard[k] : u[k];
+        slope[k] = held ? 0.0 : reached ? (u[k] - heard[k]) / h : now->last_step > 0.0 ? (u[k] - heard[k]) / now->last_step : 0.0;
+    }
+}
+
+/* Divide the time from `begin` to `end` into steps; the inputs are those of a step that began at `time`. */
+static Outcome through(Instance *instance, double time, double begin, double end, const double *u, const double *slope,
+                       const double *u_seed, const double *slope_seed)
+{
+    const double longest = instance->state.parameters[PLACE_LONGEST], duration = end - begin;
+    const double count = duration > longest ? fmax(1.0, floor(duration / longest + 0.5)) : 1.0, h = duration / count;
+    double force[N_PUSHED], now[N_INPUTS], now_seed[N_INPUTS];
+    if (count > MOST_INTERNAL_STEPS)
+        return say(instance, ERROR, "an internal_step of %g s divides the communication step of %g s into more than %g"
+                   " steps", longest, duration, MOST_INTERNAL_STEPS);
+    pushed(instance->state.parameters, begin, force);
+    for (double i = 0.0; i < count; i += 1.0) {
+        const double elapsed = begin - time + i * h;
+        for (size_t k = 0; k < N_INPUTS && u != NULL; k++) {
+            now[k] = u[k] + slope[k] * elapsed;
+            if (u_seed != NULL) now_seed[k] = u_seed[k] + slope_seed[k] * elapsed;
+        }
+        one_step(instance, instance->work.state, u == NULL ? NULL : now, slope, force, h, u_seed == NULL ? NULL : now_seed,
+                 slope_seed);
+    }
+    return GOOD;
+}
+
+/* Go through a communication step, divided where the gust begins and ends. */
+static Outcome integrated(Instance *instance, double time, double h, const double *u, const double *slope,
+                          const double *u_seed, const double *slope_seed)
+{
+    const double start = instance->state.parameters[PLACE_GUST_START], end = time + h;
+    const double edges[] = {start, start + instance->state.parameters[PLACE_GUST_DURATION], end};
+    double begin = time;
+    for (size_t k = 0; k < 3; k++)
+        if (k == 2 || (time < edges[k] && edges[k] < end && edges[k] > begin)) {
+            const Outcome outcome = through(instance, time, begin, edges[k], u, slope, u_seed, slope_seed);
+            if (outcome != GOOD) return outcome;
+            begin = edges[k];
+        }
+    return GOOD;
+}
+
+static Outcome move(Instance *instance, double time, double h)
+{
+    State *state = &instance->state;
+    Moment *work = &instance->work;
+    const int released = work->released || any(state->inputs, N_INPUTS);
+    double begin[N_INPUTS], slope[N_INPUTS];
+    Outcome outcome;
+    prepare(instance);
+    reconstructed(state, &state->now, state->inputs, state->heard, h, begin, slope);
+    outcome = integrated(instance, time, h, released ? begin : NULL, slope, NULL, NULL);
+    if (outcome != GOOD) return outcome;
+    for (size_t k = 0; k < N_INPUTS; k++) work->acting[k] = begin[k] + slope[k] * h;
+    work->last_step = released && state->choices[HOLD] == FIRST_ORDER ? h : 0.0;
+    work->released = released;
+    work->time = time + h;
+    return checked_moment(instance, work, h);
+}
+
+static Outcome remark_step(Instance *instance, double time)
+{
+    (void)instance;
+    (void)time;
+    return GOOD;
+}
+
+/* Derivatives -------------------------------------------------------------------------------------------------------- */
+
+static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found)
+{
+    const State *state = &instance->state;
+    Work *scratch = &instance->scratch;
+    const Outcome outcome = refresh(instance);
+    static const double none[N_INPUTS];
+    double u[N_INPUTS], slope[N_INPUTS], u_seed[N_INPUTS] = {0.0}, slope_seed[N_INPUTS] = {0.0}, acting[N_INPUTS];
+    if (outcome != GOOD) return outcome;
+    prepare(instance);
+    for (size_t k = 0; k < N_PARAMETERS; k++) scratch->seeds[k] = parameter_seed[k] * larger(state, k);
+    memset(scratch->state_seed, 0, sizeof scratch->state_seed);
+    memcpy(acting, input_seed, sizeof acting);
+    if (state->steps > 0) {
+        const double h = state->step;
+        instance->work = state->before;
+        reconstructed(state, &state->before, state->heard, state->earlier, h, u, slope);
+        reconstructed(state, &state->before, input_seed, none, h, u_seed, slope_seed);
+        if (integrated(instance, state->before.time, h, state->now.released ? u : NULL, slope, u_seed, slope_seed) != GOOD)
+            return ERROR;
+        for (size_t k = 0; k < N_INPUTS; k++) acting[k] = u_seed[k] + slope_seed[k] * h;
+    }
+    observe(instance, &state->now, found, acting);
+    if (!all_finite(found, N_OUTPUTS))
+        return say(instance, DISCARD, "at t = %.6g s the outputs have no derivatives", state->now.time);
+    return GOOD;
+}
+
+#endif

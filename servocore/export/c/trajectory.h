@@ -1,0 +1,120 @@
+/* A path and its derivatives over time: a line from rest to rest by a time law, or a path that is baked in.
+
+   The time laws are generated: start, end, duration, start time, ramp and time -> the path, order by order. */
+
+#ifndef TRAJECTORY_H
+#define TRAJECTORY_H
+
+#include "model.h"
+
+/* What belongs to one instant. */
+typedef struct {
+    double time;
+    double outputs[N_OUTPUTS];
+} Moment;
+
+typedef struct {
+    double unused;
+} Work;
+
+#define INTERNAL(moment, k) 0.0
+
+#include "instance.h"
+
+/* Settings; there are no parameters before them. */
+#define PLACE_START 0
+#define PLACE_END (PLACE_START + COMPONENTS)
+#define PLACE_DURATION (PLACE_END + COMPONENTS)
+#define PLACE_START_TIME (PLACE_DURATION + 1)
+#define PLACE_RAMP (PLACE_START_TIME + 1)
+
+#if N_PIECES > 0
+static size_t piece_of(double time)
+{
+    size_t low = 0, high = N_PIECES;
+    while (high - low > 1) {
+        const size_t middle = (low + high) / 2;
+        if (time >= KNOTS[middle])
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+static void follow_table(double time, double *found)
+{
+    const size_t piece = piece_of(time);
+    const double left = KNOTS[piece], right = KNOTS[piece + 1], length = right - left;
+    const double u = ((time - left) - (right - time)) / (2.0 * length);
+    const int before = RESTS_BEFORE && time <= KNOTS[0], after = RESTS_AFTER && time >= KNOTS[N_PIECES];
+    for (size_t c = 0; c < COMPONENTS; c++) {
+        double scale = 1.0;
+        for (size_t k = 0; k < ORDERS; k++) {
+            double value = 0.0;
+            for (size_t j = DEGREE + 1; j-- > k;) {
+                double falling = 1.0;
+                for (size_t i = 0; i < k; i++) falling *= (double)(j - i);
+                value = value * u + falling * COEFFICIENTS[piece][j * COMPONENTS + c];
+            }
+            if (before && (k == 0 || k <= REST_ORDER || time < KNOTS[0])) value = k == 0 ? ENDS[0][c] : 0.0;
+            if (after) value = k == 0 ? ENDS[1][c] : 0.0;
+            found[k * COMPONENTS + c] = value / scale;
+            scale *= length;
+        }
+    }
+}
+#endif
+
+static Outcome followed(Instance *instance, Moment *moment)
+{
+    const double *settings = instance->state.parameters, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
+    const int64_t law = instance->state.choices[PROFILE];
+#if N_PIECES > 0
+    if (law > N_LAWS) {
+        follow_table(moment->time, moment->outputs);
+        return GOOD;
+    }
+#endif
+    if (ramp > 0.0 && law != RAMPED)
+        return say(instance, DISCARD, "a ramp belongs to the profile %d, not to %d", RAMPED, (int)law);
+    if (ramp > duration / 2.0)
+        return say(instance, DISCARD, "a path with a ramp of %g s takes at least %g s, but its duration is %g s", ramp,
+                   2.0 * ramp, duration);
+    instance->arguments[0] = settings + PLACE_START;
+    instance->arguments[1] = settings + PLACE_END;
+    instance->arguments[2] = &settings[PLACE_DURATION];
+    instance->arguments[3] = &settings[PLACE_START_TIME];
+    instance->arguments[4] = &settings[PLACE_RAMP];
+    instance->arguments[5] = &moment->time;
+    instance->results[0] = moment->outputs;
+    LAWS[law - 1](instance->arguments, instance->results, instance->integers, instance->numbers, 0);
+    if (!all_finite(moment->outputs, N_OUTPUTS))
+        return say(instance, DISCARD, "at t = %.6g s the path is not finite", moment->time);
+    return GOOD;
+}
+
+static Outcome first_moment(Instance *instance) { return followed(instance, &instance->work); }
+
+static Outcome move(Instance *instance, double time, double h)
+{
+    instance->work.time = time + h;
+    return followed(instance, &instance->work);
+}
+
+static Outcome remark_step(Instance *instance, double time)
+{
+    (void)instance;
+    (void)time;
+    return GOOD;
+}
+
+static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found)
+{
+    (void)input_seed;
+    (void)parameter_seed;
+    (void)found;
+    return say(instance, ERROR, "a path has no inputs, and is not differentiated by its settings");
+}
+
+#endif

@@ -1,0 +1,39 @@
+"""Names that C and FMI take: identifiers made of a scene's name, and variables that differ."""
+
+from __future__ import annotations
+
+import keyword
+import re
+from collections.abc import Sequence
+
+from servocore.errors import InvalidModel
+from servocore.export.variables import Variable
+from servocore.problem import Problem
+
+_LONGEST_IDENTIFIER = 40
+_NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  # files, and CMake's own targets
+
+
+def identifier_of(name: str) -> str:
+    """Return a name as an identifier of C, as short as functions' names have to be."""
+    # CasADi takes no two underscores in a row.
+    found = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
+    if not found:
+        return "model"
+    taken = not found[0].isalpha() or keyword.iskeyword(found) or found.lower() in _NAMES_TAKEN
+    return f"model_{found}" if taken else found
+
+
+def require_different(problem: Problem, found: Sequence[Variable], taken: Sequence[str]) -> None:
+    """Raise `InvalidModel` if two variables have one name, or one has a name that FMI does not know."""
+    names = [name for each in found for name in each.scalar_names]
+    every = [*names, *taken]
+    repeated = sorted({name for name in every if every.count(name) > 1})
+    if repeated:
+        raise InvalidModel(f"{problem.name} cannot be exported: variables named twice: {', '.join(repeated)}")
+    broken = [name for name in names if not re.fullmatch(r"[a-zA-Z_]\w*(\.\w+)*(\[\d+\])?", name, flags=re.ASCII)]
+    if broken:
+        raise InvalidModel(
+            f"{problem.name} cannot be exported: FMI has no variable called {broken[0]!r}; names are the letters a to z"
+            f" and A to Z, digits and underscores"
+        )

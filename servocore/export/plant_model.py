@@ -1,0 +1,236 @@
+"""`plant_model`: where a scene goes under its inputs, ready to become an FMU: the functions of a `Plant`, as C."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.export import variables as rows
+from servocore.export.names import identifier_of, require_different
+from servocore.export.native_model import Bound, NativeModel
+from servocore.export.tangents import tangent
+from servocore.export.variables import INPUT_TIME, Choice, Variable
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.numerics.expressions import highest_derivative
+from servocore.problem import Problem
+from servocore.stepping.forward_dynamics import compile_plant
+from servocore.stepping.plant import Plant
+from servocore.structure.inversion import inversion
+
+CHOICES = (
+    INPUT_TIME,
+    Choice(
+        "hold",
+        "how inputs go on between communication points",
+        (("first_order", "linearly"), ("zero_order", "as they are")),
+    ),
+    Choice(
+        "brakes",
+        "brakes hold the plant until an input is not zero",
+        (("until_inputs", "until an input is not zero"), ("none", "there are none")),
+    ),
+)
+TERMINALS = {
+    "drives": ("input", "what the drives do"),
+    "motion": ("output", "where the plant goes"),
+}
+_LONGEST = 0.002  # s, of an internal step
+
+
+@dataclass(frozen=True)
+class PlantWishes:
+    """In what an exported plant differs from the model of its scene.
+
+    Attributes
+    ----------
+    errors : mapping of str to str
+        Parameters of the plant by which a parameter of the model is larger, as a fraction of it.
+    offsets : mapping of str to sequence of str
+        Parameters that are added to coordinates at the start, which otherwise is rest: ``{"start.swing": ("swing_in",
+        "swing_out")}``. When empty all coordinates of a model without constraints have one.
+    extra : tuple of (Quantity, casadi.Function)
+        Further outputs: (channels of the plant, force on its output, parameters) -> a number.
+    start : mapping of str to float
+        Start values of parameters in place of defaults, by the names of FMI 2.
+    identifier : str
+        What libraries and functions are called; made of the scene's name when empty.
+    """
+
+    errors: Mapping[str, str] = field(default_factory=dict)
+    offsets: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    extra: tuple[tuple[Quantity, ca.Function], ...] = ()
+    start: Mapping[str, float] = field(default_factory=dict)
+    identifier: str = ""
+
+
+def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | None = None) -> NativeModel:
+    """Compile the forward dynamics of a scene for export.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its parameter values; it begins at rest where its path begins.
+    model : str, optional
+        Model of the scene; when not given the first without constraints, or its smallest.
+    wishes : PlantWishes, optional
+        In what the plant differs from the model.
+
+    Raises
+    ------
+    InvalidModel
+        If constraints are redundant, the equations hold the time, or variables have no legal names.
+    """
+    wishes = wishes or PlantWishes()
+    model = model or next((name for name in scene.models if not _constrained(scene, name)), scene.default_model)
+    problem = Problem.of(scene, model)
+    plant = compile_plant(problem.system)
+    identifier = wishes.identifier or identifier_of(f"{scene.name}_plant")
+    used = _used(problem, plant)
+    offsets = wishes.offsets or (
+        {} if problem.system.lam.numel() else {f"start.{each}": (each,) for each in _coordinates(problem)}
+    )
+    variables = _variables(problem, scene.tracked, [*used, *(each for each, _ in wishes.extra)], offsets, wishes)
+    require_different(problem, variables, (*(each.name for each in CHOICES), "time"))
+    limits, margins = _limits(problem)
+    functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets, wishes)
+    outputs = (*used, *(each for each, _ in wishes.extra))
+    m = len(problem.system.inputs)
+    return NativeModel(
+        identifier=identifier,
+        title=f"{scene.name} plant",
+        model=model,
+        description=f"Forward dynamics of {scene.name.replace('_', ' ')}: where it goes under its inputs"
+        f" {', '.join(each.name for each in problem.system.inputs)}",
+        kernel="plant",
+        own={
+            "state_size": 2 * len(problem.system.coordinates),
+            "pushed": len(problem.system.outputs),
+            "errors": [problem.system.parameters.names.index(each) for each in wishes.errors.values()],
+            "offsets": sum(len(each) for each in offsets.values()),
+        },
+        functions=functions,
+        variables=variables,
+        choices=CHOICES,
+        outputs=outputs,
+        limits=limits,
+        depends=np.ones((len(outputs), m), dtype=bool),
+        timed=False,
+        start_time=0.0,
+        duration=scene.reference.duration,
+        differentiable=True,
+        terminals=TERMINALS,
+    )
+
+
+def _constrained(scene: Scene, name: str) -> bool:
+    return bool(scene.model(name).lam.numel())
+
+
+def _coordinates(problem: Problem) -> list[str]:
+    return [each.name for each in problem.system.coordinates.quantities]
+
+
+def _used(problem: Problem, plant: Plant) -> list[Quantity]:
+    """Return the channels that are outputs: without accelerations and inputs, with the signs that they must have."""
+    system = problem.system
+    left = {f"{each.name}_ddot" for each in system.outputs} | {each.name for each in system.inputs}
+    known = {each.name: each for each in (*system.coordinates.quantities, *system.observables)}
+    found = [each for each in plant.channels if each.name not in left]
+    return [replace(each, positive=each.name in known and known[each.name].positive) for each in found]
+
+
+def _variables(
+    problem: Problem,
+    tracked: str,
+    outputs: Sequence[Quantity],
+    offsets: Mapping[str, Sequence[str]],
+    wishes: PlantWishes,
+) -> tuple[Variable, ...]:
+    system = problem.system
+    m = len(system.inputs)
+    found = [
+        Variable(each.name, "input", each.unit, each.description or each.name, k, (0.0,), nominal=each.nominal)
+        for k, each in enumerate(system.inputs)
+    ]
+    servo = len(system.outputs)
+    found += rows.motion_variables(system.outputs, tracked, m)
+    found += rows.output_variables(outputs[2 * servo :], m + 2 * servo)
+    place = m + len(outputs)
+    found += rows.parameter_variables(system.parameters.declared, problem.p, place)
+    place += len(system.parameters)
+    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
+    settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
+    units = {each.name: each.unit for each in system.coordinates.quantities}
+    settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
+    for each in settings:
+        found.append(rows.placed(each, place))
+        place += each.size or 1
+    return tuple(rows.with_starts(each, wishes.start) for each in found)
+
+
+def _limits(problem: Problem) -> tuple[tuple[Bound, ...], ca.Function]:
+    """Return those limits of the path that say where its output may be, and (path, p) -> how far each is."""
+    system = problem.system
+    kept = [each for each in problem.limits if each.of_path and highest_derivative(each.on(system), system.gamma) == 0]
+    margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
+    bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
+    return bounds, ca.Function("margins", [system.gamma[:, 0], system.p], [ca.densify(margins)])
+
+
+def _functions(
+    problem: Problem,
+    plant: Plant,
+    names: tuple[str, list[str], ca.Function],
+    offsets: Mapping[str, Sequence[str]],
+    wishes: PlantWishes,
+) -> dict[str, ca.Function]:
+    """Return the plant's functions and their tangents by name."""
+    identifier, wanted, margins = names
+    m, servo = len(problem.system.inputs), len(problem.system.outputs)
+    state, d = ca.MX.sym("state", plant.step.numel_in(0)), ca.MX.sym("d", servo)
+    u, slope, h = ca.MX.sym("u", m), ca.MX.sym("slope", m), ca.MX.sym("h")
+    p = ca.MX.sym("p", problem.system.p.numel())
+    places = [[each.name for each in plant.channels].index(name) for name in wanted]
+
+    def seen(channels: ca.MX) -> list[ca.MX]:
+        """Return outputs, and margins of limits."""
+        more = [function(channels, d, p) for _, function in wishes.extra]
+        return [ca.densify(ca.vertcat(channels[places], *more)), margins(channels[:servo], p)]
+
+    given = {
+        "step": ([state, u, slope, d, p, h], [plant.step(state, u, slope, d, p, h)], [state, u, slope, p]),
+        "held_step": ([state, d, p, h], [plant.held_step(state, d, p, h)], [state, p]),
+        "observe": ([state, u, d, p], seen(plant.observe(state, u, d, p)), [state, u, p]),
+        "held_observe": ([state, d, p], seen(plant.held_observe(state, d, p)), [state, p]),
+    }
+    found = {"begin": _begin(problem, f"{identifier}_begin", offsets)}
+    for name, (arguments, results, by) in given.items():
+        found[name] = ca.Function(f"{identifier}_{name}", arguments, results)
+        found[f"{name}_tangent"] = tangent(f"{identifier}_{name}_tangent", arguments, results[:1], by)
+    return found
+
+
+def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) -> ca.Function:
+    """Return (position and velocity of the output, offsets, p) -> state: the motion that goes on like this."""
+    array, system = problem.array, problem.system
+    servo = len(system.outputs)
+    place, speed, p = ca.MX.sym("place", servo), ca.MX.sym("speed", servo), ca.MX.sym("p", system.p.numel())
+    path = ca.horzcat(place, speed, ca.MX.zeros(servo, max(array.reference_order - 1, 0)))[
+        :, : array.reference_order + 1
+    ]
+    unknowns = problem.resolved.once(inversion).function(path, p)[0]
+    coordinates = _coordinates(problem)
+    state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
+    moved = [each for of in offsets.values() for each in of]
+    missing = [each for each in moved if each not in coordinates]
+    if missing:
+        raise InvalidModel(f"{problem.name} has no coordinate {missing[0]}")
+    added = ca.MX.sym("offsets", len(moved))
+    for k, each in enumerate(moved):
+        state[coordinates.index(each)] += added[k]
+    return ca.Function(name, [place, speed, added, p], [ca.densify(ca.vertcat(*state))])

@@ -1,0 +1,229 @@
+"""`trajectory_model`: paths with their derivatives, ready to become an FMU: lines by a time law, or a path baked in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidReference
+from servocore.export import variables as rows
+from servocore.export.names import identifier_of, require_different
+from servocore.export.native_model import NativeModel
+from servocore.export.variables import Choice, Variable
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.hermite import hermite
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.profiles import DEFAULT_RAMP, PolynomialProfile
+from servocore.references.rest_to_rest import RestToRest
+
+POLYNOMIALS = (9, 13)
+"""Degrees of the time laws that rise by one polynomial; of lower ones inputs jump."""
+
+LAWS: Mapping[str, str] = {
+    **{f"degree{degree}": f"one polynomial of degree {degree}" for degree in POLYNOMIALS},
+    "three-phase": "acceleration, cruise, deceleration",
+}
+"""Time laws by the names of their choices, in the order of their numbers."""
+
+FROM_FILE = "file"
+"""The choice of the path that is baked in."""
+
+TERMINALS = {"path": ("output", "the path with its derivatives")}
+
+_RAMP_SHARES = 0.5, 1.5, 2.5, 2.5  # of s in the first phase, in powers of what is left of the ramp
+_ROWS = 256  # at least, of a path that is no polynomial
+
+
+@dataclass(frozen=True)
+class TrajectoryWishes:
+    """What an exported trajectory shall play.
+
+    Attributes
+    ----------
+    path : Reference, optional
+        A path to bake in and to begin with, in place of the scene's own.
+    profile : str, optional
+        One of `LAWS` to begin with.
+    start : mapping of str to float
+        Start values of parameters in place of defaults, by the names of FMI 2.
+    identifier : str
+        What libraries and functions are called; made of the scene's name when empty.
+    """
+
+    path: Reference | None = None
+    profile: str | None = None
+    start: Mapping[str, float] = field(default_factory=dict)
+    identifier: str = ""
+
+
+def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryWishes | None = None) -> NativeModel:
+    """Compile the time laws for a scene's path, and bake in a path where it is no straight line.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its own path gives the start values of the parameters.
+    model : str, optional
+        Model of the scene, which says how many derivatives its inputs need; its smallest when not given.
+    wishes : TrajectoryWishes, optional
+        What shall be played in place of the scene's own path.
+
+    Raises
+    ------
+    InvalidReference
+        If the path has other components than the scene, or fewer derivatives than its inputs need.
+    """
+    wishes = wishes or TrajectoryWishes()
+    problem = Problem.of(scene, model)
+    orders, servo = problem.array.reference_order + 1, problem.system.outputs
+    line = scene.reference if isinstance(scene.reference, RestToRest) else None
+    baked = wishes.path if wishes.path is not None or line is not None else scene.reference
+    if baked is not None and baked.dimension != len(servo):
+        raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
+    identifier = wishes.identifier or identifier_of(f"{scene.name}_trajectory")
+    variables = _variables(scene, servo, orders, line, wishes)
+    choice = _choice(baked is not None, wishes.profile)
+    require_different(problem, variables, (choice.name, "time"))
+    outputs = [
+        Quantity(name, each.unit, each.description)
+        for each in variables
+        if each.causality == "output"
+        for name in each.scalar_names
+    ]
+    return NativeModel(
+        identifier=identifier,
+        title=f"{scene.name} trajectory",
+        model="",
+        description=f"Path for {scene.name.replace('_', ' ')} with its derivatives: a line from rest to rest, or a path"
+        " of one's own",
+        kernel="trajectory",
+        own={
+            "components": len(servo),
+            "orders": orders,
+            "laws": [f"law_{k}" for k in range(1, len(LAWS) + 1)],
+            "ramped": 1 + list(LAWS).index("three-phase"),
+            **_table(None if baked is None else _polynomial(baked, orders), orders),
+        },
+        functions={
+            f"law_{k}": _law(name, f"{identifier}_law_{k}", len(servo), orders) for k, name in enumerate(LAWS, start=1)
+        },
+        variables=tuple(variables),
+        choices=(choice,),
+        outputs=tuple(outputs),
+        limits=(),
+        depends=np.zeros((len(outputs), 0), dtype=bool),
+        timed=True,
+        start_time=0.0,
+        duration=(baked or scene.reference).end_time,
+        differentiable=False,
+        terminals=TERMINALS,
+    )
+
+
+def _choice(has_path: bool, profile: str | None) -> Choice:
+    items = [*LAWS.items(), *([(FROM_FILE, "the path that is baked in")] if has_path else [])]
+    start = list(LAWS).index(profile) + 1 if profile is not None else len(items) if has_path else 1
+    return Choice("profile", "time law along the line, or a path", tuple(items), start)
+
+
+def _variables(
+    scene: Scene, servo: Sequence[Quantity], orders: int, line: RestToRest | None, wishes: TrajectoryWishes
+) -> list[Variable]:
+    path = scene.reference
+    ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
+    found = rows.path_outputs(servo, scene.tracked, orders)
+    place = sum(each.size or 1 for each in found)
+    begin = line.start_time if line is not None else 0.0
+    for each in rows.line_settings(servo, scene.tracked, ends, path.duration, begin):
+        found.append(rows.with_starts(rows.placed(each, place), wishes.start))
+        place += each.size or 1
+    return found
+
+
+# Laws ----------------------------------------------------------------------------------------------------------------
+
+
+def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
+    """Return (start, end, duration, start time, ramp, time) -> the path, order by order.
+
+    All is evaluated about the nearer end, in products and sums of positive terms of the times since and until it.
+    """
+    first, last, time = ca.SX.sym("start", m), ca.SX.sym("end", m), ca.SX.sym("time")
+    duration, begin, ramp = ca.SX.sym("duration"), ca.SX.sym("start_time"), ca.SX.sym("ramp")
+    elapsed = ca.fmin(ca.fmax(time - begin, 0), duration)
+    remaining = ca.fmin(ca.fmax(begin + duration - time, 0), duration)
+    ramping = ca.if_else(ramp > 0, ramp, DEFAULT_RAMP * duration)
+    covered = _covered(name, orders, ca.fmin(elapsed, remaining), duration, ramping)
+    late, moving = elapsed > remaining, ca.logic_and(time >= begin, time < begin + duration)
+    way, path = last - first, []
+    for k, each in enumerate(covered):
+        if k == 0:
+            path.append(ca.if_else(late, last - each * way, first + each * way))
+        else:
+            path.append(ca.if_else(moving, ca.if_else(late, (-1) ** (k + 1), 1) * each, 0) * way)
+    return ca.Function(function_name, [first, last, duration, begin, ramp, time], [ca.vertcat(*path)], {"cse": True})
+
+
+def _covered(name: str, orders: int, on: ca.SX, duration: ca.SX, ramp: ca.SX) -> list[ca.SX]:
+    """Return the share of the way that is covered some time after the nearer end, and its derivatives by that time."""
+    if name == "three-phase":
+        cruise = duration - ramp
+        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        rising = x**5 * sum(share * y**k for k, share in enumerate(_RAMP_SHARES)) * ramp / cruise
+        first = _by_time([rising], x, y, ramp, orders)
+        first = ca.substitute(first, [x, y], [on / ramp, (ramp - on) / ramp])
+        steady = [(on - ramp / 2) / cruise, 1 / cruise, *[ca.SX(0)] * orders]
+        return [ca.if_else(on < ramp, early, late) for early, late in zip(first, steady, strict=False)]
+    k = PolynomialProfile(name, int(name.removeprefix("degree"))).smoothness
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    share = x ** (k + 1) * sum(math.comb(k + i, i) * y**i for i in range(k + 1))
+    return list(ca.substitute(_by_time([share], x, y, duration, orders), [x, y], [on / duration, 1 - on / duration]))
+
+
+def _by_time(found: list[ca.SX], x: ca.SX, y: ca.SX, span: ca.SX, orders: int) -> list[ca.SX]:
+    """Differentiate by a time of which x is the share of a span that is over, and y the share that is left."""
+    while len(found) < orders:
+        found.append((ca.gradient(found[-1], x) - ca.gradient(found[-1], y)) / span)
+    return found
+
+
+# Paths ---------------------------------------------------------------------------------------------------------------
+
+
+def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
+    """Return a path as polynomials; one that is none becomes one through many of its instants."""
+    order = max(4, orders - 1)
+    if path.max_order < orders - 1:
+        raise InvalidReference(
+            f"the path has derivatives up to order {path.max_order}, the inputs need order {orders - 1}"
+        )
+    if isinstance(path, PiecewisePolynomial):
+        return path
+    ends = path.stretches
+    parts = -(-_ROWS // (len(ends) - 1))
+    t = np.interp(np.arange((len(ends) - 1) * parts + 1) / parts, np.arange(len(ends)), ends)
+    return hermite(t, path.jet(t, min(order, path.max_order)))[0]
+
+
+def _table(path: PiecewisePolynomial | None, orders: int) -> dict[str, Any]:
+    """Return what the kernel evaluates, coefficients piece by piece, power by power."""
+    if path is None:
+        return {"pieces": 0, "degree": 0, "knots": [], "coefficients": [], "ends": [], "rests": (False, False),
+                "rest_order": 0}  # fmt: skip
+    return {
+        "pieces": len(path.knots) - 1,
+        "degree": path.coefficients.shape[1] - 1,
+        "knots": path.knots.tolist(),
+        "coefficients": path.coefficients.reshape(len(path.knots) - 1, -1).tolist(),
+        "ends": path.ends.tolist(),
+        "rests": (path.rests_before, path.rests_after),
+        "rest_order": min(path.smoothness, orders - 1),
+    }

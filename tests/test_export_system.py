@@ -1,0 +1,354 @@
+"""Plant, trajectory and feedback in C: what the PythonFMUs and the library compute, to the last digits."""
+
+from __future__ import annotations
+
+import os
+import warnings
+import zipfile
+from functools import cache, partial
+from itertools import pairwise
+from types import SimpleNamespace
+
+import fmpy
+import numpy as np
+import pytest
+from command_lines import CommandLine, write
+from fmpy.ssp.simulation import simulate_ssp
+from fmpy.validation import validate_fmu
+from fmu_host import fmu_file, scratch
+from native_fmu import DISCARD, END, OK, START, Native, exported, native_file, path_of
+from test_ssp import MASTERS, places, system
+
+import servocore as sc
+from crane_fmu.build import Wishes, build_ssp
+from crane_fmu.cli import app as crane_app
+from crane_fmu.run import forgotten_modules
+from servocore.cli.commands import app
+from servocore.references.csv_file import csv_of
+
+FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
+CRANE = sc.scenes.rotary_crane()
+DRIVES = ("M_b", "F", "M_w")
+NAMES = ["rotary_crane plant", "rotary_crane trajectory", "rotary_crane loop"]
+if FULL:
+    NAMES += [f"{name} {what}" for name in sc.scenes.REGISTRY for what in ("plant", "trajectory") if name not in NAMES]
+
+pytestmark = pytest.mark.usefixtures("compiler")
+run, crane = CommandLine(app, "servocore"), CommandLine(crane_app, "crane-fmu")
+
+
+@pytest.mark.parametrize("fmi", [2, 3] if FULL else [2])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_checker_has_nothing_to_say(name, fmi):
+    assert validate_fmu(str(native_file(name, fmi))) == []
+
+
+# Trajectory ----------------------------------------------------------------------------------------------------------
+
+
+def played(instants, **parameters):
+    """Return jets (N, orders, m) of the crane's trajectory, whose steps end at some instants."""
+    with Native("rotary_crane trajectory", 2) as host:
+        host.start(time=float(instants[0]), **parameters)
+        found = [host.values()]
+        for before, after in pairwise(instants):
+            assert host.step(before, after - before) == OK, host.messages
+            found.append(host.values())
+    return np.array(found).reshape(len(instants), 5, 3)
+
+
+def assert_as(found, expected, within=1e-12):
+    peaks = np.abs(expected).max(axis=(0, 2), keepdims=True)
+    assert (np.abs(found - expected) / peaks).max() < within
+
+
+@pytest.mark.parametrize(
+    ("number", "profile"), [(1, sc.DEGREE9), (2, sc.DEGREE13), (3, sc.three_phase()), (3, sc.three_phase(3.0))]
+)
+def test_time_laws_are_those_of_the_library(number, profile):
+    t = np.arange(-10, 231) * 0.1
+    ramp = getattr(profile, "ramp", None) or 0.0
+    found = played(t, profile=number, ramp=ramp, start_time=1.0, duration=18.0)
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 18.0, profile, 1.0)
+    assert_as(found, path.jet(t, 4))
+
+
+def test_a_path_that_is_baked_in_is_that_path():
+    t = np.linspace(-1.0, 21.0, 221)
+    assert_as(played(t, profile=4), path_of("rotary_crane").jet(t, 4))
+
+
+def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence():
+    for parameters, words in (({"profile": 1, "ramp": 2.0}, "a ramp belongs to the profile 3"),
+                              ({"profile": 3, "ramp": 15.0}, "takes at least 30 s")):  # fmt: skip
+        with Native("rotary_crane trajectory", 2) as host:
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                host.start(**parameters)
+            assert words in host.messages[-1]
+
+
+# Plant ---------------------------------------------------------------------------------------------------------------
+
+
+@cache
+def inputs(steps: int) -> np.ndarray:
+    """Return inputs (steps, 3) that move the crane gently, none at first."""
+    p = {each.name: each.default for each in CRANE.model().parameters.declared}
+    t = np.arange(steps) * 0.1
+    found = np.column_stack([50.0 * np.sin(t), 20.0 * np.sin(0.7 * t + 1.0), 2.0 * np.sin(1.3 * t)])
+    found[:, 2] -= p["load_mass"] * p["gravity"] * p["winch_radius"]
+    found[:2] = 0.0
+    return found
+
+
+SETTINGS = (
+    {},
+    {"input_time": END},
+    {"hold": 2},
+    {"brakes": 2, "start.position[1]": 6.0, "start.velocity[2]": 0.1, "start.swing[2]": 0.05},
+    {"mass_error": 0.05, "wind[1]": 3.0, "gust[2]": -8.0, "gust_start": 1.234, "gust_duration": 0.789},
+)
+WATCHED = (
+    *(f"load.{what}[{k}]" for what in ("position", "velocity") for k in (1, 2, 3)),
+    *("phi", "s", "l", "phi_dot", "s_dot", "l_dot", "tension", "energy"),
+)
+
+
+@pytest.mark.parametrize("settings", SETTINGS, ids=str)
+def test_the_plant_moves_as_the_one_in_python(settings):
+    found = []
+    for make in (partial(Native, "python", 2, fmu_file("CranePlant")), partial(Native, "rotary_crane plant", 2)):
+        with make() as host:
+            host.start(**settings)
+            found.append([host.get(*WATCHED)])
+            for k, u in enumerate(inputs(30)):
+                host.numbers_set(DRIVES, u)
+                assert host.step(k * 0.1, 0.1) == OK, host.messages
+                found[-1].append(host.get(*WATCHED))
+    python, native = np.array(found)
+    assert np.abs(python[-1] - python[0]).max() > 0.1
+    assert (np.abs(native - python) <= 1e-12 * np.abs(python).max(axis=0)).all()
+
+
+def test_a_plant_of_any_scene_moves_by_the_steps_of_the_library():
+    scene, h, steps = sc.scenes.mass_on_car(), 0.01, 100
+    with Native("mass_on_car plant") as host:
+        host.start(brakes=2, input_time=END)
+        for k in range(steps):
+            host.numbers_set(host.inputs, [np.sin((k + 1) * h)])
+            assert host.step(k * h, h) == OK, host.messages
+        found = dict(zip((each.name for each in exported(host.name).outputs), host.values(), strict=True))
+    plant, p = sc.compile_plant(scene.model()), np.array([e.default for e in scene.model().parameters.declared])
+    rest = sc.solve(scene, step=scene.reference.duration / 10)
+    state = np.array([rest["x"][0], rest["s"][0], 0.0, 0.0])
+    for k in range(steps):
+        u, later = np.sin([k * h]), np.sin([(k + 1) * h])
+        for i in range(5):
+            state = plant.advance(state, u + (later - u) * i / 5, (later - u) / h, np.zeros(1), p, h / 5)
+    assert [found[each] for each in ("x", "s", "x_dot", "s_dot")] == pytest.approx(state, rel=1e-12, abs=1e-14)
+
+
+def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope():
+    with Native("rotary_crane plant", 2) as host:
+        host.start(brakes=2)
+        host.numbers_set(host.inputs, [0.0, 0.0, 1000.0])
+        time, status = 0.0, OK
+        while status == OK and time < 5.0:
+            status, time = host.step(time, 0.01), time + 0.01
+    assert status == DISCARD
+    assert "tension" in host.messages[-1]
+
+
+# Derivatives ---------------------------------------------------------------------------------------------------------
+
+
+def moved(name: str, shift: dict[str, np.ndarray] | None = None) -> Native:
+    """Return an instance after some steps, the last with inputs and parameters that are shifted."""
+    host = Native(name)
+    host.start()
+    jets = CRANE.reference.jet(np.arange(3) * 0.1 + 5.0, 4)
+    for k in range(3):
+        values = inputs(30)[k + 4] if name.endswith("plant") else jets[k].ravel()
+        set_all(host, values, shift if k == 2 else None)
+        assert host.step(k * 0.1, 0.1) == OK, host.messages
+    return host
+
+
+def set_all(host: Native, values, shift=None) -> None:
+    """Set all inputs, one number after the other, and what is shifted besides."""
+    sizes, place = {each.name: each.size or 1 for each in exported(host.name).of("input")}, 0
+    for name in host.inputs:
+        own = np.asarray(values[place : place + sizes[name]]) + (shift or {}).get(name, 0.0)
+        host.fmu.setFloat64([host.references[name]], own.tolist())
+        place += sizes[name]
+    for name in set(shift or ()) - set(host.inputs):
+        host.set(**{name: host.get(name)[0] + shift[name][0]})
+
+
+def directions(name: str) -> dict[str, np.ndarray]:
+    """Return a direction of all inputs and the model's parameters."""
+    random = np.random.default_rng(1)
+    own = [each for each in exported(name).of("parameter") if not each.setting]
+    knowns = [*exported(name).of("input"), *own]
+    return {each.name: random.standard_normal(each.size or 1) * (each.nominal or 1.0) * 0.01 for each in knowns}
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+def test_derivatives_of_a_plant_are_difference_quotients():
+    name, e = "rotary_crane plant", 1e-3
+    along, ends = directions(name), []
+    with moved(name) as host:
+        exact = host.derivatives(list(along), np.concatenate(list(along.values())))
+    for sign in (1, -1):
+        with moved(name, {key: sign * e * value for key, value in along.items()}) as host:
+            ends.append(host.values())
+    quotient = (ends[0] - ends[1]) / (2 * e)
+    assert np.abs(exact - quotient).max() < 1e-6 * np.abs(exact).max()
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "rotary_crane plant"] if FULL else ["rotary_crane"])
+def test_adjoint_products_are_those_of_directions(name):
+    along = directions(name)
+    with moved(name) as host:
+        forward = host.derivatives(list(along), np.concatenate(list(along.values())))
+        weights = np.random.default_rng(2).standard_normal(len(forward))
+        backward = host.sensitivities(list(along), weights)
+    products = weights @ forward, backward @ np.concatenate(list(along.values()))
+    assert abs(products[0] - products[1]) < 1e-12 * np.abs(weights * forward).sum()
+
+
+# Feedback ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("input_time", [START, END])
+def test_the_feedback_is_that_of_python(input_time):
+    """A load beside its path, its measured motion made up: only equal laws say the same of it."""
+    h, first = 0.1, 40
+    motion, found = sc.solve(CRANE, step=h), []
+    jets = CRANE.reference.jet(motion.t, 4)
+    for make in (partial(Native, "python", 2, fmu_file()), partial(Native, "rotary_crane loop", 2)):
+        with make() as host:
+            path, measured = ([e for e in host.inputs if e.startswith(of)] for of in ("load.", "measured."))
+            host.set(input_time=input_time, **{"limit.M_b": 1e5})
+            host.start(time=motion.t[first])
+            found.append([])
+            for k in range(first, first + 25):
+                seen = [motion[each][k] for each in ("phi", "s", "l")]
+                rates = [(motion[each][k + 1] - motion[each][k - 1]) / (2 * h) for each in ("phi", "s", "l")]
+                place = jets[k, 0] + [0.02 * np.sin(k), 0.01, 0.005]
+                told = jets[k + 1] if input_time == END else jets[k]
+                host.numbers_set([*path, *measured], [*told.ravel(), *seen, *rates, *place, *jets[k, 1]])
+                assert host.step(motion.t[k], h) == OK, host.messages
+                found[-1].append(host.get(*DRIVES))
+    python, native = np.array(found)
+    feedforward = np.column_stack([motion[each] for each in DRIVES])[first + 1 : first + 26]
+    assert np.abs(native - feedforward).max() > 1.0
+    assert np.abs(native - python).max() < 1e-9 * np.abs(python).max()
+
+
+def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning():
+    with Native("rotary_crane loop", 2) as host:
+        host.start()
+        before, path = host.values(), CRANE.reference.jet(0.0, 4).ravel()
+        far = np.array([0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 6.0, 0.0, -5.0, 0.0, 0.0, 0.0])
+        host.numbers_set(host.inputs, [*path, *far])
+        assert [host.step(0.1 * k, 0.1) for k in range(2)] == [OK, OK]
+        (said,) = host.messages
+        assert "is 1 from its path, more than feedback_distance = 0.5" in said
+        np.testing.assert_allclose(host.values(), before, atol=1e-9)
+        far[2] = -1.0
+        host.numbers_set(host.inputs, [*path, *far])
+        assert host.step(0.2, 0.1) == DISCARD
+        assert "the feedback needs a measured rope length above 0 m" in host.messages[-1]
+
+
+# Command line --------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_writes_plant_and_trajectory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CFLAGS", "-O0")
+    write("path.csv", csv_of(path_of("rotary_crane")))
+    common = ("--targets", "host", "--fmi", "2")
+    said = run("export", "cars", "--plant", "-o", "plant.fmu", *common).output
+    assert "plant.fmu: plant of cars, FMI 2" in said
+    said = run("export", "rotary_crane", "--trajectory", "--reference", "path.csv", "-o", "path.fmu", *common).output
+    assert "path.fmu: trajectory of rotary_crane, FMI 2" in said
+    with zipfile.ZipFile("path.fmu") as archive:
+        assert b'<Enumeration declaredType="Profile" start="4"' in archive.read("modelDescription.xml")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--plant", "--trajectory", "-o", "x.fmu"), "one at a time"),
+        (("--plant", "--reference", "p.csv", "-o", "x.fmu"), "--reference belongs to --trajectory"),
+        (("--plant", "--c", "x"), "about inverse models"),
+        (("--trajectory",), "name the file to write with -o"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(options, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run.assert_refused(run("export", "cars", *options), words)
+    assert not any(tmp_path.iterdir())
+
+
+# The whole system ----------------------------------------------------------------------------------------------------
+
+
+PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration": 2.0, "plant.mass_error": 0.05}
+
+
+@cache
+def native_system():
+    build_ssp(scratch() / "native system", wishes=Wishes(native=True, targets="host"))
+    return scratch() / "native system" / "Crane.ssp"
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+@pytest.mark.parametrize("settings", [{}, {"crane.feedback": 0.0}, PUSHED], ids=["feedback", "feedforward", "pushed"])
+@pytest.mark.parametrize("h", [0.1, 0.01])
+def test_the_native_system_goes_where_the_one_in_python_goes(h, settings):
+    found = []
+    for file in (system(), native_system()):
+        values = [SimpleNamespace(name=name, value=value) for name, value in settings.items()]
+        with forgotten_modules(), warnings.catch_warnings():
+            warnings.simplefilter("ignore", ResourceWarning)
+            given = SimpleNamespace(parameters=values)
+            rows = simulate_ssp(str(file), stop_time=20.0, step_size=h, parameter_set=given)
+        assert len(rows) >= round(20.0 / h)
+        found.append(np.array([rows[f"plant.load.position[{k}]"] for k in (1, 2, 3)]))
+    assert np.abs(found[1] - found[0]).max() < 1e-9
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+@pytest.mark.parametrize("h", [0.1, 0.01])
+@pytest.mark.parametrize("package", MASTERS)
+def test_other_masters_take_the_native_system_where_the_one_in_python_goes(package, h):
+    python, native = (places(package, file, round(15.0 / h), h) for file in (system(), native_system()))
+    assert np.abs(native - python).max() < 1e-9
+
+
+@pytest.mark.skipif(not FULL, reason="make native")
+def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write("path.csv", csv_of(path_of("rotary_crane")))
+    write("heavy.toml", "load_mass = 80.0\n")
+    options = ("--native", "--targets", "host", "--reference", "path.csv", "--parameters", "heavy.toml")
+    assert crane("ssp", *options).exit_code == 0
+    with forgotten_modules():
+        rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
+    wanted, found = (np.array([rows[f"{n}.load.position[{k}]"] for k in (1, 2, 3)]) for n in ("trajectory", "plant"))
+    np.testing.assert_allclose(wanted.T, path_of("rotary_crane").jet(rows["time"] + 0.01, 0)[:, 0], atol=1e-12)
+    assert np.abs(wanted - found).max() < 1e-4
+    assert rows["plant.tension"][0] == pytest.approx(80.0 * 9.81, rel=1e-2)
+    with zipfile.ZipFile("system/Crane.ssp") as archive:
+        for name in archive.namelist():
+            if name.endswith(".fmu"):
+                with zipfile.ZipFile(archive.open(name)) as fmu:
+                    assert not any(each.endswith(".py") or "python" in each for each in fmu.namelist())
+
+
+def test_platforms_belong_to_the_native_system(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    crane.assert_refused(crane("ssp", "--targets", "host"), "--targets belongs to --native")
