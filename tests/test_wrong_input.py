@@ -187,6 +187,11 @@ def test_two_observables_of_one_name_are_refused():
         ({"outputs": (sc.Quantity("x2"), sc.Quantity("y"))}, "x2 is the name of two quantities, one of the outputs"),
         ({"observables": {sc.Quantity("F1"): 3.0}}, "F1 is the name of two quantities, one of the inputs"),
         ({"inputs": (sc.Quantity("k"), sc.Quantity("F"))}, "k is the name of two quantities, one of the inputs"),
+        ({"inputs": (sc.Quantity("time"), sc.Quantity("F"))}, "one of the inputs is called time, which is the column"),
+        (
+            {"outputs": (sc.Quantity("x.rate"), sc.Quantity("y"))},
+            "one of the outputs is called x.rate, which is the limit of a rate",
+        ),
     ],
 )
 def test_one_name_for_quantities_of_two_kinds_is_refused(fields, said):

@@ -26,6 +26,8 @@ _MOVING = ("force", "gyroscopic")
 _TIMELESS = ("mass", "output", "input_matrix", "gyroscopic")
 _TIME = 0.3  # at which expressions of the time are looked at, in s
 
+_TIME_COLUMN, _RATE = "time", ".rate"
+
 Named = Sequence[tuple[str, ca.SX]]
 
 
@@ -126,6 +128,9 @@ def _require_names(system: Written) -> None:
     seen: dict[str, tuple[str, ca.SX]] = {}
     for kind in ("inputs", "observables", "outputs", "coordinates", "parameters"):
         for name, expression in getattr(system, kind):
+            if name == _TIME_COLUMN or name.endswith(_RATE):
+                meant = "the column of the times in tables" if name == _TIME_COLUMN else "the limit of a rate"
+                raise InvalidModel(f"{system.name}: one of the {kind} is called {name}, which is {meant}")
             other, found = seen.setdefault(name, (kind, expression))
             if other == kind and found is not expression:
                 raise InvalidModel(
