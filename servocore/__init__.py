@@ -8,6 +8,9 @@
 from servocore import scenes
 from servocore.analysis import StructureReport, analyse
 from servocore.dae import Dae, Equation, Unknown
+from servocore.effects.drives import Drives
+from servocore.effects.report import EffectRow, EffectsReport
+from servocore.effects.study import effects
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -37,6 +40,7 @@ from servocore.methods import (
     Start,
     Trapezoidal,
 )
+from servocore.model.effects import Effect, Effects
 from servocore.model.generalise import generalise
 from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
 from servocore.model.limits import Limit
@@ -106,7 +110,10 @@ __all__ = [
     "Batch",
     "BoundaryValue",
     "Box",
+    "Drives",
     "DynamicInversion",
+    "EffectRow",
+    "EffectsReport",
     "EnergyMomentum",
     "ExactInversion",
     "Gauss",
@@ -148,6 +155,7 @@ __all__ = [
     "Trapezoidal",
     "analyse",
     "compile_plant",
+    "effects",
     "export_fmu",
     "export_plant",
     "export_trajectory",
@@ -179,6 +187,8 @@ __all__ += [
     "Coordinates",
     "Dae",
     "Discretisation",
+    "Effect",
+    "Effects",
     "Equation",
     "Formulation",
     "MechanicalSystem",

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 from servocore.errors import InvalidModel, InvalidReference, described, require_kind
+from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
@@ -52,6 +53,8 @@ class Scene:
     tracked : str
         One word for what follows the path where the outputs are its position: ``load``. Tables of variables then have
         vectors ``load.position``, ``load.velocity``.
+    effects : Effects
+        What the scene leaves out of the physics, or may leave out, see `with_effects`.
     """
 
     name: str
@@ -64,6 +67,7 @@ class Scene:
     parameters: Mapping[str, float] = field(default_factory=dict)
     follow_branch: bool = False
     tracked: str = ""
+    effects: Effects = NO_EFFECTS
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
@@ -137,6 +141,33 @@ class Scene:
         merged = {**self.parameters, **values}
         self.model().parameters.values(merged)
         return replace(self, parameters=merged)
+
+    def with_effects(self, *names: str, without: Iterable[str] = ()) -> Scene:
+        """Return the scene with more physics in it, or with less, and one model that has all of it.
+
+        Parameters
+        ----------
+        *names : str
+            Effects to add; those that the scene declares are in ``scene.effects.declared``. Their parameters become
+            parameters of the scene.
+        without : sequence of str
+            Effects that the scene has and that are left out.
+
+        Raises
+        ------
+        InvalidModel
+            If the scene declares no such effect, or cannot have them together.
+
+        Examples
+        --------
+        >>> crane.with_effects("friction", "flexible bridge").with_parameters(bridge_frequency=2.0)
+        """
+        effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
+        changed = replace(
+            self, models={"with effects": effects.factory}, effects=effects, closed_form=None, independent_solution=None
+        )
+        known = changed.model().parameters.names
+        return replace(changed, parameters={name: each for name, each in self.parameters.items() if name in known})
 
     def with_limits(self, **bounds: Bounds | None) -> Scene:
         """Return the scene with limits on what its solutions report, by name, in the place of those of the same name.

@@ -25,6 +25,8 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
+from servocore.scenes.crane_carriages import Rails
+from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
 
 PARAMETERS = Parameters(
     Parameter("bridge_mass", 40.0, "kg", 0.0, 1e9, "m_b, moves along x only"), *hanging_load.PARAMETERS
@@ -39,6 +41,7 @@ OUTPUTS = (
     Quantity("y", "m", "load position across the rails"),
     Quantity("z", "m", "load position, negative below the trolley"),
 )
+HOME = (1.0, 1.0, -4.0)
 BRIDGE = Quantity("s_x", "m", "bridge position along the rails")
 TROLLEY = Quantity("s_y", "m", "trolley position on the bridge")
 SWINGS = (
@@ -51,7 +54,7 @@ def points() -> MechanicalSystem:
     """Six coordinates q = (s_x, s_y, l, x, y, z), one constraint: the rope reaches from trolley to load."""
     p = PARAMETERS
     rails = {BRIDGE: p["bridge_mass"] + p["trolley_mass"], TROLLEY: p["trolley_mass"]}
-    return hanging_load.on_rails("gantry crane, points", p, INPUTS, OUTPUTS, rails, home=(1.0, 1.0, -4.0))
+    return hanging_load.on_rails("gantry crane, points", p, INPUTS, OUTPUTS, rails, home=HOME)
 
 
 def generalized() -> MechanicalSystem:
@@ -89,6 +92,28 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
 LIMITS = hanging_load.limits("trolley")
 
 
+CRANE = Crane(
+    name="gantry crane",
+    carriage=Rails((BRIDGE, TROLLEY), ("bridge_mass", "trolley_mass"), ("bridge_friction", "trolley_friction")),
+    parameters=PARAMETERS,
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    home=HOME,
+    effects=all_effects(
+        [
+            friction(
+                Parameter("bridge_friction", 14.7, "N", 0.0, 1e9, "dry friction of the bridge's drive"),
+                Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley"),
+            ),
+            flexible("bridge", "the bridge", 6.0, {"s_x": "s_x_motor"}),
+        ],
+        rope=1.5,
+    ),
+)
+"""The crane in all its levels of physics."""
+EFFECTS = effects_of(CRANE, BRIDGE.name, TROLLEY.name)
+
+
 def gantry_crane() -> Scene:
     """Return the gantry crane with its default manoeuvre, (0, 0, -5) m to (6, 3, -2) m in 6 s."""
     return Scene(
@@ -98,4 +123,5 @@ def gantry_crane() -> Scene:
         closed_form=closed_form,
         limits=LIMITS,
         tracked="load",
+        effects=EFFECTS,
     )

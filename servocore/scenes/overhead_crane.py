@@ -17,15 +17,18 @@ from collections.abc import Mapping
 
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Parameters
+from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
+from servocore.scenes.crane_carriages import Rails
+from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
 
 PARAMETERS = Parameters(*hanging_load.PARAMETERS)
 INPUTS = (Quantity("F", "N", "force on the trolley, positive as s"), hanging_load.WINCH)
 OUTPUTS = (Quantity("x", "m", "load position"), Quantity("z", "m", "load position, negative below the girder"))
+HOME = (1.0, -4.0)
 TROLLEY = Quantity("s", "m", "trolley position")
 SWING = Quantity("swing", "rad", "angle of the rope from the vertical, positive where the load is ahead")
 
@@ -33,9 +36,7 @@ SWING = Quantity("swing", "rad", "angle of the rope from the vertical, positive 
 def points() -> MechanicalSystem:
     """Four coordinates q = (s, l, x, z), one constraint (x - s)^2 + z^2 = l^2."""
     rails = {TROLLEY: PARAMETERS["trolley_mass"]}
-    return hanging_load.on_rails(
-        "overhead crane, points", PARAMETERS, INPUTS, OUTPUTS, rails, home=(1.0, -4.0), swing=SWING
-    )
+    return hanging_load.on_rails("overhead crane, points", PARAMETERS, INPUTS, OUTPUTS, rails, home=HOME, swing=SWING)
 
 
 def generalized() -> MechanicalSystem:
@@ -54,6 +55,26 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
 LIMITS = hanging_load.limits("girder")
 
 
+CRANE = Crane(
+    name="overhead crane",
+    carriage=Rails((TROLLEY,), ("trolley_mass",), ("trolley_friction",)),
+    parameters=PARAMETERS,
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    home=HOME,
+    effects=all_effects(
+        [
+            friction(Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley")),
+            flexible("rail", "the trolley", 6.0, {"s": "s_motor"}),
+        ],
+        rope=0.7,
+        sling=0.4,
+    ),
+)
+"""The crane in all its levels of physics."""
+EFFECTS = effects_of(CRANE, TROLLEY.name)
+
+
 def overhead_crane() -> Scene:
     """Return the overhead crane with its default manoeuvre, (0, -4) m to (5, -1) m in 3 s."""
     return Scene(
@@ -63,4 +84,5 @@ def overhead_crane() -> Scene:
         closed_form=closed_form,
         limits=LIMITS,
         tracked="load",
+        effects=EFFECTS,
     )

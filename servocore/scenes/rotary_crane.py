@@ -12,7 +12,7 @@ paper's tables are not reproduced here.
 
 What the scene needs: the lumped parameters J_b, m_t, m, J_w, r_w, g of five degrees of freedom, model ``points``.
 ``bodies`` (the paper's 42 redundant coordinates) and ``generalized`` (its five) read the same parameters and give the
-same inputs. Left out: friction, rope mass and elasticity, wind.
+same inputs. Left out: what `EFFECTS` has, but for the winch's inertia.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidSetting
+from servocore.model.effects import NO_EFFECTS
 from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
@@ -35,6 +36,8 @@ from servocore.numerics.calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
+from servocore.scenes.crane_carriages import PHI_MOTOR, SlewingBridge
+from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 from servocore.scenes.rotary_crane_bodies import PHI, TROLLEY
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
@@ -222,6 +225,28 @@ INVARIANT_MODELS = {"points": partial(points, invariant=True)}
 """Factories of the model for integration that conserves angular momentum."""
 
 
+CRANE = Crane(
+    name="rotary crane",
+    carriage=SlewingBridge(PHI, TROLLEY),
+    parameters=PARAMETERS,
+    inputs=INPUTS,
+    outputs=OUTPUTS,
+    home=HOME,
+    effects=all_effects(
+        [
+            friction(
+                Parameter("bridge_friction", 10.0, "N.m", 0.0, 1e9, "dry friction of the slewing drive"),
+                Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley"),
+            ),
+            flexible("bridge", "the bridge", 3.0, {PHI.name: PHI_MOTOR.name}),
+        ],
+        rope=1.5,
+    ),
+)
+"""The crane in all its levels of physics."""
+EFFECTS = effects_of(CRANE, PHI.name, TROLLEY.name)
+
+
 def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene:
     """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
 
@@ -249,8 +274,10 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene
         closed_form=closed_form,
         limits=LIMITS,
         tracked="load",
+        effects=EFFECTS,
     )
     if not across_axis:
-        return replace(crane, models=INVARIANT_MODELS) if invariant else crane
+        return replace(crane, models=INVARIANT_MODELS, effects=NO_EFFECTS) if invariant else crane
     limits = (*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True))
-    return replace(crane, models=SIGNED_MODELS, closed_form=through_axis, limits=limits, follow_branch=True)
+    signed = replace(crane, models=SIGNED_MODELS, closed_form=through_axis, limits=limits, follow_branch=True)
+    return replace(signed, effects=NO_EFFECTS)

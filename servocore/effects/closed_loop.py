@@ -1,0 +1,216 @@
+"""A plant under given inputs and position loops, from rest to some time after the end of its path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.effects.drives import Gains, measured_in
+from servocore.effects.inverted import Inverted
+from servocore.errors import InvalidModel
+from servocore.numerics.calls import Array, Call, chained, mapped
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.forward_dynamics import forward_rate
+
+COARSEST = 0.02
+"""Largest step of a run, in s."""
+
+_STABLE = 1.0  # step times the fastest eigenvalue: the classical method is stable to 2.8
+_SMALLEST = 1e-5  # s: a plant that is stiffer is not run
+_CHUNK = 500  # steps in one call: one length of compiled loops serves all runs
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A plant with drives, compiled.
+
+    Attributes
+    ----------
+    step : casadi.Function
+        (state, signals (3 m, 3), p, gains (2 m), zero (m), h) -> state; signals are inputs, positions and rates at the
+        begin, the middle and the end of the step.
+    read : Call
+        State -> positions of the drives.
+    stiffness : Call
+        (state, p, gains) -> Jacobian of the rate by the state.
+    seen : casadi.Function
+        (state, p) -> output, and what hangs if anything does.
+    """
+
+    step: ca.Function
+    read: Call
+    stiffness: Call
+    seen: ca.Function
+
+
+def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: tuple[str, ...]) -> Loop:
+    """Compile a plant with drives; meant for `ResolvedSystem.once`.
+
+    Parameters
+    ----------
+    resolved : ResolvedSystem
+        The plant.
+    measured : tuple of str
+        What its drives measure.
+    hanging : tuple of str
+        Observables of q that together say how far the load hangs to the side; empty for none.
+    """
+    system = resolved.system
+    if system.time.numel():
+        raise InvalidModel(f"{system.name}: its equations hold the time, which no loop of drives knows")
+    quantities, y = measured_in(system, measured)
+    m, state = len(system.inputs), ca.vertcat(system.q, system.v)
+    read = ca.Function("sc_drives", [state], [ca.densify(y), ca.densify(ca.jtimes(y, system.q, system.v))])
+    rate = forward_rate(system, held=False)
+    x, p, h = ca.MX.sym("x", state.numel()), ca.MX.sym("p", system.p.numel()), ca.MX.sym("h")
+    signals, gains, zero = ca.MX.sym("w", 3 * m, 3), ca.MX.sym("k", 2 * m), ca.MX.sym("zero", m)
+
+    def driven(now: ca.MX, signal: ca.MX) -> ca.MX:
+        at, moving = read(now)
+        lag = signal[m : 2 * m] + zero - at
+        lag = ca.vertcat(*(
+            ca.atan2(ca.sin(lag[k]), ca.cos(lag[k])) if each.wraps else lag[k] for k, each in enumerate(quantities)
+        ))  # fmt: skip
+        u = signal[:m] + gains[:m] * lag + gains[m:] * (signal[2 * m :] - moving)
+        return rate(now, u, ca.DM.zeros(m), p)[0]
+
+    first = driven(x, signals[:, 0])
+    second = driven(x + h / 2 * first, signals[:, 1])
+    third = driven(x + h / 2 * second, signals[:, 1])
+    last = driven(x + h * third, signals[:, 2])
+    after = x + h / 6 * (first + 2 * second + 2 * third + last)
+    swing = [each for quantity, each in system.observables.items() if quantity.name in hanging]
+    signal = ca.MX.sym("now", 3 * m)
+    jacobian = ca.jacobian(driven(x, signal), x)
+    return Loop(
+        step=ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after]),
+        read=Call(read),
+        stiffness=Call(ca.Function("sc_loop_jacobian", [x, signal, p, gains, zero], [ca.densify(jacobian)])),
+        seen=ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """What drives a plant: inputs, shape (N, m), at the instants of a motion, and loops that hold its positions."""
+
+    motion: Inverted
+    inputs: Array
+    gains: Gains
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of a run.
+
+    Attributes
+    ----------
+    error : float
+        Largest distance of the output from the path; infinite where the plant did not survive.
+    swing : float or None
+        Largest residual swing after the end of the path; None where the path does not end at rest, or the plant did not
+        survive.
+    """
+
+    error: float
+    swing: float | None
+
+
+def run_loop(
+    problem: Problem,
+    driven: Driven,
+    own: Inverted,
+    measured: tuple[str, ...],
+    hanging: tuple[str, ...] = (),
+    *,
+    tail: float = 0.0,
+    coarsest: float = COARSEST,
+) -> Run:
+    """Run a plant under inputs, with loops that hold its drives on given positions.
+
+    Parameters
+    ----------
+    problem : Problem
+        The plant, with the path.
+    driven : Driven
+        What drives it.
+    own : Inverted
+        Where this plant would start and end under its own inputs: it starts there, and at its end it hangs at rest.
+    measured : tuple of str
+        What the drives measure in this plant.
+    hanging : tuple of str
+        See `compile_loop`.
+    tail : float
+        Time in s that the plant runs on after the end of the path, under the last inputs.
+    coarsest : float
+        Largest step, in s.
+
+    Raises
+    ------
+    InvalidModel
+        If the plant is too stiff to be run, or its equations hold the time.
+    """
+    loop, gains, motion = problem.resolved.once(compile_loop, measured, hanging), driven.gains, driven.motion
+    start, both = own.start, np.concatenate([gains.position, gains.rate])
+    zero = loop.read(start)[0]
+    signals = np.column_stack([driven.inputs, motion.positions, motion.rates])
+    jacobian = loop.stiffness(start, signals[0], problem.p, both, zero)[0]
+    fastest = float(np.abs(np.linalg.eigvals(jacobian)).max()) if np.isfinite(jacobian).all() else np.inf
+    step = min(coarsest, _STABLE / max(fastest, 1e-12))
+    if not step > _SMALLEST:
+        raise InvalidModel(
+            f"{problem.system.name} is too stiff for a forward simulation: it asks for steps of {step:.1g} s"
+        )
+    duration = problem.reference.duration
+    moving, after = (int(np.ceil(each / step)) for each in (duration, tail))
+    h = duration / moving
+    at = motion.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
+    states = _integrated(loop, start, _sampled(motion.t, signals, at), (problem.p, both, zero), h)
+    seen = _seen(loop, states, problem.p)
+    at_rest = _seen(loop, np.concatenate([own.end, np.zeros(len(own.end))])[None], problem.p)[0]
+    t, count = at[::2], len(problem.system.outputs)
+    deviation = np.linalg.norm(seen[:, :count] - problem.reference.jet(t, 0)[:, 0], axis=1)
+    error = float(deviation.max()) if np.isfinite(deviation).all() else np.inf
+    return Run(error, _swing(seen[moving:] - at_rest, count) if after else None)
+
+
+def _seen(loop: Loop, states: Array, p: Array) -> Array:
+    """Return output and what hangs, shape (N, outputs + hanging)."""
+    found = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
+    return found.reshape(-1, len(states), order="F").T
+
+
+def _swing(seen: Array, outputs: int) -> float | None:
+    """Return the largest swing after the motion: of what hangs, or of the output about its mean."""
+    if not np.isfinite(seen).all():
+        return None
+    hanging = seen[:, outputs:]
+    swing = hanging if hanging.shape[1] else seen - seen.mean(axis=0)
+    return float(np.linalg.norm(swing, axis=1).max())
+
+
+def _sampled(t: Array, signals: Array, at: Array) -> Array:
+    """Return signals at other times; those after the last one are the last ones, at rest."""
+    import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    found: Array = scipy.interpolate.make_interp_spline(t, signals, k=5)(np.clip(at, t[0], t[-1]))
+    m = signals.shape[1] // 3
+    found[at > t[-1] + 1e-9 * (t[-1] - t[0]), 2 * m :] = 0.0
+    return found
+
+
+def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Array, Array], h: float) -> Array:
+    """Return the states at the ends of all steps, shape (steps + 1, 2 n)."""
+    steps = len(signals) // 2
+    blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1)
+    padded = np.concatenate([blocks, np.repeat(blocks[-1:], -steps % _CHUNK, axis=0)])
+    run, repeated = chained(loop.step, _CHUNK), [np.tile(each[:, None], _CHUNK) for each in held]
+    states, state = [start[:, None]], start
+    for k in range(0, len(padded), _CHUNK):
+        flat = padded[k : k + _CHUNK].reshape(3 * _CHUNK, -1).T
+        found = run(state, flat, *repeated, np.full(_CHUNK, h))[0].reshape(len(start), -1, order="F")
+        states.append(found)
+        state = found[:, -1]
+    return np.hstack(states)[:, : steps + 1].T

@@ -1,0 +1,109 @@
+"""`Drives`: position loops that drive a plant beside the inputs that were computed for it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel, InvalidSetting, require_real
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+
+
+@dataclass(frozen=True)
+class Drives:
+    """A position loop in every drive: u = u_S + K (y_S - y) + D (y_S' - y').
+
+    The gains follow from the inertia that a drive feels where the path ends, the others being free: K is that
+    inertia times the square of the bandwidth, D twice the damping times bandwidth times inertia.
+
+    Parameters
+    ----------
+    bandwidth : float
+        In rad/s.
+    damping : float
+        1 is critical.
+    """
+
+    bandwidth: float = 6.0
+    damping: float = 1.0
+
+    def __post_init__(self) -> None:
+        for what, value in (("bandwidth", self.bandwidth), ("damping", self.damping)):
+            require_real(value, f"the {what} of drives", "a number", InvalidSetting)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InvalidSetting(f"the {what} of drives must be positive and finite, not {value:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What the loops of all drives multiply deviations with, shapes (m,): per unit of the position and of its rate."""
+
+    position: Array
+    rate: Array
+
+    @classmethod
+    def none(cls, inputs: int) -> Gains:
+        """Return those of inputs that drive the plant alone."""
+        return cls(np.zeros(inputs), np.zeros(inputs))
+
+
+def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple[Quantity, ...], ca.SX]:
+    """Return what drives measure, and its expression of q, by the names of what a system reports.
+
+    Raises
+    ------
+    InvalidModel
+        If the system reports nothing of a name, or something that is no position, or there are not as many as inputs.
+    """
+    known = [
+        *system.observables.items(),
+        *zip(system.outputs, ca.vertsplit(system.output), strict=True),
+        *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
+    ]
+    by_name = {each.name: (each, expression) for each, expression in known}
+    missing = [each for each in names if each not in by_name]
+    if missing:
+        raise InvalidModel(
+            f"{system.name} reports no {', '.join(missing)} for its drives to measure; there are {', '.join(by_name)}"
+        )
+    if len(names) != len(system.inputs):
+        raise InvalidModel(
+            f"{system.name} has {len(system.inputs)} inputs, and drives that measure {', '.join(names) or 'nothing'}"
+        )
+    found = [by_name[each] for each in names]
+    column = ca.vertcat(*(each for _, each in found))
+    if ca.depends_on(column, ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))):
+        raise InvalidModel(f"{system.name}: {', '.join(names)} are not all positions, which drives measure")
+    return tuple(each for each, _ in found), column
+
+
+def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, drives: Drives) -> Gains:
+    """Return the gains of drives at a configuration.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        Where the drives feel their inertia.
+    names : tuple of str
+        What they measure, one an input.
+    q, p : ndarray
+        Configuration and parameter values.
+    drives : Drives
+        Bandwidth and damping.
+    """
+    _, y = measured_in(system, names)
+    wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
+    matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(each) for each in wanted])
+    M, G, B, J = (np.asarray(each) for each in matrices(q, p))
+    bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
+    mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
+    moved = np.diag(J @ mobility)  # acceleration of each position by its own input
+    if not (np.abs(moved) > 0.0).all():
+        name = names[int((~(np.abs(moved) > 0.0)).argmax())]
+        raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
+    return Gains(drives.bandwidth**2 / moved, 2 * drives.damping * drives.bandwidth / moved)

@@ -1,0 +1,118 @@
+"""What the inversion of a model says of its drives along a path."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.effects.drives import measured_in
+from servocore.errors import IntegrationFailed
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.inversion import inversion
+
+_CHUNK = 250  # instants in one call: one length of compiled maps serves all paths
+
+
+@dataclass(frozen=True, eq=False)
+class Inverted:
+    """Inputs and positions of drives that make a model follow a path, at instants evenly apart.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        From the start of the path to its end.
+    inputs, positions, rates : ndarray, shape (N, m)
+        Positions count from the start, where encoders are zeroed.
+    start, end : ndarray, shape (2 n,) and (n,)
+        State at the start, and configuration at the end.
+    microseconds : float
+        Processor time an instant, where it took least.
+    """
+
+    t: Array
+    inputs: Array
+    positions: Array
+    rates: Array
+    start: Array
+    end: Array
+    microseconds: float
+
+
+def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverted:
+    """Invert a model without internal dynamics along its path, instant by instant.
+
+    Parameters
+    ----------
+    problem : Problem
+        The model, with the path.
+    measured : tuple of str
+        What the drives measure, by name.
+    count : int
+        Instants.
+
+    Raises
+    ------
+    IntegrationFailed
+        If an instant is not solved, or a length is negative.
+    """
+    function, wraps = problem.resolved.once(_drive_signals, measured)
+    t = np.linspace(problem.reference.start_time, problem.reference.end_time, count)
+    padded = np.concatenate([t, np.full(-count % _CHUNK, t[-1])])
+    parts, seconds = [], np.inf
+    for k in range(0, len(padded), _CHUNK):
+        jets = problem.reference.jet(padded[k : k + _CHUNK], problem.array.reference_order)
+        began = time.process_time()
+        parts.append(at_instants(function, jets=jets, p=problem.p)[0])
+        seconds = min(seconds, time.process_time() - began)
+    found = np.hstack(parts)[:, :count].T
+    unsolved = ~np.isfinite(found).all(axis=1)
+    if unsolved.any():
+        raise IntegrationFailed(
+            f"{problem.system.name}: the equations were not solved at t = {t[int(unsolved.argmax())]:.6g} s"
+        )
+    m, n = len(problem.system.inputs), len(problem.system.coordinates)
+    inputs, y, rates, q, v, signs = np.split(found, np.cumsum([m, m, m, n, n]), axis=1)
+    _require_signs(problem, t, signs)
+    y[:, wraps] = np.unwrap(y[:, wraps], axis=0)
+    return Inverted(t, inputs, y - y[0], rates, np.concatenate([q[0], v[0]]), q[-1], 1e6 * seconds / _CHUNK)
+
+
+def _positive(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
+    """Return what must be positive, of all that configurations alone tell."""
+    known = [*zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True), *system.observables.items()]
+    others = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))
+    return [(each, expression) for each, expression in known if each.positive and not ca.depends_on(expression, others)]
+
+
+def _require_signs(problem: Problem, t: Array, values: Array) -> None:
+    """Raise `IntegrationFailed` if something has a sign that it must not have."""
+    wrong = np.argwhere(~(values > 0.0))
+    if len(wrong):
+        k, which = (int(each) for each in wrong[0])
+        quantity = _positive(problem.system)[which][0]
+        raise IntegrationFailed(
+            f"{problem.system.name}: at t = {t[k]:.6g} s {quantity.name} is {values[k, which]:.4g} {quantity.unit},"
+            f" {quantity.wrong_sign}"
+        )
+
+
+def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple[ca.Function, list[bool]]:
+    """Compile (gamma, p) -> inputs, positions and rates of the drives, q, v, signs; and say which positions wrap."""
+    array, system, inverse = resolved.array, resolved.system, resolved.once(inversion)
+    quantities, y = measured_in(system, measured)
+    q, v = ([array.position(f"q.{name}", order) for name in system.coordinates.names] for order in (0, 1))
+    u = [array.position(f"u.{each.name}", 0) for each in system.inputs]
+    signs = ca.vertcat(ca.SX(0, 1), *(each for _, each in _positive(system)))
+    read = ca.Function("sc_positions", [system.q, system.v, system.p], [y, ca.jtimes(y, system.q, system.v), signs])
+    gamma, p = (ca.MX.sym(name, *inverse.function.size_in(k)) for k, name in enumerate(("gamma", "p")))
+    unknowns, _, residual = inverse.function(gamma, p)
+    solved = ca.if_else(residual < np.inf, 0, np.nan)
+    *moved, positive = read(unknowns[q], unknowns[v], p)
+    row = ca.vertcat(unknowns[u], *moved, unknowns[q], unknowns[v], positive) + solved
+    return ca.Function("sc_drive_signals", [gamma, p], [ca.densify(row)]), [each.wraps for each in quantities]

@@ -1,0 +1,185 @@
+"""What `effects` finds: a row an effect, and the smallest model that keeps a tolerance."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from servocore.model.scene import Scene
+
+ESTIMATED, SIMULATED, REFUSED = "estimated", "simulated", "refused"
+
+HEADINGS = (
+    "effect", "index", "internal states", "derivatives of the path", "change of the inputs", "load off its path",
+    "residual swing", "unknowns", "µs an instant", "needed",
+)  # fmt: skip
+"""Headings of the columns that `cells` fills."""
+
+
+@dataclass(frozen=True)
+class EffectRow:
+    """One effect: what the model with it is like, and what leaving it out costs.
+
+    Attributes
+    ----------
+    name : str
+        Of the effect.
+    index, internal_states, derivatives, unknowns : int or None
+        Of the inverse problem of the model that has it: structural index, number of states of the internal dynamics,
+        highest derivative of the path that the inputs hold, unknowns of an instant. None where it cannot be analysed.
+    microseconds : float or None
+        Processor time an instant of the exact inversion, or of `solve` where there are internal dynamics.
+    input_change : float or None
+        Largest difference of an input between the models, as a fraction of that input's largest value.
+    error : float
+        Largest distance of the load from its path if the inputs of the model without the effect drive the plant with
+        it, in the unit of the path; infinite where the plant does not survive them.
+    swing : float or None
+        Largest swing of the load after the path's end, in the same unit; None where the path does not end at rest.
+    how : str
+        "estimated", "simulated" or "refused".
+    law : str
+        Name of the time law on which all of this holds.
+    needed : bool
+        Whether the effect belongs to the smallest model.
+    left_out : bool
+        Whether the scene has the effect, so that leaving it out is what was compared.
+    reason : str
+        Why the row is refused, or why it is simulated.
+    """
+
+    name: str
+    index: int | None
+    internal_states: int | None
+    derivatives: int | None
+    unknowns: int | None
+    microseconds: float | None
+    input_change: float | None
+    error: float
+    swing: float | None
+    how: str
+    law: str
+    needed: bool = False
+    left_out: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class EffectsReport:
+    """Which effects a scene needs; printing it gives the table and the verdict.
+
+    Attributes
+    ----------
+    scene : Scene
+        What was looked at.
+    rows : tuple of EffectRow
+        Worst first.
+    tolerance : float
+        How far the load may be off its path, in the unit of the path.
+    loops : str
+        What drives the plant, in words.
+    unit : str
+        Of errors and swings.
+    """
+
+    scene: Scene
+    rows: tuple[EffectRow, ...]
+    tolerance: float
+    loops: str
+    unit: str = "m"
+
+    def __getitem__(self, name: str) -> EffectRow:
+        for each in self.rows:
+            if each.name == name:
+                return each
+        raise KeyError(f"{name}; there are {', '.join(each.name for each in self.rows)}")
+
+    @property
+    def needed(self) -> tuple[str, ...]:
+        """Names of the effects of the smallest model, worst first."""
+        return tuple(each.name for each in self.rows if each.needed)
+
+    @property
+    def arguments(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """What `Scene.with_effects` is given for the smallest model: effects to add, and effects to leave out."""
+        declared = {each.name: each for each in self.scene.effects.declared}
+        added = [each.name for each in self.rows if each.needed and not each.left_out and each.name in declared]
+        covered = {own for name in added for own in declared[name].includes}
+        without = [each.name for each in self.rows if each.left_out and not each.needed]
+        return tuple(each for each in added if each not in covered), tuple(without)
+
+    def smallest(self) -> Scene:
+        """Return the scene with the smallest model that keeps the tolerance."""
+        added, without = self.arguments
+        return self.scene.with_effects(*added, without=without) if added or without else self.scene
+
+    @property
+    def verdict(self) -> str:
+        """The smallest model in one or two sentences."""
+        added, without = self.arguments
+        least = sum(each.error for each in self.rows if not each.needed)
+        declared = {each.name for each in self.scene.effects.declared}
+        unnamed = [each for each in self.needed if each not in declared]
+        call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
+        how = f"scene.with_effects({call})".replace("'", '"') if call else "the scene as it is"
+        told = f", with {', '.join(unnamed)} of your own" if unnamed else ""
+        return (
+            f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{told}: all that is left"
+            f" out moves it by {_length(least, self.unit)} at most, errors added up."
+        )
+
+    def cells(self) -> list[tuple[str, ...]]:
+        """Return the rows as texts, in the order of `HEADINGS`."""
+        return [self._cells(each) for each in self.rows]
+
+    def _cells(self, row: EffectRow) -> tuple[str, ...]:
+        counts = (row.index, row.internal_states, row.derivatives)
+        name = f"{row.name} (left out)" if row.left_out else row.name
+        if row.how == REFUSED:
+            return (name, *map(_count, counts), "-", REFUSED, "-", _count(row.unknowns), "-", "-")
+        change = "-" if row.input_change is None else f"{100 * row.input_change:.2g} %"
+        time = "-" if row.microseconds is None else f"{row.microseconds:.2g}"
+        swing = "-" if row.swing is None else _length(row.swing, self.unit)
+        error = f"{_length(row.error, self.unit)}, {row.how}"
+        needed = "yes" if row.needed else "no"
+        return (name, *map(_count, counts), change, error, swing, _count(row.unknowns), time, needed)
+
+    @property
+    def remarks(self) -> list[str]:
+        """Sentences below the table: laws, reasons, verdict."""
+        laws: dict[str, list[str]] = {}
+        for each in self.rows:
+            laws.setdefault(each.law, []).append(each.name)
+        told = [f"{law}: {', '.join(names)}." for law, names in laws.items() if law]
+        reasons = [f"{each.name}: {each.reason}." for each in self.rows if each.reason]
+        return ["Path and duration are the scene's; the time law is as smooth as a row needs.", *told, *reasons,
+                self.verdict]  # fmt: skip
+
+    def __str__(self) -> str:
+        table = [HEADINGS, *self.cells()]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        lines = [
+            "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in table
+        ]
+        return "\n".join([self.scene.name, *lines, *self.remarks])
+
+    def markdown(self, title: str = "") -> str:
+        """Return the table and the remarks as a piece of Markdown."""
+        table = [HEADINGS, ("---",) * len(HEADINGS), *self.cells()]
+        lines = ["| " + " | ".join(row) + " |" for row in table]
+        return "\n".join(
+            [f"## {title or self.scene.name}", "", *lines, "", *(f"* {each}" for each in self.remarks), ""]
+        )
+
+
+def _count(number: int | None) -> str:
+    return "-" if number is None else str(number)
+
+
+def _length(value: float, unit: str) -> str:
+    """Return an error for people: lengths in mm up to ten metres."""
+    if not math.isfinite(value):
+        return "not survived"
+    if unit != "m":
+        return f"{value:.2g} {unit}"
+    return f"{1e3 * value:.2g} mm" if value < 0.0995 else (f"{1e3 * value:.0f} mm" if value < 10 else f"{value:.2g} m")

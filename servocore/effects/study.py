@@ -1,0 +1,278 @@
+"""`effects`: which physical effects a scene may leave out, estimated first and simulated where that is weak.
+
+What a plant with an effect lacks, driven by the inputs of a model without it, is to first order
+
+    delta = u_L - u_S + K (y_L - y_S) + D (y_L' - y_S')
+
+with the exact inputs u and positions y of the drives of both models along the same path. Under u_S - delta the *small*
+model shows the error: the plant that follows the path under u_L does so for every strength of the effect, so that the
+derivative of its motion under u_S is minus that of the small model by its inputs, times u_L.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from servocore.checks.limits import require_feasible
+from servocore.effects.closed_loop import COARSEST, Driven, run_loop
+from servocore.effects.drives import Drives, Gains, gains_of
+from servocore.effects.inverted import Inverted, inverted
+from servocore.effects.report import ESTIMATED, REFUSED, SIMULATED, EffectRow, EffectsReport
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError, require_kind, require_real
+from servocore.model.effects import Effects
+from servocore.model.scene import ModelFactory, Scene, require_scene
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.profiles import polynomial
+from servocore.references.rest_to_rest import RestToRest
+
+_WEAK = 2.0  # an estimate within this factor of the tolerance is looked into by simulation
+_LARGE = 0.15  # change of an input that open loop estimates do not bear
+_TAIL = 6.0  # s after the end of a path in which the residual swing is looked for: two swings of some two metres
+_NOT_FLAT = "simulated because it has internal dynamics, which the path does not determine"
+_FEWEST = 500  # instants of a path, however short
+
+
+def effects(
+    scene: Scene,
+    *,
+    drives: Drives | None = Drives(),  # noqa: B008 - a frozen value
+    tolerance: float = 0.005,
+    plant: Mapping[str, ModelFactory] | None = None,
+    measured: tuple[str, ...] = (),
+    parameters: Mapping[str, float] | None = None,
+    simulate: bool = False,
+) -> EffectsReport:
+    """Say which effects a scene needs for a tolerance, and what it costs to leave each of them out.
+
+    Parameters
+    ----------
+    scene : Scene
+        With its path and parameters.
+    drives : Drives or None
+        Position loops of the plant, which get their references from the model without the effect; None: its inputs
+        alone drive the plant.
+    tolerance : float
+        How far the load may be off its path, in the unit of the path.
+    plant : mapping of str to callable, optional
+        Effects of one's own: factories of models of the plant by name. Such a model has the scene's inputs and outputs.
+    measured : tuple of str, optional
+        What the drives measure, one name an input, in a scene that declares no effects.
+    parameters : mapping of str to float, optional
+        Values of parameters of the effects, or of plants of one's own.
+    simulate : bool
+        Whether every plant is simulated.
+
+    Returns
+    -------
+    EffectsReport
+
+    Raises
+    ------
+    InvalidModel
+        If a scene declares no effects and none are given, or a parameter is unknown.
+    InvalidSetting
+        If the tolerance or the drives make no sense.
+    InvalidReference
+        If the path breaks a limit of the scene.
+    """
+    require_scene(scene, "effects")
+    if drives is not None:
+        require_kind(drives, Drives, "drives", "Drives(...) or None", InvalidSetting)
+    require_real(tolerance, "the tolerance", "a length", InvalidSetting)
+    if not (math.isfinite(tolerance) and tolerance > 0.0):
+        raise InvalidSetting(f"the tolerance must be positive and finite, not {tolerance:g}")
+    study = _Study(
+        scene, drives, float(tolerance), dict(parameters or {}), measured or scene.effects.measured, simulate
+    )
+    study.require_parameters(plant or {})
+    require_feasible(Problem.of(scene))
+    rows = [study.row(each) for each in study.cases(plant or {})]
+    unit = scene.model().outputs[0].unit
+    return EffectsReport(scene, _judged(rows, tolerance), float(tolerance), _in_words(drives), unit)
+
+
+def _in_words(drives: Drives | None) -> str:
+    if drives is None:
+        return "With the inputs alone"
+    return f"With drives of {drives.bandwidth:g} rad/s and damping {drives.damping:g}"
+
+
+def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
+    """Return the rows worst first, with what is needed: the errors of all that is left out add up to less."""
+    found, total = [], 0.0
+    for each in sorted(rows, key=lambda row: row.error):
+        refused = each.how == REFUSED
+        total += 0.0 if refused else each.error
+        found.append(replace(each, needed=total > tolerance and not refused))
+    return tuple(reversed(found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Case:
+    """An effect: the model with it, the model without it, and what the drives measure in the first."""
+
+    name: str
+    large: Scene
+    small: Scene
+    measured: tuple[str, ...]
+    left_out: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Study:
+    """What all rows of a report have in common."""
+
+    scene: Scene
+    drives: Drives | None
+    tolerance: float
+    parameters: dict[str, float]
+    measured: tuple[str, ...]
+    simulate: bool
+
+    def require_parameters(self, plant: Mapping[str, ModelFactory]) -> None:
+        """Raise `InvalidModel` if a parameter belongs to no effect, or leaves its bounds; or if there is no effect."""
+        declared = self.scene.effects
+        if not (declared.declared or plant):
+            raise InvalidModel(
+                f"{self.scene.name} declares no effects; give plants of your own: plant={{'name': factory}}"
+            )
+        if not self.measured:
+            raise InvalidSetting(
+                f"{self.scene.name} does not say what its drives measure: measured=('s', 'l'), one an input"
+            )
+        known = dict(declared.parameters)
+        for factory in plant.values():
+            known |= {each.name: each for each in factory().parameters.declared}
+        for name, value in self.parameters.items():
+            if name not in known:
+                raise InvalidModel(f"no parameter of an effect is called {name}; there are {', '.join(known)}")
+            known[name].check(value)
+
+    def cases(self, plant: Mapping[str, ModelFactory]) -> list[_Case]:
+        """Return all effects, declared ones first."""
+        own, found = self.scene.effects, []
+        base = self._extended(own) if own.declared else self.scene
+        for each in own.declared:
+            if not each.listed or each.name in own.added | own.left_out:
+                continue
+            if each.left_out:
+                found.append(_Case(each.name, base, self._extended(own.with_((), [each.name])), own.measured, True))
+            else:
+                extended = own.with_([each.name])
+                found.append(_Case(each.name, self._extended(extended), base, extended.measured))
+        for name, factory in plant.items():
+            found.append(_Case(name, self._scene(factory), base, self.measured))
+        return found
+
+    def _extended(self, effects_: Effects) -> Scene:
+        return self._scene(effects_.factory, effects_)
+
+    def _scene(self, factory: ModelFactory, effects_: Effects | None = None) -> Scene:
+        changed = replace(self.scene, models={"plant": factory}, effects=effects_ or self.scene.effects)
+        known = changed.model().parameters.names
+        values = {**self.scene.parameters, **self.parameters}
+        return replace(changed, parameters={name: each for name, each in values.items() if name in known})
+
+    def row(self, case: _Case) -> EffectRow:
+        """Return the row of an effect."""
+        problem = Problem.of(case.large)
+        try:
+            array = problem.array
+            order = array.reference_order
+            reference = smooth_enough(case.large.reference, order)
+            large, small = case.large.with_reference(reference), case.small.with_reference(reference)
+            row = EffectRow(
+                name=case.name,
+                index=array.signature.index,
+                internal_states=array.signature.degrees_of_freedom,
+                derivatives=order,
+                unknowns=len(array.unknowns),
+                microseconds=None,
+                input_change=None,
+                error=math.inf,
+                swing=None,
+                how=ESTIMATED,
+                law=_law(reference),
+                left_out=case.left_out,
+            )
+            return self._compared(row, case, large, small)
+        except ServocoreError as error:
+            return EffectRow(case.name, None, None, None, None, None, None, math.inf, None, REFUSED, "",
+                             left_out=case.left_out, reason=str(error))  # fmt: skip
+
+    def _compared(self, row: EffectRow, case: _Case, large: Scene, small: Scene) -> EffectRow:
+        instants = max(math.ceil(large.reference.duration / COARSEST), _FEWEST) + 1
+        plant, tail = Problem.of(large), _TAIL if _rests(large.reference) else 0.0
+        model = Problem.of(small)
+        with_it, without = inverted(plant, case.measured, instants), inverted(model, self.measured, instants)
+        gains = self._gains(large, with_it) if case.left_out else self._gains(small, without)
+        hanging, reason = self.scene.effects.hanging, _NOT_FLAT
+        if plant.flat:
+            lacking = with_it.inputs - without.inputs
+            lacking = lacking + gains.position * (with_it.positions - without.positions)
+            lacking = lacking + gains.rate * (with_it.rates - without.rates)
+            driven = Driven(without, without.inputs - lacking, gains)
+            estimate = run_loop(model, driven, without, self.measured, hanging, tail=tail)
+            change = _relative_change(with_it, without)
+            row = replace(row, microseconds=with_it.microseconds, input_change=change, error=estimate.error)
+            row = replace(row, swing=estimate.swing)
+            reason = self._weak(row)
+        if not reason:
+            return row
+        run = run_loop(plant, Driven(without, without.inputs, gains), with_it, case.measured, hanging, tail=tail)
+        return replace(row, error=run.error, swing=run.swing, how=SIMULATED, reason="" if self.simulate else reason)
+
+    def _gains(self, scene: Scene, motion: Inverted) -> Gains:
+        system, problem = scene.model(), Problem.of(scene)
+        if self.drives is None:
+            return Gains.none(len(system.inputs))
+        return gains_of(system, self.measured, motion.end, problem.p, self.drives)
+
+    def _weak(self, row: EffectRow) -> str:
+        """Return why a row is to be simulated; empty where its estimate is good enough."""
+        if self.simulate:
+            return "asked for"
+        if self.tolerance / _WEAK < row.error < self.tolerance * _WEAK:
+            return "simulated because its estimate is near the tolerance"
+        if self.drives is None and (row.input_change or 0.0) > _LARGE:
+            return "simulated because its inputs change much and no loop holds the drives"
+        return "" if math.isfinite(row.error) else "simulated because the estimate was not survived"
+
+
+def smooth_enough(reference: Reference, order: int) -> Reference:
+    """Return a path with as many continuous derivatives; on the same way in the same time.
+
+    Raises
+    ------
+    InvalidReference
+        If a path that is too rough is more than a straight line from rest to rest.
+    """
+    if reference.smoothness >= order:
+        return reference
+    if not isinstance(reference, RestToRest):
+        raise InvalidReference(
+            f"the path is continuous up to its derivative of order {reference.smoothness}, this effect needs order"
+            f" {order}; only a straight line from rest to rest can be given another law"
+        )
+    return replace(reference, profile=polynomial(2 * order + 1), smoothness=order)
+
+
+def _law(reference: Reference) -> str:
+    return f"law {reference.profile.name}" if isinstance(reference, RestToRest) else "the scene's own law"
+
+
+def _rests(reference: Reference) -> bool:
+    """Whether a path stays where it ends."""
+    after = reference.jet([reference.end_time, reference.end_time + 1.0], 2)
+    return not after[:, 1:].any()
+
+
+def _relative_change(one: Inverted, other: Inverted) -> float:
+    """Return the largest difference of any input, as a fraction of that input's largest value in the second."""
+    peaks = np.abs(other.inputs).max(axis=0)
+    return float((np.abs(one.inputs - other.inputs).max(axis=0) / np.where(peaks > 0.0, peaks, 1.0)).max())

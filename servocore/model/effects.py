@@ -1,0 +1,146 @@
+"""`Effect` and `Effects`: what a scene leaves out of the physics, or may leave out, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+
+from servocore.errors import InvalidModel, described
+from servocore.model.symbols import Parameter, Parameters
+from servocore.model.system import MechanicalSystem
+
+Assemble = Callable[[frozenset[str], frozenset[str]], MechanicalSystem]
+"""(names of effects that are added, names of those that are left out) -> the model."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A physical effect that a model has or has not.
+
+    Parameters
+    ----------
+    name : str
+        Such as ``friction``.
+    assumption : str
+        One sentence: how it is modelled, and where that comes from.
+    parameters : tuple of Parameter
+        What the model with it needs beside the scene's own.
+    left_out : bool
+        Its direction: False where the scene lacks the effect and it is added, True where the scene has it and it is
+        left out.
+    drives : mapping of str to str
+        Positions that the drives measure where these are others than without it: ``{"phi": "phi_motor"}``.
+    includes : tuple of str
+        Names of lesser effects that the model with this one has too.
+    listed : bool
+        Whether tables have a row for it without being asked.
+    """
+
+    name: str
+    assumption: str
+    parameters: tuple[Parameter, ...] = ()
+    left_out: bool = False
+    drives: Mapping[str, str] = field(default_factory=dict, hash=False)
+    includes: tuple[str, ...] = ()
+    listed: bool = True
+
+
+def _no_assembly(added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
+    raise InvalidModel(f"nothing knows how to build {', '.join(sorted(added | left_out))}")
+
+
+@dataclass(frozen=True)
+class Extended:
+    """Factory of a model with some effects; equal ones make one model."""
+
+    assemble: Assemble
+    added: frozenset[str]
+    left_out: frozenset[str]
+
+    def __call__(self) -> MechanicalSystem:
+        """Assemble the model."""
+        return self.assemble(self.added, self.left_out)
+
+
+@dataclass(frozen=True)
+class Effects:
+    """The effects that a scene knows, and how to build models with them.
+
+    Parameters
+    ----------
+    declared : tuple of Effect
+        With different names.
+    drives : tuple of str
+        What the drive of each input measures, by the names of what the model reports.
+    hanging : tuple of str
+        Observables of the models that together say how far the load hangs to the side: its residual swing.
+    assemble : callable
+        A function of a module, so that models are made once.
+    added, left_out : frozenset of str
+        Names of the effects in which the scene differs from the one that declares them.
+    """
+
+    declared: tuple[Effect, ...] = ()
+    drives: tuple[str, ...] = ()
+    hanging: tuple[str, ...] = ()
+    assemble: Assemble = _no_assembly
+    added: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()
+
+    def __getitem__(self, name: str) -> Effect:
+        for each in self.declared:
+            if each.name == name:
+                return each
+        known = ", ".join(each.name for each in self.declared) or "none"
+        raise InvalidModel(f"no effect is called {described(name) if not isinstance(name, str) else name}; there are"
+                           f" {known}")  # fmt: skip
+
+    def with_(self, names: Iterable[str], without: Iterable[str] = ()) -> Effects:
+        """Return the effects of the scene that has some, and lacks others.
+
+        Raises
+        ------
+        InvalidModel
+            If there is no such effect.
+        """
+        wanted, unwanted = {self[each] for each in names}, {self[each] for each in without}
+        both = sorted(each.name for each in wanted & unwanted)
+        if both:
+            raise InvalidModel(f"a model cannot be both with and without {', '.join(both)}")
+        lacking = self.left_out - {each.name for each in wanted}
+        having = self.added - {each.name for each in unwanted}
+        return replace(
+            self,
+            added=having | {each.name for each in wanted if not each.left_out},
+            left_out=lacking | {each.name for each in unwanted if each.left_out},
+        )
+
+    @property
+    def factory(self) -> Extended:
+        """What makes the model."""
+        return Extended(self.assemble, self.added, self.left_out)
+
+    @property
+    def measured(self) -> tuple[str, ...]:
+        """What the drives measure in the model."""
+        found = list(self.drives)
+        for name in self.added:
+            found = [self[name].drives.get(each, each) for each in found]
+        return tuple(found)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters of all declared effects by name."""
+        return {own.name: own for each in self.declared for own in each.parameters}
+
+
+NO_EFFECTS = Effects()
+"""Of a scene that declares none."""
+
+
+def parameters_with(own: Parameters, effects: Iterable[Effect]) -> Parameters:
+    """Return the parameters of a model with some effects; what several of them need is there once."""
+    found = {each.name: each for each in own.declared}
+    for effect in effects:
+        found |= {each.name: each for each in effect.parameters if each.name not in found}
+    return Parameters(*found.values())

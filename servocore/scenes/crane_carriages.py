@@ -1,0 +1,150 @@
+"""What carries a crane's rope, with and without a flexible drive: straight rails, and a bridge that slews."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Coordinates, Parameters
+from servocore.scenes.crane_levels import Drive, Frame
+
+_TURNS = 2 * ca.pi
+
+
+def _is_flexible(effects: frozenset[str]) -> bool:
+    return bool(effects & {"flexible bridge", "flexible rail"})
+
+
+def _offset(p: Parameters, effects: frozenset[str]) -> tuple[ca.SX, ca.SX]:
+    """Return how far to the side of the trolley, and how far below the rail, the rope leaves it."""
+    return (p["exit_side"], p["exit_drop"]) if "rope exit" in effects else (ca.SX(0), ca.SX(0))
+
+
+def _stiffness(inertia: ca.SX, p: Parameters) -> ca.SX:
+    """Spring between the drive's share and the rest with which they, free at both ends, swing at the frequency."""
+    share = p["motor_share"]
+    return (_TURNS * p["bridge_frequency"]) ** 2 * inertia * share * (1 - share)
+
+
+@dataclass(frozen=True)
+class Rails:
+    """A trolley on one straight rail, or on a bridge that moves along two; the last rail is the trolley's.
+
+    Attributes
+    ----------
+    rails : tuple of Quantity
+        Positions along the rails.
+    masses : tuple of str
+        Names of the parameters that move along each rail beside what moves along the next ones.
+    frictions : tuple of str
+        Names of the parameters of dry friction.
+    """
+
+    rails: tuple[Quantity, ...]
+    masses: tuple[str, ...]
+    frictions: tuple[str, ...]
+
+    @property
+    def _motor(self) -> Quantity:
+        first = self.rails[0]
+        return Quantity(f"{first.name}_motor", first.unit, "position of the drive, before the flexible part")
+
+    def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
+        """Return its coordinates."""
+        return (*self.rails, self._motor) if _is_flexible(effects) else self.rails
+
+    def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
+        """Return its energies; the first rail's drive is the flexible one."""
+        masses = [trolley_mass if each == "trolley_mass" else p[each] for each in self.masses]
+        own, carried = masses[0], sum(masses[1:], ca.SX(0))
+        positions, first = [c[each.name] for each in self.rails], self.rails[0].name
+        kinetic = masses[-1] * sum(c.velocity(each.name) ** 2 for each in self.rails[1:]) / 2
+        kinetic += carried * c.velocity(first) ** 2 / 2
+        potential, measured = ca.SX(0), list(self.rails)
+        if _is_flexible(effects):
+            motor, share = self._motor.name, p["motor_share"]
+            kinetic += own * (share * c.velocity(motor) ** 2 + (1 - share) * c.velocity(first) ** 2) / 2
+            potential = _stiffness(own, p) * (c[first] - c[motor]) ** 2 / 2
+            measured[0] = self._motor
+        else:
+            kinetic += own * c.velocity(first) ** 2 / 2
+        side, drop = _offset(p, effects)
+        place = ca.vertcat(*positions, -drop)
+        place[len(positions) - 1] += side
+        drives = tuple(
+            Drive(each, c[each.name], ca.jacobian(c[each.name], c.q), friction)
+            for each, friction in zip(measured, self.frictions, strict=True)
+        )
+        return Frame(kinetic, potential, ca.SX(0, 1), place, drives)
+
+    def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return its coordinates with the rope's exit where it is to be."""
+        side, _ = _offset(p, effects)
+        positions = exit_[:-1]
+        positions[-1] -= side
+        return ca.vertcat(positions, positions[0]) if _is_flexible(effects) else positions
+
+    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return the height of the rope's exit in m, from the rail upwards."""
+        return -_offset(p, effects)[1]
+
+
+PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
+PHI_MOTOR = Quantity("phi_motor", "rad", "angle of the slewing drive, before the flexible bridge", wraps=True)
+
+
+@dataclass(frozen=True)
+class SlewingBridge:
+    """A bridge that turns about a vertical axis, with a trolley on it; directions in the place of angles."""
+
+    phi: Quantity
+    trolley: Quantity
+
+    def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
+        """Return its coordinates: bridge direction, trolley point and distance, direction of a flexible drive."""
+        names = ("d_x", "d_y", "p_x", "p_y")
+        own = (*(Quantity(each, "1" if each[0] == "d" else "m") for each in names), self.trolley)
+        return (*own, Quantity("e_x", "1"), Quantity("e_y", "1")) if _is_flexible(effects) else own
+
+    def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
+        """Return its energies and constraints: |d| = 1, p = s d, and |e| = 1 of a flexible drive."""
+        d, place, s = c.q[0:2], c.q[2:4], c[self.trolley.name]
+        inertia, turning = p["bridge_inertia"], c.v[0:2]
+        constraints, potential, motor, rest = [ca.sumsqr(d) - 1, place - s * d], ca.SX(0), ca.SX(0), inertia
+        driven, at, measured = d, 0, self.phi
+        if _is_flexible(effects):
+            driven, at, measured = c.q[5:7], 5, PHI_MOTOR
+            motor = p["motor_share"] * inertia * ca.sumsqr(c.v[5:7]) / 2
+            rest = (1 - p["motor_share"]) * inertia
+            # k |d - e|^2 / 2 = k (1 - cos of the angle between them): its torque is k times the sine
+            potential = _stiffness(inertia, p) * ca.sumsqr(d - driven) / 2
+            constraints.append(ca.sumsqr(driven) - 1)
+        row = ca.SX(1, len(c))
+        row[0, at], row[0, at + 1] = -driven[1], driven[0]
+        side, drop = _offset(p, effects)
+        across = ca.vertcat(-d[1], d[0])
+        return Frame(
+            kinetic=rest * ca.sumsqr(turning) / 2 + motor + trolley_mass * ca.sumsqr(c.v[2:4]) / 2,
+            potential=potential,
+            constraints=ca.vertcat(*constraints),
+            exit=ca.vertcat(place + side * across, -drop),
+            drives=(
+                Drive(measured, ca.atan2(driven[1], driven[0]), row, "bridge_friction"),
+                Drive(self.trolley, s, ca.jacobian(s, c.q), "trolley_friction"),
+            ),
+        )
+
+    def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return its coordinates with the rope's exit where it is to be."""
+        side, _ = _offset(p, effects)
+        x, y = exit_[0], exit_[1]
+        s = ca.sqrt(x**2 + y**2 - side**2)
+        # exit = s d + side (-d_y, d_x), as complex numbers (s + i side) d
+        d = ca.vertcat(s * x + side * y, s * y - side * x) / (x**2 + y**2)
+        return ca.vertcat(d, s * d, s, d) if _is_flexible(effects) else ca.vertcat(d, s * d, s)
+
+    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return the height of the rope's exit in m, from the rail upwards."""
+        return -_offset(p, effects)[1]

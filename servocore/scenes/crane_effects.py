@@ -1,0 +1,163 @@
+"""What cranes leave out: effects as data. Their values are declared assumptions, not measured cranes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from servocore.errors import InvalidModel
+from servocore.model.effects import Effect, Effects, parameters_with
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Parameter, Parameters
+from servocore.model.system import MechanicalSystem
+from servocore.scenes.crane_levels import Carriage, assemble, overhang
+from servocore.scenes.hanging_load import ROPE
+
+MOST_LUMPS = 4
+_HOOK = Parameter("hook_mass", 5.0, "kg", 1e-6, 1e9, "of the hook; the load is lighter by as much")
+_AIR = (
+    Parameter("drag_area", 1.0, "m2", 0.0, 1e6, "drag coefficient times area of the load"),
+    Parameter("air_density", 1.25, "kg/m3", 0.0, 100.0, "of the air"),
+)
+_MOTOR = Parameter("motor_share", 0.3, "1", 1e-3, 0.999, "of the inertia that belongs to the drive")
+
+ELASTIC_ROPE = Effect(
+    "elastic rope",
+    "The rope is a linear spring of stiffness EA/l without damping, l the length paid out (Hooke).",
+    (Parameter("rope_stiffness", 5e6, "N", 1.0, 1e15, "EA"),),
+)
+WINCH_INERTIA = Effect(
+    "winch inertia",
+    "The scene has the winch's inertia; without it the winch torque is the rope's tension times the radius.",
+    left_out=True,
+)
+AIR_DRAG = Effect(
+    "air drag",
+    "The load has the quadratic drag of still air, rho c_d A v^2/2 with constant c_d A (Rayleigh).",
+    _AIR,
+)
+WIND = Effect(
+    "wind",
+    "The load has the drag of air that moves steadily along x, without gusts.",
+    (*_AIR, Parameter("wind_speed", 8.0, "m/s", -100.0, 100.0, "along x")),
+    includes=("air drag",),
+)
+ROPE_EXIT = Effect(
+    "rope exit",
+    "The rope leaves the trolley to the side of its centre and below the rail.",
+    (
+        Parameter("exit_side", 0.15, "m", -1e3, 1e3, "to the side of the trolley's centre"),
+        Parameter("exit_drop", 0.5, "m", 0.0, 1e3, "below the rail"),
+    ),
+)
+
+
+def hook(sling: float) -> Effect:
+    """Return the effect of a hook between rope and slings; `sling` is their length in m."""
+    return Effect(
+        "hook",
+        "The hook is a point mass between rope and slings: a double pendulum (Singhose et al. 2008).",
+        (_HOOK, Parameter("sling_length", sling, "m", 1e-3, 1e3, "from the hook to the load")),
+    )
+
+
+def rigid_load(centre: float, gyration: float) -> Effect:
+    """Return the effect of a load that is a rigid body, below the hook by `centre`, with a radius of gyration in m."""
+    return Effect(
+        "rigid load",
+        "The load is a rigid body below the hook; the path is that of its centre of oscillation, k^2/a below its centre"
+        " of mass (Huygens), where an equimomental pair of points leaves no internal dynamics.",
+        (
+            _HOOK,
+            Parameter("body_centre", centre, "m", 1e-3, 1e3, "a, from the hook to the centre of mass"),
+            Parameter("body_gyration", gyration, "m", 1e-3, 1e3, "k, radius of gyration about a level axis"),
+        ),
+        includes=("hook",),
+    )
+
+
+def heavy_rope(lumps: int, piece: float) -> Effect:
+    """Return the effect of a rope's mass in a number of lumps; `piece` is the length they stand for, in m."""
+    return Effect(
+        "heavy rope" if lumps == 1 else f"heavy rope {lumps}",
+        f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material, what is paid"
+        " out above weighs on the winch; wound up the rope belongs to the trolley.",
+        (
+            Parameter("rope_mass", 1.0, "kg/m", 0.0, 1e6, "of a metre of rope"),
+            Parameter("rope_piece", piece, "m", 1e-3, 1e4, "length that the lumps stand for, shorter than the rope"),
+        ),
+        listed=lumps == 1,
+    )
+
+
+def friction(*drives: Parameter) -> Effect:
+    """Return the effect of dry and viscous friction in every drive; `drives` are the dry ones but the winch's."""
+    return Effect(
+        "friction",
+        "Every drive has Coulomb friction, smoothed as c tanh(v/v_0), and viscous friction (Armstrong-Helouvry 1991).",
+        (
+            *drives,
+            Parameter("winch_friction", 29.0, "N", 0.0, 1e9, "dry friction of the winch as a force of the rope"),
+            Parameter("viscous_share", 0.2, "s/m", 0.0, 1e6, "viscous friction by dry friction"),
+            Parameter("creep", 0.01, "m/s", 1e-6, 1e3, "v_0, rate at which dry friction is 76 % of its full value"),
+        ),
+    )
+
+
+def flexible(part: str, what: str, frequency: float, measured: dict[str, str]) -> Effect:
+    """Return the effect of a flexible part behind the first drive, which then measures its own position."""
+    swinging = Parameter("bridge_frequency", frequency, "Hz", 1e-2, 1e3, "of drive against the rest, both ends free")
+    return Effect(
+        f"flexible {part}",
+        f"Between the drive and {what} is a spring without damping; the drive measures its own side (Spong 1987).",
+        (_MOTOR, swinging),
+        drives=measured,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Crane:
+    """A crane in all its levels of physics; a factory of models by the names of effects."""
+
+    name: str
+    carriage: Carriage
+    parameters: Parameters
+    inputs: Sequence[Quantity]
+    outputs: Sequence[Quantity]
+    home: tuple[float, ...]
+    effects: tuple[Effect, ...]
+
+    def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
+        """Assemble the model with some effects and without others."""
+        known = {each.name: each for each in self.effects}
+        chosen = {known[each] for each in added} | {known[own] for each in added for own in known[each].includes}
+        names = frozenset(each.name for each in chosen) | {f"no {each}" for each in left_out}
+        if sum(each.startswith("heavy rope") for each in names) > 1:
+            raise InvalidModel(f"{self.name}: choose one number of lumps for the heavy rope")
+        declared = parameters_with(self.parameters, [each for each in self.effects if each in chosen])
+        told = ", ".join([*sorted(added), *(f"without {each}" for each in sorted(left_out))])
+        name = f"{self.name} with {told}" if told else self.name
+        return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names)
+
+
+def effects_of(crane: Crane, *rails: str) -> Effects:
+    """Return what a scene declares: the effects of a crane whose drives measure the rails and the rope's length."""
+    hanging = tuple(each.name for each in overhang(crane.outputs))
+    return Effects(crane.effects, (*rails, ROPE.name), hanging, crane)
+
+
+def all_effects(own: Sequence[Effect], *, rope: float, sling: float = 1.0) -> tuple[Effect, ...]:
+    """Return the effects of a crane: those of its own drives and parts, and those that all cranes share.
+
+    Parameters
+    ----------
+    own : sequence of Effect
+        Friction and the flexible part.
+    rope : float
+        Length in m that the lumps of a heavy rope stand for; the rope must stay longer.
+    sling : float
+        Length in m below the hook; a rigid load is as long.
+    """
+    ropes = (heavy_rope(count + 1, rope) for count in range(MOST_LUMPS))
+    loads = (hook(sling), rigid_load(sling, sling / 2))
+    return (ELASTIC_ROPE, *ropes, WINCH_INERTIA, AIR_DRAG, WIND, *loads, *own, ROPE_EXIT)

@@ -1,0 +1,296 @@
+r"""Cranes with more physics than their scenes need: one assembly for every combination of effects.
+
+          [drive]~~~[carriage]      flexible: the drive's own inertia turns or moves against a spring
+                        \  exit     off the trolley's centre, below the rail
+                         \
+                          \  upper rope: stiff, or a spring of stiffness EA/l; its weight is that of what is paid out
+                           o lumps, fixed to the rope's material above the hook, stiff links between them
+                           |
+                           o hook
+                           |  slings, or a rigid body up to its centre of oscillation
+                           o load (follows the path)
+
+All masses are points, so M is constant and the equations stay polynomial. Lumps keep the crane flat because they are
+fixed to the material: at fractions of the length the load's equation would hold the rate of the rope's length, with a
+coefficient that vanishes at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+
+from servocore.model.quantity import Quantity
+from servocore.model.symbols import Coordinates, Parameters
+from servocore.model.system import MechanicalSystem, reference_symbols
+from servocore.scenes.hanging_load import ROPE, TENSION, swing_angle
+
+_SMOOTH_WIND = 0.01  # m/s: below it the drag is linear in the velocity, and differentiable at rest
+
+ROPE_ABOVE = Quantity("rope_above", "m", "rope between its lumps and the trolley", positive=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A drive of the carriage: what it measures, its position, and the coordinates' share in its rate.
+
+    Attributes
+    ----------
+    measured : Quantity
+        Name and unit of its position.
+    position : casadi.SX
+        Expression of q.
+    row : casadi.SX
+        Shape (1, n): the rate is row times v, and a force f of the drive is row^T f.
+    friction : str
+        Name of the parameter of its dry friction.
+    """
+
+    measured: Quantity
+    position: ca.SX
+    row: ca.SX
+    friction: str
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What a carriage brings into a model.
+
+    Attributes
+    ----------
+    kinetic, potential : casadi.SX
+        Energies in J.
+    constraints : casadi.SX
+        Column; may be empty.
+    exit : casadi.SX
+        Where the rope leaves the trolley.
+    drives : tuple of Drive
+        One an input but for the winch's.
+    """
+
+    kinetic: ca.SX
+    potential: ca.SX
+    constraints: ca.SX
+    exit: ca.SX
+    drives: tuple[Drive, ...]
+
+
+class Carriage(Protocol):
+    """What a crane's rope hangs from."""
+
+    def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
+        """Return its coordinates."""
+
+    def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
+        """Return its energies and constraints; the mass of the trolley may be less than the parameter says."""
+
+    def guess(self, exit_: ca.SX, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return its coordinates with the rope's exit where it is to be (its last component is `height`)."""
+
+    def height(self, p: Parameters, effects: frozenset[str]) -> ca.SX:
+        """Return the height of the rope's exit in m, from the rail upwards."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """What hangs from the upper rope: points from the load upwards.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of all but the load.
+    masses : tuple of casadi.SX
+        In kg, from the load upwards.
+    links : tuple of casadi.SX
+        Length between each point and the next one, in m.
+    heavy : bool
+        Whether the upper rope has a weight.
+    beside : casadi.SX
+        Rope between the hook and the last point, m.
+    """
+
+    names: tuple[str, ...]
+    masses: tuple[ca.SX, ...]
+    links: tuple[ca.SX, ...]
+    heavy: bool
+    beside: ca.SX
+
+
+def overhang(outputs: Sequence[Quantity]) -> tuple[Quantity, ...]:
+    """Return what says how far the load hangs to the side of the rope's exit."""
+    about = "load from the rope's exit"
+    return tuple(Quantity(f"overhang_{each.name}", each.unit, about) for each in outputs[:-1])
+
+
+def lumps_of(effects: frozenset[str]) -> int:
+    """Return how many lumps stand for the rope's mass: 0 for a rope without mass."""
+    counts = [int(each.removeprefix("heavy rope").strip() or 1) for each in effects if each.startswith("heavy rope")]
+    return max(counts, default=0)
+
+
+def _chain(effects: frozenset[str], p: Parameters) -> Chain:
+    """Return load, hook and lumps with their links."""
+    names: list[str] = []
+    masses, links = [p["load_mass"]], []
+    if "rigid load" in effects:
+        a, body = p["body_centre"], p["load_mass"] - p["hook_mass"]
+        length = a + p["body_gyration"] ** 2 / a  # the centre of oscillation, Huygens: an equimomental pair of points
+        names, links = ["hook"], [length]
+        masses = [body * a / length, p["hook_mass"] + body * (1 - a / length)]
+    elif "hook" in effects:
+        names, links = ["hook"], [p["sling_length"]]
+        masses = [p["load_mass"] - p["hook_mass"], p["hook_mass"]]
+    count = lumps_of(effects)
+    for k in range(count):
+        piece = p["rope_piece"] / count
+        names.append(f"rope_{k + 1}")
+        links.append(piece / 2 if k == 0 else piece)
+        masses.append(p["rope_mass"] * piece)
+    beside = p["rope_piece"] * (1 - 0.5 / count) if count else ca.SX(0)
+    return Chain(tuple(names), tuple(masses), tuple(links), count > 0, beside)
+
+
+def assemble(
+    name: str,
+    carriage: Carriage,
+    parameters: Parameters,
+    inputs: Sequence[Quantity],
+    outputs: Sequence[Quantity],
+    home: tuple[float, ...],
+    effects: frozenset[str],
+) -> MechanicalSystem:
+    """Return a crane with some effects.
+
+    Parameters
+    ----------
+    name : str
+        What the system is called in messages.
+    carriage : Carriage
+        What the rope hangs from.
+    parameters : Parameters
+        Of the crane and of the effects.
+    inputs, outputs : sequence of Quantity
+        Those of the carriage's drives and of the winch; coordinates of the load, the last upwards.
+    home : tuple of float
+        A regular position of the load, m.
+    effects : frozenset of str
+        Their names; ``no winch inertia`` for a winch without.
+    """
+    p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
+    own = carriage.quantities(effects)
+    above = [Quantity(f"{each}_{axis.name}", "m") for each in chain.names for axis in outputs]
+    c = Coordinates(*own, ROPE, *outputs, *above)
+    points = ca.horzsplit(ca.reshape(c.q[len(own) + 1 :], dimension, -1))
+    rates = ca.horzsplit(ca.reshape(c.v[len(own) + 1 :], dimension, -1))
+    rope_mass = p["rope_mass"] * p["rope_piece"] if chain.heavy else 0  # wound up it belongs to the trolley
+    frame = carriage.frame(c, p, effects, p["trolley_mass"] - rope_mass)
+    winch = ca.SX(0) if "no winch inertia" in effects else p["winch_inertia"] / p["winch_radius"] ** 2
+    kinetic = frame.kinetic + winch * c.velocity(ROPE.name) ** 2 / 2
+    kinetic += sum(m * ca.sumsqr(rate) / 2 for m, rate in zip(chain.masses, rates, strict=True))
+    rope = _upper_rope(c, p, chain, points, frame.exit, "elastic rope" in effects)
+    links = [ca.sumsqr(a - b) - each**2 for a, b, each in zip(points, points[1:], chain.links, strict=False)]
+    weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
+    constraints = ca.vertcat(frame.constraints, *links, rope.constraints)
+    lam, gamma = ca.SX.sym("lam", constraints.numel()), reference_symbols(dimension)
+    drives = (*frame.drives, Drive(ROPE, c[ROPE.name], _unit_row(c, ROPE.name), "winch_friction"))
+    gear = ca.diag(ca.vertcat(*[1] * len(frame.drives), 1 / p["winch_radius"]))
+    return MechanicalSystem(
+        name=name,
+        coordinates=c,
+        parameters=p,
+        inputs=tuple(inputs),
+        outputs=tuple(outputs),
+        mass=ca.sparsify(ca.hessian(kinetic, c.v)[0]),
+        potential=frame.potential + weight + rope.potential,
+        force=_forces(c, p, drives, rates[0], effects),
+        constraints=constraints,
+        input_matrix=-ca.mtimes(gear, ca.vertcat(*(each.row for each in drives))),
+        output=points[0],
+        multipliers=lam,
+        gamma=gamma,
+        guess=_guess(gamma, p, chain, carriage, effects),
+        home=home,
+        observables={
+            **_observables(c, drives, rope, lam, points[-1] - frame.exit, chain),
+            **dict(zip(overhang(outputs), ca.vertsplit((points[0] - frame.exit)[:-1]), strict=True)),
+        },
+    )
+
+
+def _unit_row(c: Coordinates, name: str) -> ca.SX:
+    return ca.jacobian(c[name], c.q)
+
+
+@dataclass(frozen=True, eq=False)
+class _UpperRope:
+    potential: ca.SX
+    constraints: ca.SX
+    above: ca.SX
+    pull: ca.SX  # tension of an elastic rope; of a stiff one it is its multiplier times twice the length
+
+
+def _upper_rope(
+    c: Coordinates, p: Parameters, chain: Chain, points: Sequence[ca.SX], exit_: ca.SX, elastic: bool
+) -> _UpperRope:
+    """Return the rope from the last point to the trolley; its weight is that of what is paid out above the lumps."""
+    total = c[ROPE.name]
+    above = total - chain.beside
+    potential = ca.SX(0)
+    if chain.heavy:
+        half = p["rope_piece"] - chain.beside  # of the last lump's piece, above it
+        length, top, low = above - half, exit_[-1], points[-1][-1]
+        middle = (top + low + (top - low) * half / above) / 2
+        potential = p["rope_mass"] * p["gravity"] * length * middle
+    span = points[-1] - exit_
+    if not elastic:
+        return _UpperRope(potential, ca.sumsqr(span) - above**2, above, ca.SX())
+    distance, stiffness = ca.norm_2(span), p["rope_stiffness"] / total
+    potential += stiffness / 2 * (distance - above) ** 2
+    return _UpperRope(potential, ca.SX(0, 1), above, stiffness * (distance - above))
+
+
+def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: ca.SX, effects: frozenset[str]) -> ca.SX:
+    """Return friction in the drives, and drag of the air on the load."""
+    force = ca.SX.zeros(len(c))
+    if "friction" in effects:
+        for each in drives:
+            rate = ca.mtimes(each.row, c.v)
+            dry = p[each.friction] * (ca.tanh(rate / p["creep"]) + p["viscous_share"] * rate)
+            force -= ca.mtimes(each.row.T, dry)
+    if effects & {"air drag", "wind"}:
+        against = load_rate - ca.vertcat(p["wind_speed"] if "wind" in effects else 0, *[0] * (load_rate.numel() - 1))
+        speed = ca.sqrt(ca.sumsqr(against) + _SMOOTH_WIND**2)
+        drag = p["air_density"] / 2 * p["drag_area"] * speed * against
+        force -= ca.mtimes(ca.jacobian(load_rate, c.v).T, drag)
+    return force
+
+
+def _observables(
+    c: Coordinates, drives: Sequence[Drive], rope: _UpperRope, lam: ca.SX, span: ca.SX, chain: Chain
+) -> dict[Quantity, ca.SX]:
+    own = {each.measured: each.position for each in drives if each.measured.name not in c.names}
+    tension = rope.pull if rope.pull.numel() else 2 * lam[-1] * rope.above
+    swing = Quantity("swing", "rad", "angle of the upper rope from the vertical", nonnegative=span.numel() == 3)
+    found = {**own, TENSION: tension, swing: swing_angle(span)}
+    return {**found, ROPE_ABOVE: rope.above} if chain.heavy else found
+
+
+def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effects: frozenset[str]) -> ca.SX:
+    """Return a configuration near the path: from the load upwards along the pull, every point as fast as the load."""
+    up = ca.vertcat(*[0] * (gamma.size1() - 1), p["gravity"])
+    points, mass = [gamma[:, 0]], ca.SX(0)
+    pull = gamma[:, 2] + up
+    direction = pull / ca.norm_2(pull)
+    for each in chain.links:
+        points.append(points[-1] + each * direction)
+    for each in chain.masses:
+        mass += each
+    height = carriage.height(p, effects)
+    distance = (height - points[-1][-1]) / direction[-1]
+    exit_ = points[-1] + distance * direction
+    stretch = 1 + mass * ca.norm_2(pull) / p["rope_stiffness"] if "elastic rope" in effects else 1
+    rope = distance / stretch + chain.beside
+    return ca.vertcat(carriage.guess(exit_, p, effects), rope, *points)
