@@ -20,6 +20,8 @@ from servocore.cli.cache import EXAMPLES as CACHE_EXAMPLES
 from servocore.cli.cache import show_cache
 from servocore.cli.choice import chosen
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, Version, table_console
+from servocore.cli.effects import EXAMPLES as EFFECTS_EXAMPLES
+from servocore.cli.effects import show_effects
 from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
 from servocore.cli.export import export_scene
 from servocore.cli.level import Level
@@ -210,6 +212,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
 app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_command(sweep))
+app.command("effects", epilog=EFFECTS_EXAMPLES)(show_effects)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
 

@@ -108,7 +108,7 @@ class Run:
     Attributes
     ----------
     error : float
-        Largest distance of the output from the path; infinite where the plant did not survive.
+        Largest distance of the output from the path while that lasts; infinite where the plant did not survive.
     swing : float or None
         Largest residual swing after the end of the path; None where the path does not end at rest, or the plant did not
         survive.
@@ -172,7 +172,8 @@ def run_loop(
     at_rest = _seen(loop, np.concatenate([own.end, np.zeros(len(own.end))])[None], problem.p)[0]
     t, count = at[::2], len(problem.system.outputs)
     deviation = np.linalg.norm(seen[:, :count] - problem.reference.jet(t, 0)[:, 0], axis=1)
-    error = float(deviation.max()) if np.isfinite(deviation).all() else np.inf
+    moved = deviation[: moving + 1]
+    error = float(moved.max()) if np.isfinite(moved).all() else np.inf
     return Run(error, _swing(seen[moving:] - at_rest, count) if after else None)
 
 

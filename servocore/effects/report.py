@@ -32,8 +32,8 @@ class EffectRow:
     input_change : float or None
         Largest difference of an input between the models, as a fraction of that input's largest value.
     error : float
-        Largest distance of the load from its path if the inputs of the model without the effect drive the plant with
-        it, in the unit of the path; infinite where the plant does not survive them.
+        Largest distance of the load from its path, while that lasts, if the inputs of the model without the effect
+        drive the plant with it, in the unit of the path; infinite where the plant does not survive them.
     swing : float or None
         Largest swing of the load after the path's end, in the same unit; None where the path does not end at rest.
     how : str

@@ -22,6 +22,7 @@ from servocore.effects.closed_loop import COARSEST, Driven, run_loop
 from servocore.effects.drives import Drives, Gains, gains_of
 from servocore.effects.inverted import Inverted, inverted
 from servocore.effects.report import ESTIMATED, REFUSED, SIMULATED, EffectRow, EffectsReport
+from servocore.effects.rest import at_rest
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError, require_kind, require_real
 from servocore.model.effects import Effects
 from servocore.model.scene import ModelFactory, Scene, require_scene
@@ -33,7 +34,7 @@ from servocore.references.rest_to_rest import RestToRest
 _WEAK = 2.0  # an estimate within this factor of the tolerance is looked into by simulation
 _LARGE = 0.15  # change of an input that open loop estimates do not bear
 _TAIL = 6.0  # s after the end of a path in which the residual swing is looked for: two swings of some two metres
-_NOT_FLAT = "simulated because it has internal dynamics, which the path does not determine"
+_NOT_FLAT = "simulated because it has internal dynamics, or no inversion at all, so that there is nothing to compare"
 _FEWEST = 500  # instants of a path, however short
 
 
@@ -180,39 +181,35 @@ class _Study:
 
     def row(self, case: _Case) -> EffectRow:
         """Return the row of an effect."""
-        problem = Problem.of(case.large)
         try:
-            array = problem.array
-            order = array.reference_order
-            reference = smooth_enough(case.large.reference, order)
-            large, small = case.large.with_reference(reference), case.small.with_reference(reference)
-            row = EffectRow(
-                name=case.name,
+            return self._row(case)
+        except ServocoreError as error:
+            return replace(_unknown(case), how=REFUSED, reason=str(error))
+
+    def _row(self, case: _Case) -> EffectRow:
+        array = Problem.of(case.large).resolved.outcome
+        if isinstance(array, InvalidModel):
+            order, row = Problem.of(case.small).array.reference_order, _unknown(case)
+        else:
+            order, row = array.reference_order, replace(
+                _unknown(case),
                 index=array.signature.index,
                 internal_states=array.signature.degrees_of_freedom,
-                derivatives=order,
+                derivatives=array.reference_order,
                 unknowns=len(array.unknowns),
-                microseconds=None,
-                input_change=None,
-                error=math.inf,
-                swing=None,
-                how=ESTIMATED,
-                law=_law(reference),
-                left_out=case.left_out,
-            )
-            return self._compared(row, case, large, small)
-        except ServocoreError as error:
-            return EffectRow(case.name, None, None, None, None, None, None, math.inf, None, REFUSED, "",
-                             left_out=case.left_out, reason=str(error))  # fmt: skip
+            )  # fmt: skip
+        reference = smooth_enough(case.large.reference, max(order, Problem.of(case.small).array.reference_order))
+        large, small = (each.with_reference(reference) for each in (case.large, case.small))
+        return self._compared(replace(row, law=_law(reference)), case, large, small)
 
     def _compared(self, row: EffectRow, case: _Case, large: Scene, small: Scene) -> EffectRow:
         instants = max(math.ceil(large.reference.duration / COARSEST), _FEWEST) + 1
-        plant, tail = Problem.of(large), _TAIL if _rests(large.reference) else 0.0
-        model = Problem.of(small)
-        with_it, without = inverted(plant, case.measured, instants), inverted(model, self.measured, instants)
+        plant, model, tail = Problem.of(large), Problem.of(small), _TAIL if _rests(large.reference) else 0.0
+        flat, hanging, reason = row.internal_states == 0, self.scene.effects.hanging, _NOT_FLAT
+        without = inverted(model, self.measured, instants)
+        with_it = inverted(plant, case.measured, instants) if flat else at_rest(plant, case.measured)
         gains = self._gains(large, with_it) if case.left_out else self._gains(small, without)
-        hanging, reason = self.scene.effects.hanging, _NOT_FLAT
-        if plant.flat:
+        if flat:
             lacking = with_it.inputs - without.inputs
             lacking = lacking + gains.position * (with_it.positions - without.positions)
             lacking = lacking + gains.rate * (with_it.rates - without.rates)
@@ -242,6 +239,12 @@ class _Study:
         if self.drives is None and (row.input_change or 0.0) > _LARGE:
             return "simulated because its inputs change much and no loop holds the drives"
         return "" if math.isfinite(row.error) else "simulated because the estimate was not survived"
+
+
+def _unknown(case: _Case) -> EffectRow:
+    """Return a row of which nothing is known but its effect."""
+    return EffectRow(case.name, None, None, None, None, None, None, math.inf, None, ESTIMATED, "",
+                     left_out=case.left_out)  # fmt: skip
 
 
 def smooth_enough(reference: Reference, order: int) -> Reference:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 
 from servocore.errors import InvalidModel
 from servocore.model.scene import Scene
+from servocore.model.symbols import Parameter
 
 
-def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
+def read_parameters(path: Path, scene: Scene, more: Iterable[Parameter] = ()) -> dict[str, float]:
     """Read the parameters of a scene that a file changes.
 
     Parameters
@@ -18,6 +20,8 @@ def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
         A TOML file, such as ``load_mass = 80.0``; names, units and bounds are the scene's.
     scene : Scene
         Whose parameters they are.
+    more : sequence of Parameter
+        What the file may change beside them.
 
     Returns
     -------
@@ -31,7 +35,7 @@ def read_parameters(path: Path, scene: Scene) -> dict[str, float]:
         the sentence names the file and the key.
     """
     path = Path(path)
-    declared = {each.name: each for each in scene.model().parameters.declared}
+    declared = {each.name: each for each in (*scene.model().parameters.declared, *more)}
     values: dict[str, float] = {}
     for key, value in read_table(path).items():
         if key not in declared:

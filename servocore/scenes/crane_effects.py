@@ -24,7 +24,7 @@ _MOTOR = Parameter("motor_share", 0.3, "1", 1e-3, 0.999, "of the inertia that be
 ELASTIC_ROPE = Effect(
     "elastic rope",
     "The rope is a linear spring of stiffness EA/l without damping, l the length paid out (Hooke).",
-    (Parameter("rope_stiffness", 5e6, "N", 1.0, 1e15, "EA"),),
+    (Parameter("rope_stiffness", 5e6, "N", 1.0, 1e10, "EA"),),
 )
 WINCH_INERTIA = Effect(
     "winch inertia",
