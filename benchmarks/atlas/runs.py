@@ -32,12 +32,12 @@ def relative_error(scene: sc.Scene, solution: sc.Solution, skip: int = 0, model:
 
 def error_at(
     scene: sc.Scene, formulation: sc.Formulation, method: sc.Method, steps: int, *, skip: int = 0,
-    model: str | None = None,
+    model: str | None = None, checks: bool = True,
 ) -> float:  # fmt: skip
     """Largest relative error of the inputs of a run; infinity if it failed."""
     step = scene.reference.duration / steps
     try:
-        solution = quietly(scene, formulation, method, step=step, model=model)
+        solution = quietly(scene, formulation, method, step=step, model=model, checks=checks)
     except sc.IntegrationFailed:
         return float("inf")
     return relative_error(scene, solution, skip, model)

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
-from servocore.errors import ServocoreWarning
+from servocore.errors import InvalidReference, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.problem import Problem
@@ -16,10 +16,31 @@ _CALLER = 5  # the line that called `solve`
 
 
 def warn_before(problem: Problem, formulation: Formulation, method: Method) -> None:
-    """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge."""
+    """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge.
+
+    Raises
+    ------
+    InvalidReference
+        If the path is so rough that inputs hold impulses.
+    """
+    require_smooth(problem)
     _warn_of_growth(problem)
     _warn_of_jumps(problem)
     _warn_of_index(problem, formulation, method)
+
+
+def require_smooth(problem: Problem) -> None:
+    """Raise `InvalidReference` if a path is so rough that velocities jump with its derivatives: inputs are impulses.
+
+    Where only the inputs jump, a warning is enough.
+    """
+    order, reference = problem.array.reference_order, problem.reference
+    if reference.smoothness < order - 1 <= reference.max_order:
+        raise InvalidReference(
+            f"{problem.system.name} has index {problem.signature.index}: its velocities need the path's derivative of"
+            f" order {order - 1}, but the path is continuous up to order {reference.smoothness} only: it would have to"
+            f" be hit where that jumps; a law such as the polynomial of degree {2 * order + 1} is smooth enough"
+        )
 
 
 def _warn_of_growth(problem: Problem) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from servocore.checks.before_run import require_smooth
 from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
@@ -80,6 +81,8 @@ def simulate(
     ------
     InconsistentStart
         If the reference gives no initial state, or the constraints cannot hold with the values of `start`.
+    InvalidReference
+        If the path is so rough that it does not start at rest, and no whole state is given.
     IntegrationFailed
         If the integrator gives up, time runs out, or a force that jumps with the sign of a velocity, as dry friction,
         changes sides without end.
@@ -166,6 +169,8 @@ def _initial_state(problem: Problem, time: float) -> Array:
     system = problem.system
     if len(problem.start) == 2 * len(system.coordinates):
         return moved_to(problem, time, np.zeros(len(problem.start)), problem.start)
+    if time == problem.reference.start_time:
+        require_smooth(problem)
     state = _inverted(problem, time)
     return moved_to(problem, time, state, problem.start) if problem.start else state
 
