@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
+from command_lines import CommandLine, write
 
 import servocore as sc
+from servocore.cli.commands import app
 from servocore.effects.closed_loop import Driven, run_loop
 from servocore.effects.drives import Gains
 from servocore.effects.inverted import inverted
@@ -170,6 +173,11 @@ def test_effects_combine_in_one_model_that_solve_takes():
     assert again.effects.added == {"flexible bridge", "hook"}
 
 
+def test_a_scene_with_effects_is_exported_like_any_other(tmp_path):
+    scene = smooth(crane("overhead_crane").with_effects("friction"), 5.0)
+    assert sc.export_fmu(scene, tmp_path / "crane.fmu", targets="host").stat().st_size > 10_000
+
+
 def test_equal_scenes_with_effects_share_what_was_made():
     one, two = (crane("rotary_crane").with_effects("friction", "hook") for _ in range(2))
     assert one.model() is two.model()
@@ -316,3 +324,71 @@ def test_a_rope_shorter_than_its_lumps_refuses_its_row():
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
     assert found["heavy rope"].how == "refused"
     assert "rope_above is -" in found["heavy rope"].reason
+
+
+# Paths that are too rough.
+
+
+def rough(index_seven: bool = True) -> sc.Scene:
+    scene = crane("overhead_crane").with_reference(sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 5.0, sc.DEGREE9))
+    return scene.with_effects("hook") if index_seven else scene
+
+
+def test_simulate_and_solve_refuse_a_path_on_which_a_plant_of_index_seven_would_start_in_motion():
+    words = "has index 7: its velocities need the path's derivative of order 5, .* continuous up to order 4 only"
+    with pytest.raises(sc.InvalidReference, match=words + ".* polynomial of degree 13"):
+        sc.solve(rough())
+    with pytest.raises(sc.InvalidReference, match=words):
+        sc.simulate(rough(), lambda _: np.zeros(2), t=np.linspace(0.0, 1.0, 3))
+
+
+def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or_from_a_state_of_ones_own():
+    assert sc.solve(rough(index_seven=False)).statistics.servo_violation < 1e-9
+    start = sc.solve(rough().with_reference(sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 5.0, sc.DEGREE13)))
+    hold = np.array([start["F"][0], start["M_w"][0]])
+    motion = sc.simulate(rough(), lambda _: hold, t=np.linspace(-1.0, -0.5, 3))
+    assert motion["tracking_error"].max() < 1e-9
+    names = rough().model().coordinates.names
+    state = {name: float(start[name][0]) for name in names} | {f"{name}_dot": 0.0 for name in names}
+    moved = sc.simulate(rough(), lambda _: hold, t=np.array([0.0, 1e-3]), start=state)
+    assert abs(moved["s"][-1]) < 1e-9
+
+
+# The command.
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return CommandLine(app, "servocore")
+
+
+def test_the_command_prints_the_table_and_writes_the_page(run):
+    write("crane.toml", "load_mass = 80.0\nhook_mass = 2.0\n")
+    result = run(
+        "effects", "overhead_crane", "--tolerance", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
+    )
+    assert result.exit_code == 0, result.output
+    assert "the load keeps 20 mm with" in " ".join(result.stdout.split())
+    page = Path("page.md").read_text(encoding="utf-8")
+    assert page.startswith("# What overhead_crane may leave out")
+    assert "| effect | index | internal states |" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("overhead_crane", "--tolerance", "5kg"), ("the tolerance is given in kg",)),
+        (("overhead_crane", "--tolerance", "0mm"), ("the tolerance must be positive",)),
+        (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of drives must be positive",)),
+        (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("no drives whose bandwidth",)),
+        (("overhead_crane", "--parameters", "bad.toml"), ("bad.toml", "'rope_colour'")),
+        (("overhead_crane", "--reference", "none.csv"), ("none.csv",)),
+        (("cars",), ("cars declares no effects",)),
+        (("crane",), ("no scene is called crane",)),
+    ],
+)
+def test_bad_input_ends_with_one_sentence_and_no_page(run, arguments, words):
+    write("bad.toml", "rope_colour = 3.0\n")
+    run.assert_refused(run("effects", *arguments, "--markdown", "page.md"), *words)
+    assert not Path("page.md").exists()

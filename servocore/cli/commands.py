@@ -175,7 +175,9 @@ def show_levels(
         contents[csv] = csv_text(levels)
     if markdown is not None:
         command = _as_typed(scene, every, parameters, instants, markdown)
-        contents[markdown] = markdown_page(levels, command=command, instants=instants, repeats=_REPEATS)
+        contents[markdown] = markdown_page(
+            levels, command=command, instants=instants, repeats=_REPEATS, introduced=every
+        )
     write_together(contents)
     console = table_console()
     for each in scenes:

@@ -20,7 +20,43 @@ COLUMNS = (
     "microseconds", "microseconds_lower_quartile", "microseconds_upper_quartile", "error", "refusal",
 )  # fmt: skip
 
-_PAGE = """# What the models of a scene cost
+_EFFECTS = """# Which model is enough, and what it costs
+
+## Which physical effects a model needs
+
+![load off its path for every effect that is left out](pictures/effects.png)
+
+*Each effect by itself, left out of the inputs and present in the plant; drives with position loops of 6 rad/s and
+damping 1. Left the scene with a load of 100 kg, right one of 2 t. A tolerance of 1, 10 or 100 mm (dashed) needs every
+effect to the right of its line.*
+
+* A faster motion needs more: at 20 s the hook and a rigid load are below 2 mm, at 5 s they are not.
+* What acts like a force (friction, winch inertia, the rope's weight) the drives take, the better the stiffer they are.
+  What acts like a motion (rope exit, wind, flexible bridge, drag, hook) no drive helps against, only the model.
+* The rope's exit beside the trolley's centre costs nothing to have in a model: same index, as many unknowns.
+
+For a scene of your own, its path and your drives:
+
+    servocore effects rotary_crane --tolerance 5mm --bandwidth 6
+
+```python
+import servocore as sc
+
+crane = sc.scenes.overhead_crane()
+report = sc.effects(crane, drives=sc.Drives(bandwidth=6.0, damping=1.0), tolerance=0.02)
+print(report)  # a table, worst first, and the verdict
+better = crane.with_effects("friction").with_parameters(trolley_friction=20.0)
+```
+
+`report.smallest()` is the scene with all that is needed, for `solve`, `ExactInversion` and `export_fmu`;
+`crane.effects.declared` tells every assumption with its source and its parameters. Numbers are estimated, or simulated
+where an estimate is weak: [effects/](effects/index.md) compares the two, [decision 80](decisions/0080-effects.md) says
+how.
+
+"""
+"""Opens the page of all scenes; its picture is from `make effects`."""
+
+_PAGE = """{introduction}{level} What the models of a scene cost
 
 A scene offers models of different size of the same thing. All give the same inputs, so a user needs the first, which
 every command takes by itself. The others are there for checking, and for quantities that only they have.
@@ -116,8 +152,10 @@ def remarks(levels: Sequence[Level]) -> list[str]:
     return found
 
 
-def markdown_page(levels: Sequence[Level], *, command: str, instants: int, repeats: int) -> str:
-    """Return the page docs/model-levels.md for the models of any number of scenes."""
+def markdown_page(
+    levels: Sequence[Level], *, command: str, instants: int, repeats: int, introduced: bool = False
+) -> str:
+    """Return a page for the models of any number of scenes; *introduced*, it is docs/model-levels.md."""
     tables = []
     for name, group in groupby(levels, key=lambda level: level.scene):
         listed = list(group)
@@ -125,7 +163,13 @@ def markdown_page(levels: Sequence[Level], *, command: str, instants: int, repea
         lines = [f"## `{name}`", "", *("| " + " | ".join(row) + " |" for row in table), "", *remarks(listed), ""]
         tables.append("\n".join(lines))
     return _PAGE.format(
-        repeats=repeats, instants=instants, command=command, machine=machine(), tables="\n".join(tables)
+        introduction=_EFFECTS if introduced else "",
+        level="##" if introduced else "#",
+        repeats=repeats,
+        instants=instants,
+        command=command,
+        machine=machine(),
+        tables="\n".join(tables),
     )
 
 

@@ -101,21 +101,42 @@ class Driven:
     gains: Gains
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """What came of a run.
 
     Attributes
     ----------
-    error : float
-        Largest distance of the output from the path while that lasts; infinite where the plant did not survive.
-    swing : float or None
-        Largest residual swing after the end of the path; None where the path does not end at rest, or the plant did not
-        survive.
+    moving : int
+        Steps until the end of the path; more follow after it, or none.
+    deviation : ndarray, shape (N, outputs)
+        Output less path.
+    hanging : ndarray, shape (N, any)
+        How far the load hangs to the side, less what it does at rest at the end.
     """
 
-    error: float
-    swing: float | None
+    moving: int
+    deviation: Array
+    hanging: Array
+
+    def less(self, other: Run) -> Run:
+        """Return half the difference from another run of the same plant."""
+        return Run(self.moving, (self.deviation - other.deviation) / 2, (self.hanging - other.hanging) / 2)
+
+    @property
+    def error(self) -> float:
+        """Largest distance of the output from the path while that lasts; infinite where the plant did not survive."""
+        moved = self.deviation[: self.moving + 1]
+        return float(np.linalg.norm(moved, axis=1).max()) if np.isfinite(moved).all() else np.inf
+
+    @property
+    def swing(self) -> float | None:
+        """Largest swing after the end, of what hangs or of the output about its mean; None where nobody looked."""
+        after = self.deviation[self.moving :]
+        if len(after) < 2 or not np.isfinite(after).all():
+            return None
+        swing = self.hanging[self.moving :] if self.hanging.shape[1] else after - after.mean(axis=0)
+        return float(np.linalg.norm(swing, axis=1).max())
 
 
 def run_loop(
@@ -169,27 +190,16 @@ def run_loop(
     at = motion.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
     states = _integrated(loop, start, _sampled(motion.t, signals, at), (problem.p, both, zero), h)
     seen = _seen(loop, states, problem.p)
-    at_rest = _seen(loop, np.concatenate([own.end, np.zeros(len(own.end))])[None], problem.p)[0]
-    t, count = at[::2], len(problem.system.outputs)
-    deviation = np.linalg.norm(seen[:, :count] - problem.reference.jet(t, 0)[:, 0], axis=1)
-    moved = deviation[: moving + 1]
-    error = float(moved.max()) if np.isfinite(moved).all() else np.inf
-    return Run(error, _swing(seen[moving:] - at_rest, count) if after else None)
+    at_end = _seen(loop, np.concatenate([own.end, np.zeros(len(own.end))])[None], problem.p)[0]
+    count = len(problem.system.outputs)
+    path = problem.reference.jet(at[::2], 0)[:, 0]
+    return Run(moving, seen[:, :count] - path, seen[:, count:] - at_end[count:])
 
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:
     """Return output and what hangs, shape (N, outputs + hanging)."""
     found = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
     return found.reshape(-1, len(states), order="F").T
-
-
-def _swing(seen: Array, outputs: int) -> float | None:
-    """Return the largest swing after the motion: of what hangs, or of the output about its mean."""
-    if not np.isfinite(seen).all():
-        return None
-    hanging = seen[:, outputs:]
-    swing = hanging if hanging.shape[1] else seen - seen.mean(axis=0)
-    return float(np.linalg.norm(swing, axis=1).max())
 
 
 def _sampled(t: Array, signals: Array, at: Array) -> Array:

@@ -6,7 +6,8 @@ What a plant with an effect lacks, driven by the inputs of a model without it, i
 
 with the exact inputs u and positions y of the drives of both models along the same path. Under u_S - delta the *small*
 model shows the error: the plant that follows the path under u_L does so for every strength of the effect, so that the
-derivative of its motion under u_S is minus that of the small model by its inputs, times u_L.
+derivative of its motion under u_S is minus that of the small model by its inputs, times u_L. Of the small model under
+u_S - delta and u_S + delta half the difference is taken: its own terms of second order are not those of the plant.
 """
 
 from __future__ import annotations
@@ -213,8 +214,11 @@ class _Study:
             lacking = with_it.inputs - without.inputs
             lacking = lacking + gains.position * (with_it.positions - without.positions)
             lacking = lacking + gains.rate * (with_it.rates - without.rates)
-            driven = Driven(without, without.inputs - lacking, gains)
-            estimate = run_loop(model, driven, without, self.measured, hanging, tail=tail)
+            less, more = (
+                run_loop(model, Driven(without, each, gains), without, self.measured, hanging, tail=tail)
+                for each in (without.inputs - lacking, without.inputs + lacking)
+            )
+            estimate = less.less(more)
             change = _relative_change(with_it, without)
             row = replace(row, microseconds=with_it.microseconds, input_change=change, error=estimate.error)
             row = replace(row, swing=estimate.swing)

@@ -9,7 +9,7 @@ r"""The gantry crane: a bridge on two rails, a trolley across it, a winch on the
 
 What the scene needs: m_b, m_t, m, J_w, r_w, g of five degrees of freedom, three inputs; model ``points``.
 ``generalized`` has two swing angles in place of the load's position.
-Left out: friction, rope mass and elasticity, wind, bending and skewing of the bridge.
+Left out: what `EFFECTS` has, but for the winch's inertia; skewing of the bridge.
 
 With a path in the plane y = constant this is the overhead crane, whose trolley then carries the bridge along.
 """

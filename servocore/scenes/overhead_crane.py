@@ -8,7 +8,7 @@ r"""The overhead crane: a trolley on a straight girder, a winch on it, a load on
 
 What the scene needs: m_t, m, J_w, r_w, g of three degrees of freedom, two inputs; model ``points``.
 ``generalized`` has the swing angle in place of the load's position.
-Left out: friction, rope mass and elasticity, the third dimension (see the gantry crane).
+Left out: what `EFFECTS` has, but for the winch's inertia; the third dimension (see the gantry crane).
 """
 
 from __future__ import annotations
