@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects pictures clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -84,6 +84,9 @@ planning: $(INSTALLED)  ## plan ten manoeuvres within limits, into docs/planning
 
 jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (some ten minutes)
 	$(RUN) benchmarks.planning.jobs
+
+effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
+	$(RUN) benchmarks.effects
 
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py

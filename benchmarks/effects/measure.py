@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 import servocore as sc
 from benchmarks.effects.cases import DRIVES, DURATIONS, Case, cases
 from servocore.effects.study import smooth_enough
@@ -59,14 +61,13 @@ def pairs(case: Case, drives: sc.Drives | None = DRIVES) -> Iterator[Pair]:
 
 def own_errors(case: Case, duration: float) -> Iterator[tuple[str, str, float]]:
     """Yield (crane, effect, error in mm) of plants that their own exact inputs drive without loops."""
-    import numpy as np  # noqa: PLC0415 - here only
-
     for effect in case.scene.effects.declared:
         if not effect.listed:
             continue
         added, left_out = ((), (effect.name,)) if effect.left_out else ((effect.name,), ())
         scene = case.over(duration).with_effects(*added, without=left_out)
-        scene = scene.with_parameters(**{k: v for k, v in case.parameters.items() if k in scene.model().parameters.names})
+        known = scene.model().parameters.names
+        scene = scene.with_parameters(**{name: each for name, each in case.parameters.items() if name in known})
         scene = scene.with_reference(smooth_enough(scene.reference, Problem.of(scene).array.reference_order + 2))
         t = np.linspace(0.0, duration, 101)
         motion = sc.simulate(scene, sc.ExactInversion(scene), t=t, rtol=1e-12, atol=1e-12)
