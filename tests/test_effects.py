@@ -232,6 +232,18 @@ def test_effects_of_index_seven_are_looked_at_on_a_smoother_law_which_is_named()
     assert "law degree-13: " in str(report("rotary_crane"))
 
 
+def test_a_path_through_points_that_is_too_rough_for_a_row_refuses_that_row_by_name():
+    t = np.linspace(0.0, 10.0, 41)
+    points = crane("overhead_crane").with_reference(sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 10.0)).reference.jet(t, 0)
+    scene = crane("overhead_crane")
+    rough, fine = (sc.effects(scene.with_reference(sc.sampled(t, points[:, 0], rest_order=k))) for k in (4, 6))
+    assert rough["hook"].how == "refused"
+    assert "continuous up to its derivative of order 4, this effect needs order 6" in rough["hook"].reason
+    assert fine["hook"].how == "estimated"
+    assert fine["hook"].law == "the scene's own law"
+    assert rough["friction"].error == pytest.approx(fine["friction"].error, rel=0.01)
+
+
 def test_rows_come_worst_first_and_what_is_left_out_adds_up_to_less_than_the_tolerance():
     found = report("rotary_crane")
     errors = [each.error for each in found.rows]

@@ -257,14 +257,15 @@ def smooth_enough(reference: Reference, order: int) -> Reference:
     Raises
     ------
     InvalidReference
-        If a path that is too rough is more than a straight line from rest to rest.
+        If a path that is too rough is no straight line from rest to rest.
     """
     if reference.smoothness >= order:
         return reference
     if not isinstance(reference, RestToRest):
         raise InvalidReference(
             f"the path is continuous up to its derivative of order {reference.smoothness}, this effect needs order"
-            f" {order}; only a straight line from rest to rest can be given another law"
+            f" {order}: only a straight line from rest to rest is given another law by itself, points take"
+            " a higher rest_order"
         )
     return replace(reference, profile=polynomial(2 * order + 1), smoothness=order)
 

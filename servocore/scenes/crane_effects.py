@@ -28,7 +28,7 @@ ELASTIC_ROPE = Effect(
 )
 WINCH_INERTIA = Effect(
     "winch inertia",
-    "The scene has the winch's inertia; without it the winch torque is the rope's tension times the radius.",
+    "The scene has the winch's inertia (Euler's law); without it the torque is the rope's tension times the radius.",
     left_out=True,
 )
 AIR_DRAG = Effect(
@@ -38,13 +38,13 @@ AIR_DRAG = Effect(
 )
 WIND = Effect(
     "wind",
-    "The load has the drag of air that moves steadily along x, without gusts.",
+    "The load has the same drag by air that moves steadily along x, without gusts (Rayleigh).",
     (*_AIR, Parameter("wind_speed", 8.0, "m/s", -100.0, 100.0, "along x")),
     includes=("air drag",),
 )
 ROPE_EXIT = Effect(
     "rope exit",
-    "The rope leaves the trolley to the side of its centre and below the rail.",
+    "The rope leaves the trolley at a fixed point beside its centre and below the rail (a sheave of no radius).",
     (
         Parameter("exit_side", 0.15, "m", -1e3, 1e3, "to the side of the trolley's centre"),
         Parameter("exit_drop", 0.5, "m", 0.0, 1e3, "below the rail"),
@@ -80,8 +80,8 @@ def heavy_rope(lumps: int, piece: float) -> Effect:
     """Return the effect of a rope's mass in a number of lumps; `piece` is the length they stand for, in m."""
     return Effect(
         "heavy rope" if lumps == 1 else f"heavy rope {lumps}",
-        f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material, what is paid"
-        " out above weighs on the winch; wound up the rope belongs to the trolley.",
+        f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material (lumps as of"
+        " Walton and Polachek 1960), what is paid out above weighs on the winch; wound up it belongs to the trolley.",
         (
             Parameter("rope_mass", 1.0, "kg/m", 0.0, 1e6, "of a metre of rope"),
             Parameter("rope_piece", piece, "m", 1e-3, 1e4, "length that the lumps stand for, shorter than the rope"),
