@@ -16,6 +16,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 #include <unistd.h>
 #include <wchar.h>
 
@@ -83,20 +84,25 @@ static void version_of(const char *interpreter, char *version) {
     }
 }
 
+static int is_program(const char *path) {
+    struct stat found;
+    return !stat(path, &found) && S_ISREG(found.st_mode) && !access(path, X_OK); /* folders may be "run" as well */
+}
+
 /* The interpreter that is asked for: CRANE_FMU_PYTHON, or that of the active virtual environment, or an empty text. */
 static int chosen_interpreter(char *path, char *why) {
     const char *chosen = getenv("CRANE_FMU_PYTHON"), *environment = getenv("VIRTUAL_ENV");
     path[0] = '\0';
     if (chosen && *chosen) {
         snprintf(path, LONGEST, "%s", chosen);
-        if (access(path, X_OK)) {
+        if (!is_program(path)) {
             sentence(why, "CRANE_FMU_PYTHON = %s is no program that can be run: it must be the path of a Python interpreter",
                      chosen);
             return 0;
         }
     } else if (environment && *environment) {
         snprintf(path, LONGEST, "%s/bin/python", environment);
-        if (access(path, X_OK)) path[0] = '\0';
+        if (!is_program(path)) path[0] = '\0';
     }
     return 1;
 }
@@ -142,6 +148,8 @@ static int open_python(char *why) {
     return 0;
 }
 
+static char packages_of[LONGEST]; /* the interpreter that was asked for, for the sentence on what it lacks */
+
 /* Let the interpreter find the packages of CRANE_FMU_PYTHON, or of the active virtual environment, or of the interpreter
    that the library belongs to: without that it would take those of any python3 on the search path. */
 static void choose_packages(void) {
@@ -150,6 +158,7 @@ static void choose_packages(void) {
     char path[LONGEST], unused[LONGEST];
     Dl_info library;
     if (!chosen_interpreter(path, unused)) return;
+    strcpy(packages_of, path);
     if (!*path && dladdr(python("Py_Initialize"), &library) && library.dli_fname && strchr(library.dli_fname, '/')) {
         const int folder = (int)(strrchr(library.dli_fname, '/') - library.dli_fname);
         snprintf(path, sizeof path, "%.*s/../bin/python3", folder, library.dli_fname);
@@ -200,9 +209,10 @@ static int import_packages(char *why) {
         fetch(&error[0], &error[1], &error[2]);
         void *message = error[1] ? text(error[1]) : NULL;
         const char *reason = message ? utf8(message) : NULL;
-        sentence(why, "the FMU needs NumPy and CasADi in the Python that runs it, but importing %s failed: %s; install what"
-                      " resources/requirements.txt in the FMU lists, or name an interpreter that has it in the"
-                      " environment variable CRANE_FMU_PYTHON", packages[k], reason ? reason : "no reason given");
+        sentence(why, "the FMU needs NumPy and CasADi in the Python that runs it, but importing %s%s%s failed: %s; install"
+                      " what resources/requirements.txt in the FMU lists, or name an interpreter that has it in the"
+                      " environment variable CRANE_FMU_PYTHON", packages[k],
+                 *packages_of ? " with the packages of " : "", packages_of, reason ? reason : "no reason given");
         give_back(message);
         for (int part = 0; part < 3; part++) give_back(error[part]);
         done = 0;
