@@ -301,8 +301,8 @@ Settings = Annotated[
 
 _DRIVE_EXAMPLE = """[bold]Example[/bold]
 
-[cyan]crane-fmu drive mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[[1]]
---map y=load.r[[2]] --map z=load.r[[3]] --from 5 0 -5 --to -2 2 -2 --duration 20[/cyan]
+[cyan]crane-fmu drive mine.fmu --map F=trolley.f --map M_b=slew.tau --map M_w=hoist.tau --map x=load.r[1]
+--map y=load.r[2] --map z=load.r[3] --from 5 0 -5 --to -2 2 -2 --duration 20[/cyan]
 """
 
 
