@@ -5,7 +5,8 @@
 * `feedback`: what a cycle takes beyond one without, with the twelve measured values set as well.
 * `instance`: the first one and a second one in a process that has imported NumPy and CasADi already.
 
-Times are the smallest of many short runs, ratios the median over runs that followed each other: machines are busy.
+Times of cycles are process times, the smallest of many short runs, and ratios the median over runs that followed each
+other: machines are busy.
 """
 
 from __future__ import annotations
@@ -128,7 +129,11 @@ def with_measured(inputs: np.ndarray) -> np.ndarray:
     crane = sc.scenes.rotary_crane().parameter_values()
     p = [crane[name] for name in CRANE_PARAMETERS]
     states = np.array(flat_motion().map(len(inputs))(inputs.T, np.tile(np.array(p)[:, None], len(inputs)))[0]).T
-    return np.hstack([inputs, states[:, :3], states[:, 5:8], inputs[:, :6]])
+    (x, y), (x_dot, y_dot) = states[:, :2].T, states[:, 5:7].T
+    s, length = np.hypot(x, y), np.linalg.norm(inputs[:, :3] - np.pad(states[:, :2], [(0, 0), (0, 1)]), axis=1)
+    rates = (x * y_dot - y * x_dot) / s**2, (x * x_dot + y * y_dot) / s, np.gradient(length, STEP)
+    drives = np.stack([np.unwrap(np.arctan2(y, x)), s, length, *rates], axis=1)
+    return np.hstack([inputs, drives, inputs[:, :6]])
 
 
 @contextmanager
@@ -146,9 +151,9 @@ def microseconds(runs: dict[str, Callable[[int], None]]) -> dict[str, np.ndarray
     taken = {name: np.zeros(BATCHES) for name in runs}
     for k in range(BATCHES):
         for name, run in runs.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             run(CYCLES)
-            taken[name][k] = 1e6 * (time.perf_counter() - begin) / CYCLES
+            taken[name][k] = 1e6 * (time.process_time() - begin) / CYCLES
     return taken
 
 

@@ -21,6 +21,7 @@ from crane_fmu.slave.paths import continued
 _SYSTEM = CRANE.model("generalized")
 _PLANT_STEP = 0.005  # of the Runge-Kutta method, in s
 _MEMORY, _STATE, _INPUTS, _JET = sum(SIZES.values()), 10, 3, 15
+_BLOCK = 100  # of steps in one call: a call for each length of manoeuvres would take longer to make than to run
 _PARAMETERS = {"p": 6, "mass_error": 1, "h": 1, "share": 1}
 
 
@@ -34,14 +35,22 @@ def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1
     values = CRANE.parameter_values() | case.crane
     p = np.array([values[name] for name in CRANE_PARAMETERS])
     functions = _compiled(at)
-    state, inputs = (np.array(each).ravel() for each in functions["flat"](jets[0], p))
+    inputs = np.array(functions["flat"](jets[0], p)[1]).ravel()
+    x, y, z = jets[0, :3]
+    state = np.array([np.arctan2(y, x), np.hypot(x, y), -z, *[0.0] * 7])
     memory = np.array(functions[f"begin_{at}"](jets[0], _seen()(state, p), p, h)).ravel()
-    begin = np.concatenate([memory, state, inputs, inputs])
-    error = case.disturbance.get("mass_error", 0.0)
-    fixed = np.concatenate([p, [error, h, share]])[:, None].repeat(count, axis=1)
-    run = functions[f"cycle_{_parts(h)}"].mapaccum(count)
-    _, found = run(begin, jets[:-1].T, jets[1:].T, _forces(case, h, count), fixed)
-    found = np.array(found)
+    loop = np.concatenate([memory, state, inputs, inputs])
+    fixed = np.append(p, [case.disturbance.get("mass_error", 0.0), h, share])
+    more = -count % _BLOCK  # at rest, for the last block
+    told = [
+        np.pad(each, [(0, more), (0, 0)], mode="edge").T for each in (jets[:-1], jets[1:], _forces(case, h, count).T)
+    ]
+    run, rows = _block(at, _parts(h)), []
+    for k in range(0, count + more, _BLOCK):
+        after, found = run(loop, *(each[:, k : k + _BLOCK] for each in told), ca.repmat(fixed, 1, _BLOCK))
+        loop = after[:, -1]
+        rows.append(np.array(found))
+    found = np.hstack(rows)[:, :count]
     if not (np.isfinite(found).all() and found[3].min() > 0.0):
         return float("inf")
     return 1e3 * float(np.linalg.norm(found[:3].T - jets[1:, :3], axis=1).max())
@@ -78,7 +87,7 @@ def _parts(h: float) -> int:
 @cache
 def _compiled(at: str) -> dict[str, ca.Function]:
     """Return one step of the whole loop and what begins it, as machine code."""
-    law = feedback_functions(_SYSTEM)
+    law = feedback_functions(CRANE.model("points"))
     cycles = (_cycle(law[f"feedback_{at}"], at, parts) for parts in sorted({_parts(h) for h in STEPS}))
     functions = [*cycles, law[f"begin_{at}"], flat_motion()]
     generator = ca.CodeGenerator("loop.c")
@@ -93,6 +102,11 @@ def _compiled(at: str) -> dict[str, ca.Function]:
     options = ["-O2", "-fPIC", "-shared", "-ffp-contract=off"]
     subprocess.run([*compiler, *options, str(source), "-o", str(library), "-lm"], check=True)
     return {each.name(): ca.external(each.name(), str(library)) for each in functions}
+
+
+@cache
+def _block(at: str, parts: int) -> ca.Function:
+    return _compiled(at)[f"cycle_{parts}"].mapaccum(_BLOCK)
 
 
 def _cycle(law: ca.Function, at: str, parts: int) -> ca.Function:

@@ -32,13 +32,19 @@ def test_random_manoeuvres_hold_at_long_steps(at, any_crane):
                 assert deviation(case, h, at) < BOUNDS[h] * (3.0 if any_crane else 1.0), case.name
 
 
+NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three_phase())
+"""The trolley passes the axis at 1.4 m, on a rope of 6.7 m."""
+
+
 @pytest.mark.parametrize("gust", GUSTS)
-def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(gust):
-    disturbance = {"mass_error": 0.05, gust: 20.0, "gust_start": 8.0, "gust_duration": 2.0}
-    path = CRANE.reference
-    count, h = 1200, 0.01
+@pytest.mark.parametrize(
+    ("path", "begin"), [(CRANE.reference, 8.0), (NEAR_AXIS, 4.2)], ids=["default", "near the axis"]
+)
+def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(path, begin, gust):
+    disturbance = {"mass_error": 0.05, gust: 20.0, "gust_start": begin, "gust_duration": 2.0}
+    count, h = round((begin + 3.0) / 0.01), 0.01
     jets = path.jet(h * np.arange(count + 1), 4)
-    with Loop(Case(disturbance=disturbance)) as loop:
+    with Loop(Case(path, disturbance=disturbance)) as loop:
         places = [loop.step(jets, k, h) for k in range(count)]
     assert np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max() < 0.01
 
@@ -125,7 +131,7 @@ def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(at, h):
     assert norms[-1] < 1e-10 * max(norms)
 
 
-@pytest.mark.parametrize(("at", "bound"), [("start", 5.5), ("end", 3.1)])
+@pytest.mark.parametrize(("at", "bound"), [("start", 4.8), ("end", 3.1)])
 def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at, bound):
     law = laws()[at]
     for h in (0.1, 0.01):

@@ -113,7 +113,7 @@ def collect(
     libraries = compiled_steps({name: files[name] for name in programs}, tell)
     if kind.has_feedback:
         tell("compiling the feedback")
-        law = feedback_functions(sc.scenes.rotary_crane().model(_PLANT_MODEL))
+        law = feedback_functions(sc.scenes.rotary_crane().model("points"))
         files[FEEDBACK_FILE] = feedback_text(law)
         libraries |= compiled_feedback(law, tell)
     return Content(files, table, kind, libraries, path)

@@ -3,16 +3,17 @@
 Everything is designed for sampled data. Between communication points the plant's inputs run linearly; how, is known
 from the instant that the inputs of a step belong to. With *start* (a Jacobi master) the inputs computed in a step take
 effect after it, and go on as from the step before; with *end* (Gauss-Seidel) they are reached at the end of the same
-step. Deviations from the path, e of the crane's state and w of its inputs, follow over a step
+step. The state is that of trolley and load as points: there the error of the load is a coordinate, and the motion is
+nearly linear also close to the axis, where the bridge turns far. Deviations e of the state and w of the inputs follow
 
-    e+ = A e + B w+ + B' w + delta + E d        d: force on the load
-                                                delta: what the path's own inputs miss, run linearly between instants
+    e+ = A e + B w+ + B' w + delta              delta: what the path's own inputs miss, run linearly between instants
 
-    w+ = w_d - K (A (e - e_d) + B' (w - w_d))   e_d, w_d: where the load is on its path in spite of delta and d
+    w+ = w_d - K (A (e - e_d) + B' (w - w_d))   e_d, w_d: where the load is on its path in spite of delta
 
-delta is computed in advance: the nonlinear crane is sent over the step from its place on the path. With *start* e is
-measured, and simulated over the step in which nothing can be changed any more. K minimises the sum of
-|W C e|^2 + |w/f|^2, C e the error of the load's position. The cost-to-go M of A e + B' w is part of the memory: some
+over a step, from the motion that has the load on its path under the force d that disturbs it: a rope that holds a load
+against a force leans as one that accelerates it. delta is computed in advance: the nonlinear crane is sent over the
+step from its place on the path. With *start* e is measured, and simulated over the step in which nothing can be changed
+any more. K minimises the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e + B' w is part of the memory: some
 Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
 prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
 
@@ -35,17 +36,17 @@ import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
-WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE, NEAR_AXIS = 4000.0, 2.0, 1.0, 250.0
-"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z; by
-the square of the trolley's distance in m from the axis, where bridge angles grow too large for a linear law."""
+WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 0.7
+"""Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z."""
 
 EFFORT = (1.5, 0.7, 1.0)
 """How freely bridge, trolley and winch are used."""
 
-LEARNING_RATE, LEARNING_SHARE = 50.0, 0.35
-"""How fast the force on the load is learnt, in 1/s, and at most in a step."""
+LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
+"""How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
+of the load."""
 
-RICCATI_STEPS, FIRST_RICCATI_STEPS = 6, 400
+RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
 """By which the cost-to-go is brought up to date in a step, and before the first."""
 
 EASE, RECOVERY = 2.0, 0.5
@@ -61,8 +62,9 @@ SIZES |= {"offset": 12, "return": 3}
 offset y_0 ... y_3 and the rates a at which it ends."""
 
 _N, _M, _HALF = 10, 3, 5
+_LOAD = 2  # where the load's place begins in the coordinates
 _JET = DIMENSION * len(ORDERS)
-_TERMS = 7  # of the matrix exponential's series: below 1e-6 as long as no pendulum turns more than 1 rad in a step
+_TERMS = 4  # of the matrix exponential's series: 1e-3 where a pendulum turns 1 rad in a step, and for the gains alone
 
 
 def feedback_text(functions: Mapping[str, ca.Function]) -> str:
@@ -73,12 +75,12 @@ def feedback_text(functions: Mapping[str, ca.Function]) -> str:
 
 
 def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
-    """Return the feedback of a crane in the coordinates phi, s, l and two swing angles.
+    """Return the feedback of a crane.
 
     Parameters
     ----------
     system : MechanicalSystem
-        The crane.
+        The crane in its nine coordinates ``points``.
 
     Returns
     -------
@@ -86,9 +88,18 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
         For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
-    parts = _parts(system)
+    parts = _parts(_hanging(system))
     functions = (each(parts, time) for time in ("start", "end") for each in (_begin, _feedback))
     return {each.name(): each for each in functions}
+
+
+def _hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
+    """Return the crane in coordinates in which the load's place is linear, near the axis too: trolley and load."""
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in ("p_x", "p_y", "x", "y", "z")))
+    place, load = coordinates.q[:2], coordinates.q[2:]
+    s = ca.norm_2(place)
+    rope = ca.norm_2(load - ca.vertcat(place, 0))
+    return sc.generalise(system, coordinates, ca.vertcat(place / s, place, s, rope, load), observables={})
 
 
 @dataclass(frozen=True)
@@ -96,7 +107,8 @@ class _Parts:
     """Pieces of the law.
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (state, u, u_dot, d, p, h) -> state.
-    sampled: (state, u, p, h) -> A, h phi_1 B, h phi_2 B, h phi_1 E, C. riccati: (M, A, B, B', C, f, W) -> M, K.
+    sampled: (state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. riccati: (M, A, B, B', f, W) -> M, K.
+    resisting: (state, p) -> the mass by which the load resists forces.
     """
 
     flat: ca.Function
@@ -104,10 +116,13 @@ class _Parts:
     advance: ca.Function
     sampled: ca.Function
     riccati: ca.Function
+    resisting: ca.Function
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
-    return _Parts(flat_motion(), measured_state(), _advance(system), _sampled(system), _riccati_step())
+    return _Parts(
+        flat_motion(), measured_state(), _advance(system), _sampled(system), _riccati_step(), _resisting(system)
+    )
 
 
 def _function(name: str, arguments: list[Any], results: list[Any]) -> ca.Function:
@@ -133,14 +148,14 @@ def _advance(system: sc.MechanicalSystem) -> ca.Function:
 
 def _sampled(system: sc.MechanicalSystem) -> ca.Function:
     """Return the crane linearised, over a step; phi_k are the functions behind the matrix exponential."""
-    p, h, a = system.p, ca.SX.sym("h"), ca.SX.sym("a", _HALF)
-    forces = system.bias + system.input_matrix.T @ system.u
+    p, h, a, d = system.p, ca.SX.sym("h"), ca.SX.sym("a", _HALF), ca.SX.sym("d", _M)
+    forces = system.bias + system.input_matrix.T @ system.u - system.C.T @ d
     factors = ca.ldl(system.mass)
     balance = ca.horzcat(*(ca.jacobian(system.mass @ a + forces, each) for each in (system.q, system.v)))
     balance = ca.substitute(balance, a, ca.ldl_solve(-forces, *factors))
-    lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T, -system.C.T)), *factors)
-    K, D, B, E = ca.horzsplit(lower, [0, _HALF, _N, _N + _M, _N + 2 * _M])
-    B, E = (ca.vertcat(ca.SX(_HALF, _M), each) for each in (B, E))
+    lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
+    K, D, B = ca.horzsplit(lower, [0, _HALF, _N, _N + _M])
+    B = ca.vertcat(ca.SX(_HALF, _M), B)
 
     def times(F: ca.SX) -> ca.SX:
         top, bottom = F[:_HALF, :], F[_HALF:, :]
@@ -151,21 +166,29 @@ def _sampled(system: sc.MechanicalSystem) -> ca.Function:
     for k in reversed(range(_TERMS)):
         phi_2 = one / math.factorial(k + 2) + times(phi_2)
     phi_1 = one + times(phi_2)
-    results = one + times(phi_1), h * phi_1 @ B, h * phi_2 @ B, h * phi_1 @ E, system.C
-    given = [ca.vertcat(system.q, system.v), system.u, p, h]
+    results = one + times(phi_1), h * phi_1 @ B, h * phi_2 @ B
+    given = [ca.vertcat(system.q, system.v), system.u, d, p, h]
     return _function("sampled", given, [ca.densify(each) for each in results])
 
 
+def _resisting(system: sc.MechanicalSystem) -> ca.Function:
+    """Return the inverse of the accelerations that forces give to the load."""
+    given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
+    state = ca.vertcat(system.q, system.v)
+    return _function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
+
+
 def _riccati_step() -> ca.Function:
-    """Return (cost M of A e + B' w before w+ is chosen, A, B, B', C, f, W) -> (M a step earlier, K)."""
-    cost, A, C = ca.SX.sym("M", _N, _N), ca.SX.sym("A", _N, _N), ca.SX.sym("C", _M, _HALF)
+    """Return (cost M of A e + B' w before w+ is chosen, A, B, B', f, W) -> (M a step earlier, K)."""
+    cost, A = ca.SX.sym("M", _N, _N), ca.SX.sym("A", _N, _N)
     new, old = ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
     efforts, weights = ca.SX.sym("f", _M), ca.SX.sym("W", _M)
     half = cost @ A
     quadratic = ca.SX(_N, _N)
     for k in range(_N):  # symmetric: half of it is enough
         quadratic[: k + 1, k] = A[:, : k + 1].T @ half[:, k]
-    quadratic[:_HALF, :_HALF] += ca.triu(C.T @ ca.diag(weights**2) @ C)
+    for k in range(_M):
+        quadratic[_LOAD + k, _LOAD + k] += weights[k] ** 2
     quadratic = ca.triu2symm(quadratic)
     mixed = cost @ old
     crossed = A.T @ mixed
@@ -177,7 +200,7 @@ def _riccati_step() -> ca.Function:
     for k in range(_N):
         earlier[: k + 1, k] = quadratic[: k + 1, k] - N[: k + 1, :] @ gain[:, k]
     results = [ca.triu2symm(earlier), gain]
-    return ca.Function("riccati", [cost, A, new, old, C, efforts, weights], results, {"cse": True})
+    return ca.Function("riccati", [cost, A, new, old, efforts, weights], results, {"cse": True})
 
 
 def _efforts(p: Any, s: Any) -> Any:
@@ -187,35 +210,31 @@ def _efforts(p: Any, s: Any) -> Any:
     return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
 
 
-def _weights(h: ca.MX, strain: ca.MX, s: ca.MX) -> ca.MX:
+def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
     """Return what an error of the load in x, y and z weighs."""
-    level = ca.fmin(ca.fmin(WEIGHT, NEAR_AXIS * s**2), WEIGHT_TIMES_SQUARE / h**2)
-    return ca.exp(-EASE * strain) * ca.vertcat(level, level, ca.fmin(WEIGHT, HEIGHT_TIMES_SQUARE / h**2))
+    level, height = (ca.fmin(WEIGHT, each / h**2) for each in (WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE))
+    return ca.exp(-EASE * strain) * ca.vertcat(level, level, height)
 
 
-def _wrapped(difference: ca.MX) -> ca.MX:
-    """Return a difference of states with the bridge's angle within half a turn."""
-    turns = ca.floor(difference[0] / (2 * math.pi) + 0.5)
-    return ca.vertcat(difference[0] - 2 * math.pi * turns, difference[1:])
-
-
-def _over_a_step(parts: _Parts, jet: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str) -> tuple[Any, ...]:
-    """Return A, B, B', E, C, f, W about a point of the path."""
+def _over_a_step(
+    parts: _Parts, jet: ca.MX, force: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str
+) -> tuple[Any, ...]:
+    """Return A, B, B', f, W about a point of the path."""
     state, inputs = parts.flat(jet, p)
-    A, first, second, E, C = parts.sampled(state, inputs, p, h)
+    A, first, second = parts.sampled(state, inputs, force, p, h)
     new, old = (second, first - second) if time == "end" else (first + second, -second)
-    return A, new, old, E, C, _efforts(p, state[1]), _weights(h, strain, state[1])
+    return A, new, old, _efforts(p, ca.norm_2(state[:_LOAD])), _weights(h, strain)
 
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
     p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
-    A, new, old, _, C, efforts, weights = _over_a_step(parts, jet, p, h, ca.MX(0), time)
-    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, C, efforts, weights))]
+    A, new, old, efforts, weights = _over_a_step(parts, jet, ca.MX.zeros(_M), p, h, ca.MX(0), time)
+    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, efforts, weights))]
     cost = ca.MX.sym("M", _N, _N)
     one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
-    many = [ca.repmat(each, 1, FIRST_RICCATI_STEPS) for each in (A, new, old, C, efforts, weights)]
+    many = [ca.repmat(each, 1, FIRST_RICCATI_STEPS) for each in (A, new, old, efforts, weights)]
     found = one.fold(FIRST_RICCATI_STEPS)(1e-6 * ca.MX.eye(_N), *many)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
     memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
@@ -234,24 +253,22 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
     path = [given["jet_before"], jet, crackle]
     led = known["offset"], known["return"]
-    (here, u_here), (there, u_there), beyond, middle = _places(parts, path, led, p, h, time)
-    A, new, old, E, C, efforts, weights = _over_a_step(parts, middle, p, h, known["strain"], time)
     state = parts.measured(measured)
-    missed = ca.if_else(known["known"] > 0, _wrapped(state - known["predicted"])[_HALF:], ca.MX.zeros(_HALF))
-    share_learnt = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
-    force = known["force"] + share_learnt * ca.solve(C @ E[_HALF:, :], C @ missed, "qr")
+    force = _learnt(parts, known, state, p, h)
+    (here, u_here), (there, u_there), beyond, middle = _places(parts, path, led, force, p, h, time)
+    A, new, old, efforts, weights = _over_a_step(parts, middle, force, p, h, known["strain"], time)
     cost = ca.reshape(known["cost"], _N, _N)
     for _ in range(RICCATI_STEPS):
-        cost, gain = parts.riccati(cost, A, new, old, C, efforts, weights)
+        cost, gain = parts.riccati(cost, A, new, old, efforts, weights)
     slope = (u_there - u_here) / h
     if time == "end":
-        e, origin, target = _wrapped(state - here), (here, u_here), there
+        e, origin, target = state - here, (here, u_here), there
     else:
         ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
         after = parts.advance(state, acting, ran, force, p, h)
-        e, origin, target = _wrapped(after - there), (there, u_there), beyond
-    delta = _wrapped(parts.advance(*origin, slope, none, p, h) - target)
-    e_d, w_d = _rest(A, new + old, C, delta + E @ force)
+        e, origin, target = after - there, (there, u_there), beyond
+    delta = parts.advance(*origin, slope, force, p, h) - target
+    e_d, w_d = _rest(A, new + old, delta)
     wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
     wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
     inputs, strain = _within(limits, feedforward, share * (wanted - feedforward), known["strain"] - RECOVERY * h)
@@ -279,22 +296,36 @@ def _loosest(feedforward: ca.MX, acting: ca.MX, jet: ca.MX, p: ca.MX, time: str)
 
 
 def _places(
-    parts: _Parts, path: Sequence[ca.MX], led: tuple[ca.MX, ca.MX], p: ca.MX, h: ca.MX, time: str
+    parts: _Parts, path: Sequence[ca.MX], led: tuple[ca.MX, ca.MX], force: ca.MX, p: ca.MX, h: ca.MX, time: str
 ) -> tuple[Any, ...]:
-    """Return state and inputs on the path now and a step later, the state after two, a jet of the step to be ruled."""
+    """Return state and inputs on the path now and a step later, the state after two, a jet of the step to be ruled.
+
+    The rope pulls a load that is pushed as one that is accelerated otherwise.
+    """
     before, jet, crackle = path
-    now, then = (offset(*led, steps * h)[1] for steps in (0, 1))
+    pulled = ca.vertcat(ca.MX.zeros(2 * DIMENSION), -force / p[2], ca.MX.zeros(2 * DIMENSION))
+    now, then = (offset(*led, steps * h)[1] + pulled for steps in (0, 1))
     if time == "end":
         none = ca.MX.zeros(DIMENSION)
         before, jet = before + now, jet + then
         middle = (continued(before, none, h / 2) + continued(jet, none, -h / 2)) / 2
         return parts.flat(before, p), parts.flat(jet, p), None, middle
-    there, beyond, middle = (continued(jet, crackle, k * h) + offset(*led, k * h)[1] for k in (1, 2, 1.5))
+    there, beyond, middle = (continued(jet, crackle, k * h) + offset(*led, k * h)[1] + pulled for k in (1, 2, 1.5))
     return parts.flat(jet + now, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
 
 
-def _rest(A: ca.MX, B: ca.MX, C: ca.MX, push: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _rest(A: ca.MX, B: ca.MX, push: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return state and inputs with which a constant push leaves the load where it is."""
-    balance = ca.blockcat([[A - ca.MX.eye(_N), B], [ca.horzcat(C, ca.MX.zeros(_M, _HALF)), ca.MX.zeros(_M, _M)]])
-    found = ca.solve(balance, -ca.vertcat(push, ca.MX.zeros(_M)), "qr")
-    return found[:_N], found[_N:]
+    trolley, _, rates = ca.horzsplit(A - ca.MX.eye(_N), [0, _LOAD, _HALF, _N])
+    found = ca.solve(ca.horzcat(trolley, rates, B), -push, "qr")
+    none = ca.MX.zeros(_M)
+    return ca.vertcat(found[:_LOAD], none, found[_LOAD : _LOAD + _HALF]), found[_LOAD + _HALF :]
+
+
+def _learnt(parts: _Parts, known: dict[str, ca.MX], state: ca.MX, p: ca.MX, h: ca.MX) -> ca.MX:
+    """Return the force on the load, corrected by what the prediction of the load's velocity missed."""
+    missed = (state - known["predicted"])[_HALF + _LOAD :]
+    share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
+    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.MX.zeros(_M))
+    most = LARGEST_FORCE * p[2] * p[5]
+    return ca.fmax(-most, ca.fmin(most, known["force"] + more))

@@ -45,13 +45,12 @@ def flat_motion() -> ca.Function:
     pull = tension * rope / length
     s_dot, turning, rolling = along(velocity), across(velocity) / s, dot(length)
     turning_dot = (across(acceleration) - 2 * s_dot * turning) / s
-    swing = ca.vertcat(ca.atan2(along(rope), -r[2]), ca.atan2(across(rope), ca.norm_2(ca.vertcat(along(rope), r[2]))))
     inputs = ca.vertcat(
         bridge * turning_dot + s * (trolley * across(acceleration) - across(pull)),
         trolley * along(acceleration) - along(pull),
         winch * dot(rolling) / radius - tension * radius,
     )
-    state = ca.vertcat(ca.atan2(place[1], place[0]), s, length, swing, turning, s_dot, rolling, dot(swing))
+    state = ca.vertcat(place, r, velocity, jet[:, 1])
     p = ca.vertcat(bridge, trolley, load, winch, radius, gravity)
     return ca.Function(
         "flat", [flat, p], [ca.substitute(each, jet[:, -1], 0) for each in (state, inputs)], {"cse": True}
@@ -59,23 +58,11 @@ def flat_motion() -> ca.Function:
 
 
 def measured_state() -> ca.Function:
-    """Return what is measured -> state: phi, s, l and rates, position and velocity of the load."""
+    """Return what is measured -> state: trolley, load, and their velocities."""
     given = ca.SX.sym("measured", 12)
-    phi, s, length, phi_dot, s_dot, length_dot = ca.vertsplit(given[:6])
-    r, v = given[6:9], given[9:]
-    c, sn = ca.cos(phi), ca.sin(phi)
-    along, across, down = c * r[0] + sn * r[1] - s, c * r[1] - sn * r[0], -r[2]
-    along_dot = c * v[0] + sn * v[1] + phi_dot * across - s_dot
-    across_dot = c * v[1] - sn * v[0] - phi_dot * (along + s)
-    plane = ca.norm_2(ca.vertcat(along, down))
-    plane_dot = (along * along_dot - down * v[2]) / plane
-    swing_dot = (
-        (along_dot * down + along * v[2]) / plane**2,
-        (across_dot * plane - across * plane_dot) / (across**2 + plane**2),
-    )
-    state = ca.vertcat(
-        phi, s, length, ca.atan2(along, down), ca.atan2(across, plane), phi_dot, s_dot, length_dot, *swing_dot
-    )
+    phi, s, _, phi_dot, s_dot, _ = ca.vertsplit(given[:6])
+    along, across = ca.vertcat(ca.cos(phi), ca.sin(phi)), ca.vertcat(-ca.sin(phi), ca.cos(phi))
+    state = ca.vertcat(s * along, given[6:9], s_dot * along + s * phi_dot * across, given[9:])
     return ca.Function("measured", [given], [state])
 
 

@@ -279,7 +279,7 @@ class Slave(TableSlave):
             memory, jet, before, measured, now.forces, after.values[self._channels[:_ACTUATORS]], own, h,
             settings.share, settings.limits,
         )  # fmt: skip
-        if not math.isfinite(memory.sum() + found.sum()):
+        if not math.isfinite(memory.dot(memory) + found.dot(found)):
             said = self._told(said, "lost", time, "the feedback finds no inputs; the load is left to the feedforward")
             return forces, None, False, said
         return found, memory, False, said
