@@ -36,6 +36,9 @@ import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
+LAW_MODEL = "points"
+"""The model of the rotary crane that the law is made from."""
+
 WEIGHT, WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE = 4000.0, 2.0, 0.7
 """Of an error of the load in m against an input worth 1 m/s2: at most, times the squared step, and the same for z."""
 

@@ -10,11 +10,11 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.bundle import Progress
-from crane_fmu.build.feedback_law import feedback_functions
+from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
 from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Starts
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN
 
-_COORDINATES = "generalized"  # without constraints: feedback and plant are written in its coordinates
+_COORDINATES = "generalized"  # of the plant: without constraints
 _DISTANCE = 0.5  # m, from the path
 
 
@@ -76,10 +76,9 @@ def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path
 
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
     """Return the crane's feedback as an exported inverse model carries it: the same functions as in the PythonFMU."""
-    system = crane.model(_COORDINATES)
     return sc.SampledFeedback(
         measured=_measured(),
-        laws=feedback_functions(system),
+        laws=feedback_functions(crane.model(LAW_MODEL)),
         judge=_judge(),
         not_measured="the feedback needs a measured rope length above 0 m, a measured height of the load below 0 m and"
         " all measured values connected; feedback = 0 does without",
