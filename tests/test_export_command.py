@@ -176,7 +176,6 @@ def test_names_that_only_c_would_confuse_are_told_apart(compiler):
     ("make", "sentence"),
     [
         (lambda: one_mass(force="φ"), "FMI has no variable called 'φ'; names are the letters a to z"),
-        (lambda: one_mass(force="time"), "variables named twice: time"),
         (lambda: one_mass(mass="internal_step"), "variables named twice: internal_step"),
         (lambda: sc.scenes.rotary_crane().with_limits(phi=1.0), "its limit of phi: .* an angle that counts full turns"),
         (lambda: one_mass().with_limits(**{"F.rate": 1.0}), "its limit of F.rate: .* the rate of a force"),

@@ -5,6 +5,7 @@ import stat
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -211,9 +212,15 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
     assert not list((tmp_path / "cache").glob("*.building"))
 
 
+def one_of_its_own(scene):
+    """A scene that shares nothing compiled with those of other tests, which compile no machine code."""
+    own = replace(scene.model(), name=f"{scene.model().name} of this test")
+    return replace(scene, models={"own": lambda: own})
+
+
 @pytest.mark.usefixtures("compiler", "own_cache")
 def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its_bits():
-    crane, t = sc.scenes.overhead_crane(), np.linspace(0.0, 3.0, 300)
+    crane, t = one_of_its_own(sc.scenes.overhead_crane()), np.linspace(0.0, 3.0, 300)
     inputs = sc.ExactInversion(crane)
     first = inputs(t)
     inputs(t)
@@ -225,7 +232,7 @@ def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its
 
 @pytest.mark.usefixtures("compiler", "own_cache")
 def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits():
-    crane = sc.scenes.overhead_crane()
+    crane = one_of_its_own(sc.scenes.overhead_crane())
     problem = Problem.of(crane)
     how = (sc.Projected(), sc.BackwardEuler())
     program = program_of(problem, *how)
