@@ -29,7 +29,7 @@ from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
 
-_CHUNK = 4096  # cases: enough to keep a worker busy for a tenth of a second, few enough to lose
+_CHUNK = 8192  # cases: enough to keep a worker busy for a tenth of a second, few enough to lose
 
 
 def sweep(

@@ -141,9 +141,11 @@ def evaluated(work: Work, cases: Cases, inputs: bool) -> dict[str, Array]:
 def _of_part(work: Work, cases: Cases, inputs: bool) -> dict[str, Array]:
     rows = _rows(work, cases)
     m, limits = work.inputs, work.inputs + work.swing
-    solved = np.isfinite(rows).all(axis=(1, 2)) & (rows[:, limits + len(work.bounds) :] > 0.0).all(axis=(1, 2))
-    rows[~solved] = np.nan
-    highest, lowest = rows.max(axis=2), rows.min(axis=2)
+    highest, lowest = rows.max(axis=2), rows.min(axis=2)  # NaN if there is one
+    positive = lowest[:, limits + len(work.bounds) :] > 0.0
+    solved = np.isfinite(highest).all(axis=1) & np.isfinite(lowest).all(axis=1) & positive.all(axis=1)
+    for each in () if solved.all() else (rows, highest, lowest):
+        each[~solved] = np.nan
     peaks = np.maximum(highest, -lowest)
     low, high = np.array(work.bounds).reshape(-1, 2).T
     among = slice(limits, limits + len(work.bounds))
@@ -164,6 +166,8 @@ def _rows(work: Work, cases: Cases) -> Array:
     else:
         t = cases.t[:, None] if len(cases.t) > 1 else cases.t
         rows = np.asarray(quick(t, cases.paths if len(cases.paths) > 1 else cases.paths[0], cases.p)[0])
+    if np.isfinite(rows.sum()):
+        return rows
     left = np.asarray(~np.isfinite(rows).all(axis=1))
     for case in np.flatnonzero(left.any(axis=1)):
         at, which = np.flatnonzero(left[case]), case % len(cases.paths)
