@@ -14,15 +14,14 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidSetting
-from servocore.formulations.reduced import Reduced
-from servocore.methods.base import instantaneous
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem
-from servocore.stepping.observation import compile_observation, observed
-from servocore.structure.inversion import inversion
+from servocore.solvers.batch import compile_reading
+from servocore.stepping.observation import observed
+from servocore.stepping.path_function import jet_of, with_path_inside
 
 SWING = "swing"
 """The observable whose peak is told beside those of the inputs, where a model has it."""
@@ -93,27 +92,17 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], native: bool | None, by
     InvalidSetting
         If a limit is on the rate of what is no function of positions: its exact rate takes one derivative more.
     """
-    system, resolved = problem.system, problem.resolved
+    system = problem.system
     known = {each.name: (each, expression) for each, expression in observed(system)}
     wanted = [known[each.name] for each in system.inputs]
     swing = SWING in known
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(each.quantity, each.unit), _limited(problem, each)) for each in limits]
     wanted += [each for each in known.values() if each[0].positive]
-    dae, inverse, order = resolved.dae(Reduced()), resolved.once(inversion), resolved.array.reference_order
-    read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
-    seeking = ca.Function("sc_seeking", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])
-    on_path, jet = seeking, ""
-    formula = problem.reference.formula
-    if inverse.expression is not None:
-        g, q = ca.SX.sym("gamma", *gamma.shape), ca.SX.sym("p", p.numel())
-        on_path = ca.Function("sc_quick", [g, q], [read(inverse.expression(g, q)[0], g, q)[0]], {"cse": True})
-        if formula is not None and by_formula:
-            t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", len(formula.numbers(order)))
-            path = ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order))
-            jet = ca.Function("sc_jet", [t, numbers], [ca.densify(path)]).serialize()
-            on_path = ca.Function("sc_on_path", [t, numbers, q], on_path.call([path, q]), {"cse": True})
+    quick, seeking = compile_reading(problem.resolved, wanted)
+    on_path, jet, formula = quick or seeking, "", problem.reference.formula
+    if quick is not None and formula is not None and by_formula:
+        on_path, jet = with_path_inside(quick, formula), jet_of(formula, problem.array.reference_order).serialize()
     bounds = tuple((each.bound, each.upper) for each in limits)
     return Work(problem.name, on_path.serialize(), jet, seeking.serialize(), len(system.inputs), swing, bounds, native)
 

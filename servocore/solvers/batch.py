@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import instantaneous
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
@@ -156,16 +158,28 @@ def _compile_cases(
     resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None
 ) -> tuple[PathFunction, ca.Function]:
     """Compile (gamma, p) -> named quantities and what must be positive: quick, and by Newton's method."""
-    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
-    known = observed(system)
+    known = observed(resolved.system)
     by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
-    wanted = [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
+    quick, seeking = compile_reading(
+        resolved, [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
+    )
+    return PathFunction(resolved, quick or seeking, native), seeking
+
+
+def compile_reading(
+    resolved: ResolvedSystem, wanted: list[tuple[Quantity, ca.SX]]
+) -> tuple[ca.Function | None, ca.Function]:
+    """Compile (gamma, p) -> quantities by exact inversion: as one expression, and by Newton's method.
+
+    The first is NaN where the guess is not exact; None where `Inversion` has no such expression.
+    """
+    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
     order = resolved.array.reference_order
     read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
-    seeking = ca.Function("sc_cases", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])
-    if inverse.expression is None:
-        return PathFunction(resolved, seeking, native), seeking
-    g, q = ca.SX.sym("gamma", *gamma.shape), ca.SX.sym("p", p.numel())
-    results = [read(inverse.expression(g, q)[0], g, q)[0]]
-    return PathFunction(resolved, ca.Function("sc_quick_cases", [g, q], results, {"cse": True}), native), seeking
+
+    def reading(name: str, inverted: ca.Function, kind: Any) -> ca.Function:
+        gamma, p = kind.sym("gamma", system.gamma.size1(), order + 1), kind.sym("p", system.p.numel())
+        return ca.Function(name, [gamma, p], [read(inverted(gamma, p)[0], gamma, p)[0]], {"cse": kind is ca.SX})
+
+    quick = inverse.expression and reading("sc_quick_cases", inverse.expression, ca.SX)
+    return quick, reading("sc_cases", inverse.function, ca.MX)

@@ -106,10 +106,20 @@ def _of_jets(resolved: ResolvedSystem, of: PathFunction) -> Vectorised:
 
 
 def _of_time(resolved: ResolvedSystem, of: PathFunction, formula: Formula) -> Vectorised:
-    """Compile (t, numbers of the path, p) -> results."""
-    order = of.order
-    t, p = ca.SX.sym("t"), ca.SX.sym("p", of.function.numel_in(1))
-    numbers = ca.SX.sym("numbers", len(formula.numbers(order)))
-    results = of.function.call([ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order)), p])
-    function = ca.Function("sc_on_path", [t, numbers, p], results, {"cse": True})
-    return Vectorised(function, (True, False, False), of.native, resolved.system.name, again=True)
+    return Vectorised(
+        with_path_inside(of.function, formula), (True, False, False), of.native, resolved.system.name, again=True
+    )
+
+
+def with_path_inside(function: ca.Function, formula: Formula) -> ca.Function:
+    """Return (t, numbers of the path, p) -> the results of a function of expressions (gamma, p) on that path."""
+    jet, p = jet_of(formula, function.size2_in(0) - 1), ca.SX.sym("p", function.numel_in(1))
+    t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", jet.numel_in(1))
+    return ca.Function("sc_on_path", [t, numbers, p], function.call([jet(t, numbers), p]), {"cse": True})
+
+
+def jet_of(formula: Formula, order: int) -> ca.Function:
+    """Return (t, numbers of the path) -> gamma (m, order + 1)."""
+    t, numbers = ca.SX.sym("t"), ca.SX.sym("numbers", len(formula.numbers(order)))
+    gamma = ca.horzcat(*formula.jet(t, ca.vertsplit(numbers), order))
+    return ca.Function("sc_jet", [t, numbers], [ca.densify(gamma)])
