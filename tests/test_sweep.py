@@ -53,6 +53,14 @@ def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution():
     assert (found.failure == "").all()
 
 
+@pytest.mark.parametrize("model", CRANE.models)
+def test_every_model_gives_the_same_numbers(model):
+    few = {"load_mass": MASSES[:2], "duration": DURATIONS[:2]}
+    found, smallest = sc.sweep(CRANE, few, model=model), sc.sweep(CRANE, few)
+    for name in ("peak_M_b", "peak_F", "peak_M_w"):
+        np.testing.assert_allclose(found[name], smallest[name], rtol=1e-9)
+
+
 def test_units_coordinates_and_settings_are_told():
     found = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=21)
     assert found.peak_M_b.attrs["units"] == "N.m"

@@ -15,6 +15,7 @@ from servocore.planning.grid import DURATION, Grid
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.stretched import Stretched
+from servocore.structure.inversion import inversion
 
 _LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
 
@@ -42,7 +43,8 @@ class Swept:
     inputs : bool
         Whether the inputs themselves are kept.
     by_formula : bool
-        Whether all paths, in all durations, are one formula with other numbers.
+        Whether all paths, in all durations, are one formula with other numbers, and the inversion one expression: then
+        the path is part of the compiled function.
     """
 
     scene: Scene
@@ -84,7 +86,8 @@ def settled(
     paths = paths or (problem.reference,)
     formula = problem.reference.formula
     longer = [in_time(each, 2.0 * each.duration) for each in paths] if DURATION in grid.columns else []
-    by_formula = formula is not None and all(each.formula == formula for each in (*paths, *longer))
+    inside = problem.flat and problem.resolved.once(inversion).expression is not None
+    by_formula = inside and formula is not None and all(each.formula == formula for each in (*paths, *longer))
     return Swept(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs), by_formula)
 
 

@@ -85,7 +85,7 @@ class Cases:
 def work_of(problem: Problem, limits: tuple[Limit, ...], native: bool | None, by_formula: bool) -> Work:
     """Compile what is to be computed of the cases of a flat problem.
 
-    With `by_formula` all paths are the formula of the problem's own with other numbers.
+    With `by_formula` the path becomes part of the function, see `Swept`.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], native: bool | None, by
     wanted += [each for each in known.values() if each[0].positive]
     quick, seeking = compile_reading(problem.resolved, wanted)
     on_path, jet, formula = quick or seeking, "", problem.reference.formula
-    if quick is not None and formula is not None and by_formula:
+    if by_formula and quick is not None and formula is not None:
         on_path, jet = with_path_inside(quick, formula), jet_of(formula, problem.array.reference_order).serialize()
     bounds = tuple((each.bound, each.upper) for each in limits)
     return Work(problem.name, on_path.serialize(), jet, seeking.serialize(), len(system.inputs), swing, bounds, native)
