@@ -86,7 +86,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         If constraints are redundant, the equations hold the time, or variables have no legal names.
     """
     wishes = wishes or PlantWishes()
-    model = model or next((name for name in scene.models if not _constrained(scene, name)), scene.default_model)
+    model = model or scene.independent_model or scene.default_model
     problem = Problem.of(scene, model)
     plant = compile_plant(problem.system)
     identifier = wishes.identifier or identifier_of(f"{scene.name}_plant")
@@ -125,10 +125,6 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         differentiable=True,
         terminals=TERMINALS,
     )
-
-
-def _constrained(scene: Scene, name: str) -> bool:
-    return bool(scene.model(name).lam.numel())
 
 
 def _coordinates(problem: Problem) -> list[str]:

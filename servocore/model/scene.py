@@ -97,6 +97,11 @@ class Scene:
         """Name of the smallest model."""
         return next(iter(self.models))
 
+    @property
+    def independent_model(self) -> str | None:
+        """Name of the first model without holonomic constraints: its coordinates are a minimal state."""
+        return next((name for name in self.models if not self.model(name).lam.numel()), None)
+
     def model(self, name: str | None = None) -> MechanicalSystem:
         """Return the model called `name`, or the default one, the same object every time.
 

@@ -61,7 +61,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
     """
     flatsys = _flatsys()
     require_scene(scene, "to_control")
-    problem = Problem.of(scene, model or _with_independent_coordinates(scene))
+    problem = Problem.of(scene, model or scene.independent_model)
     if not problem.flat:
         raise InvalidModel(f"{scene.name} has internal dynamics: its state does not follow from the outputs")
     if problem.system.time.numel():
@@ -88,10 +88,6 @@ def _flatsys() -> Any:
     except ImportError as error:
         raise missing_package(error) or error from None
     return flatsys
-
-
-def _with_independent_coordinates(scene: Scene) -> str | None:
-    return next((name for name in scene.models if not scene.model(name).lam.numel()), None)
 
 
 @dataclass(frozen=True, eq=False)
