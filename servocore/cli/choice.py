@@ -9,6 +9,7 @@ from pathlib import Path
 from servocore.errors import InvalidSetting
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
+from servocore.references.csv_file import from_csv
 from servocore.scenes import REGISTRY
 
 
@@ -32,6 +33,13 @@ def chosen(name: str, parameters: Path | None) -> Scene:
     """
     scene = _own(name) if ":" in name else _registered(name)
     return scene if parameters is None else scene.with_parameters(**read_parameters(parameters, scene))
+
+
+def along(scene: Scene, reference: Path | None, model: str | None = None) -> Scene:
+    """Return the scene with the path of a file, whose columns its outputs name; the scene as it is without one."""
+    if reference is None:
+        return scene
+    return scene.with_reference(from_csv(reference, columns=[each.name for each in scene.model(model).outputs]))
 
 
 def _registered(name: str) -> Scene:

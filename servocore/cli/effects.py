@@ -9,9 +9,9 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import chosen
+from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Parameters, SceneName
+from servocore.cli.options import Parameters, ReferenceFile, SceneName
 from servocore.effects.drives import Drives
 from servocore.effects.report import HEADINGS, EffectsReport
 from servocore.effects.study import effects
@@ -19,7 +19,6 @@ from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.parameter_files import read_parameters
 from servocore.model.units import in_unit
-from servocore.references.csv_file import from_csv
 
 EXAMPLES = """[bold]Examples[/bold]
 
@@ -37,10 +36,6 @@ Tolerance = Annotated[
 Bandwidth = Annotated[float, typer.Option("--bandwidth", metavar="W", help="Of the drives' position loops (rad/s).")]
 OpenLoop = Annotated[bool, typer.Option("--open-loop", help="Inputs alone drive the plant, without position loops.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="Simulate every plant, instead of those hard to estimate.")]
-ReferenceFile = Annotated[
-    Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
-]
 Markdown = Annotated[Path | None, typer.Option("--markdown", metavar="FILE.md", help="Write the table as a page too.")]
 
 
@@ -68,8 +63,7 @@ def show_effects(
     given = {} if parameters is None else read_parameters(parameters, subject, declared.values())
     own = subject.model().parameters.names
     subject = subject.with_parameters(**{name: each for name, each in given.items() if name in own})
-    if reference is not None:
-        subject = subject.with_reference(from_csv(reference, columns=[e.name for e in subject.model().outputs]))
+    subject = along(subject, reference)
     allowed = in_unit(tolerance, subject.model().outputs[0].unit, "the tolerance")
     if open_loop and bandwidth != 6.0:
         raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")

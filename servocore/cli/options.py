@@ -21,3 +21,8 @@ Parameters = Annotated[
         help="Other data in SI units, one line each, such as load_mass = 80.0; what is left out keeps its default.",
     ),
 ]  # fmt: skip
+ReferenceFile = Annotated[
+    Path | None,
+    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
+]
+LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]

@@ -14,10 +14,10 @@ from typer.core import TyperCommand
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.options import Model, Parameters, SceneName
+from servocore.cli.options import LimitsFile, Model, Parameters, SceneName
 from servocore.errors import InvalidSetting
 from servocore.files import PICTURES, csv_text, require_picture, require_places
-from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
+from servocore.model.limit_files import factors_of_texts, limits_given
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
@@ -81,7 +81,6 @@ LimitTexts = Annotated[
         "--limit", metavar="NAME=VALUE", help="F=60, M_w=-104..-92, swing=5deg, s.rate=1.2, as many as there are."
     ),
 ]
-LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
 Robust = Annotated[
     list[str] | None,
     typer.Option(
@@ -150,7 +149,7 @@ def plan_scene(
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference])
     require_picture(plot)
-    bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
+    bounds = limits_given(limit, limits)
     way = _way(subject, start, end, between or [], reference)
     if keep_out and not free:
         raise InvalidSetting("--keep-out belongs to --free")

@@ -10,12 +10,11 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import chosen
+from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Model, Parameters, SceneName
+from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName
 from servocore.files import PICTURES, require_picture, require_places, write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
-from servocore.references.csv_file import from_csv
 
 EXAMPLES = """[bold]Examples[/bold]
 
@@ -26,10 +25,6 @@ EXAMPLES = """[bold]Examples[/bold]
 
 ByParameters = Annotated[
     list[str] | None, typer.Option("--wrt", metavar="NAME", help="A parameter, any number of times. Default: all.")
-]
-ReferenceFile = Annotated[
-    Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
 ]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
@@ -60,8 +55,7 @@ def show_sensitivities(
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--plot": plot}, [parameters, reference])
     require_picture(plot)
-    if reference is not None:
-        subject = subject.with_reference(from_csv(reference, columns=[e.name for e in subject.model().outputs]))
+    subject = along(subject, reference)
     with PatientProgress("differentiating"):
         found = sensitivities(subject, wrt or None, step=step, model=model)
         contents: dict[Path, str | bytes] = {}

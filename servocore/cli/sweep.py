@@ -13,13 +13,12 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from servocore.cli.choice import chosen
-from servocore.cli.options import Model, Parameters, SceneName
+from servocore.cli.choice import along, chosen
+from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName
 from servocore.errors import InvalidSetting, missing_package
 from servocore.files import write_together
-from servocore.model.limit_files import limits_of_texts, read_limits
+from servocore.model.limit_files import limits_given
 from servocore.planning.grid import drawn
-from servocore.references.csv_file import from_csv
 
 EXAMPLES = """[bold]Examples[/bold]
 
@@ -52,11 +51,6 @@ Resume = Annotated[bool, typer.Option("--resume", help="Complete a store that an
 LimitTexts = Annotated[
     list[str] | None, typer.Option("--limit", metavar="NAME=VALUE", help="Tell the margin of F=60, swing=5deg, ...")
 ]
-LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
-ReferenceFile = Annotated[
-    Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
-]
 Instants = Annotated[int, typer.Option("--instants", metavar="N", help="At how many instants a case is looked at.")]
 Inputs = Annotated[bool, typer.Option("--inputs", help="Keep the inputs over time too.")]
 
@@ -87,11 +81,8 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         refused. A case that fails is a row with its sentence. DIR/index.html shows
         the peak of the first input over what varies.
         """
-        subject = chosen(scene, parameters)
-        if reference is not None:
-            names = [each.name for each in subject.model(model).outputs]
-            subject = subject.with_reference(from_csv(reference, columns=names))
-        bounds = {**({} if limits is None else read_limits(limits)), **limits_of_texts(limit or ())}
+        subject = along(chosen(scene, parameters), reference, model)
+        bounds = limits_given(limit, limits)
         varied = _varied(vary or (), sample, seed)
         if output.exists() and not output.is_dir():
             raise InvalidSetting(f"cannot write into {output}: it is a file")

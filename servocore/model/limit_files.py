@@ -36,6 +36,11 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     return found
 
 
+def limits_given(texts: Iterable[str] | None, file: Path | None) -> dict[str, Bounds]:
+    """Return the limits of a file, if there is one, and of texts, which replace those of the file."""
+    return {**({} if file is None else read_limits(file)), **limits_of_texts(texts or ())}
+
+
 def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     """Return factors of parameters from texts such as ``load_mass=0.9..1.1``.
 
