@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 import servocore as sc
-from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE, SquareSystem, compile_solver
+from servocore.numerics.square_systems import (
+    MAX_ITERATIONS,
+    STEP_TOLERANCE,
+    SquareSystem,
+    compile_flat_solver,
+    compile_solver,
+)
 
 
 def solve(
@@ -91,6 +97,19 @@ def test_linear_systems_are_solved_exactly_without_iterations(size, data):
     assert most == 0
     assert total == 1
     assert worst < 1e-12
+
+
+def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units():
+    """Values of a polynomial at five points, two of them in units that are 1e8 and 1e4 times smaller."""
+    size, nodes = 5, np.linspace(-1.0, 1.0, 5)
+    matrix = np.vander(nodes, size) * np.array([1.0, 1e8, 1.0, 1e4, 1.0])[:, None]
+    x, right = ca.SX.sym("x", size), ca.SX.sym("right", size)
+    ones = ca.SX.ones(size)
+    system = SquareSystem(x, right, ca.mtimes(ca.SX(matrix), x) - right, ca.SX.zeros(size), ones, ones)
+    flat = compile_flat_solver("sc_flat", system, [x])
+    assert flat is not None
+    expected = np.array([0.3, -1.1, 0.7, 2.0, -0.4])
+    np.testing.assert_allclose(np.asarray(flat(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)
 
 
 def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other():

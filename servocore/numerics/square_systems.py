@@ -282,7 +282,11 @@ def _solve_linear(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
     constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
     assembly.linear_blocks += 1
     if flat:
-        assembly.learn(block.unknowns, *assembly.evaluated("sc_linear", ca.solve(jacobian, -constant)))
+        # Written out, QR is Gram and Schmidt's: its error grows with the square of the condition, which is large where
+        # equations of forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
+        length = ca.sqrt(ca.sum2(jacobian**2))
+        rows = ca.mtimes(ca.diag(1 / length), jacobian)
+        assembly.learn(block.unknowns, *assembly.evaluated("sc_linear", ca.solve(rows, -constant / length)))
         return
     matrix, right = assembly.evaluated("sc_linear", jacobian, -constant)
     assembly.learn(block.unknowns, ca.solve(matrix, right, "qr"))
