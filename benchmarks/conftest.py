@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,7 @@ BARE, CLOSED_FORM = "bare CasADi loop", "closed form, vectorised"
 
 
 @pytest.fixture
-def record(benchmark) -> Callable[[str, int], None]:  # type: ignore[no-untyped-def]
+def record(benchmark: Any) -> Callable[[str, int], None]:
     """Return the function that notes what a measured run of so many steps took."""
 
     def note(name: str, steps: int) -> None:

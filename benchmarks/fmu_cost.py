@@ -198,12 +198,13 @@ def main(arguments: list[str]) -> None:
         print(json.dumps(found))
         return
     print(f"{'set, step, get':32} {'us':>8} {'ratio':>8}")
-    cycles, ratios = found["cycle"], found["ratio"]
+    cycles, ratios, feedback = found["cycle"], found["ratio"], found["feedback"]
     assert isinstance(cycles, dict)
     assert isinstance(ratios, dict)
+    assert isinstance(feedback, dict)
     for name in cycles:
         print(f"{name:32} {cycles[name]:8.1f} {ratios[name]:8.2f}")
-    for name, more in found["feedback"].items():  # type: ignore[attr-defined]
+    for name, more in feedback.items():
         print(f"{name:32} takes {more:.1f} us more")
     print(f"first instance {found['first instance']:.0f} ms, second {found['second instance']:.0f} ms")
 

@@ -149,6 +149,6 @@ class Dae:
         one or less nothing is divided by h, and nothing needs scaling.
         """
         if self.index <= 1:
-            return ca.vertcat(*[each.nominal for each in self.unknowns]), ca.SX.ones(len(self.equations))
+            return ca.SX([each.nominal for each in self.unknowns]), ca.SX.ones(len(self.equations))
         unknowns = [each.nominal * h**-each.level for each in self.unknowns]
         return ca.vertcat(*unknowns), ca.vertcat(*[h**-each.level for each in self.equations])

@@ -20,7 +20,7 @@ def quietly(scene: sc.Scene, *arguments: object, **settings: object) -> sc.Solut
     """Solve without the warnings that the library gives: the atlas does what they warn of on purpose."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", sc.ServocoreWarning)
-        return sc.solve(scene, *arguments, **settings)  # type: ignore[arg-type]
+        return sc.solve(scene, *arguments, **settings)  # type: ignore[arg-type]  # passed on as they are
 
 
 def relative_error(scene: sc.Scene, solution: sc.Solution, skip: int = 0, model: str | None = None) -> float:

@@ -127,7 +127,7 @@ def shares_of_solve(scene: sc.Scene, repeats: int = 40) -> list[tuple[str, float
     for _ in range(repeats):
         sc.solve(scene, sc.Reduced(), step=step, native=False)
     profile.disable()
-    stats = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    stats = pstats.Stats(profile).stats  # type: ignore[attr-defined]  # documented, not in typeshed
     (whole,) = (each for each in stats if each[2] == "solve" and each[0].endswith("solve.py"))
     total = stats[whole][3]
     found: dict[str, float] = {}

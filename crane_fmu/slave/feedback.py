@@ -86,7 +86,7 @@ def _call(function: ca.Function) -> Call:
         evaluate()
         return [each.copy() for each in results]
 
-    call.keeps = buffer, function  # type: ignore[attr-defined]
+    call.keeps = buffer, function  # type: ignore[attr-defined]  # they must live as long
     return call
 
 

@@ -39,7 +39,7 @@ def nothing(*_: Any) -> None:
     """Return None, whatever the arguments."""
 
 
-class GuardedSlave(Fmi2Slave):  # type: ignore[misc]
+class GuardedSlave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
     """A slave whose variables are Reals and Enumerations, and which tells the host what went wrong."""
 
     def report_error(self, callback: str, error: BaseException) -> None:

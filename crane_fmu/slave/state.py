@@ -32,7 +32,7 @@ class PlainState:
 
     def at(self, time: float) -> Self:
         """Return the same by another clock, for what has a time."""
-        return replace(self, time=time)  # type: ignore[call-arg]
+        return replace(self, time=time)  # type: ignore[call-arg]  # a field of subclasses
 
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:

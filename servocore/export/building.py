@@ -16,7 +16,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
-from servocore.export.evaluated import timed_path, wanted
+from servocore.export.evaluated import Matrix, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.names import identifier_of, require_different
@@ -232,7 +232,7 @@ class _Known:
         expressions = ca.vertcat(ca.SX(0, 1), *[each for _, each in self.wanted])
         return 1 + max(limits_order(system, self.of_path), highest_derivative(expressions, system.gamma))
 
-    def split(self, values: ca.SX | ca.MX, margins: ca.SX | ca.MX) -> tuple[ca.SX | ca.MX, ca.SX | ca.MX]:
+    def split(self, values: Matrix, margins: Matrix) -> tuple[Matrix, Matrix]:
         """Return outputs, and margins of all limits, of all values and the margins of the path."""
         count, sides = len(self.outputs), self.bounds[len(self.of_path) :]
         kept = [each.side * (values[count + each.row] - each.bound) + _ROUND_OFF * abs(each.bound) for each in sides]
@@ -276,7 +276,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     read = compile_observation(system, dae, instantaneous(dae), known.wanted, orders - 1)
     margins = compile_margins(system, known.of_path, orders - 1)
 
-    def seen(state: ca.SX | ca.MX, path: ca.SX | ca.MX, p: ca.SX | ca.MX) -> tuple[ca.SX | ca.MX, ca.SX | ca.MX]:
+    def seen(state: Matrix, path: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
         return known.split(read(state, path, p)[0], margins(path, p))
 
     G, P, T = _symbols(system, orders)

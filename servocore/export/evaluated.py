@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import casadi as ca
 
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
+
+Matrix = TypeVar("Matrix", ca.SX, ca.MX)
+"""Symbols of either kind, all of the same."""
 
 
 def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
@@ -15,7 +20,7 @@ def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
     return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
 
 
-def timed_path(system: MechanicalSystem, path: ca.SX | ca.MX, time: ca.SX | ca.MX) -> ca.SX | ca.MX:
+def timed_path(system: MechanicalSystem, path: Matrix, time: Matrix) -> Matrix:
     """Return a path with the time as its last row, where the system holds it."""
     if not system.time.numel():
         return path

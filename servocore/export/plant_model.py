@@ -198,7 +198,7 @@ def _functions(
         more = [function(channels, d, p) for _, function in wishes.extra]
         return [ca.densify(ca.vertcat(channels[places], *more)), margins(channels[:servo], p)]
 
-    given = {
+    given: dict[str, tuple[list[ca.MX], list[ca.MX], list[ca.MX]]] = {
         "step": ([state, u, slope, d, p, h], [plant.step(state, u, slope, d, p, h)], [state, u, slope, p]),
         "held_step": ([state, d, p, h], [plant.held_step(state, d, p, h)], [state, p]),
         "observe": ([state, u, d, p], seen(plant.observe(state, u, d, p)), [state, u, p]),

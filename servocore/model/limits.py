@@ -110,7 +110,7 @@ class Named:
         raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
 
 
-def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], Sequence[ca.SX]]]:
+def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | Sequence[ca.SX]]]:
     """Return what a solution reports, in groups; of one name the last counts."""
     return [
         (system.coordinates.quantities, system.q),
@@ -167,7 +167,7 @@ def _value(bound: object, unit: str, what: str) -> float | None:
     if isinstance(bound, str):
         return in_unit(bound, unit, what)
     try:
-        number = math.nan if isinstance(bound, bool) else float(bound)  # type: ignore[arg-type]
+        number = math.nan if isinstance(bound, bool) else float(bound)  # type: ignore[arg-type]  # refused below
     except (TypeError, ValueError):
         number = math.nan
     if math.isnan(number):

@@ -53,7 +53,7 @@ class Stored:
         return as_expression(self.energy(value), "a stored energy")
 
 
-class Potential(ca.SX):  # type: ignore[misc]  # CasADi has no types
+class Potential(ca.SX):
     """A potential V(q) = V2(q) + sum of W_a(pi_a(q)) that keeps its summands.
 
     As an expression it is their sum, so that it goes wherever a potential goes; `EnergyMomentum` asks for the summands.

@@ -179,6 +179,8 @@ class MechanicalSystem:
             if given is not DERIVED:
                 found = as_expression(given, f"{self.name}: {each}")
                 one_row = each == "input_matrix" and found is not given and found.shape == (len(self.coordinates), 1)
+                if each in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
+                    found = ca.sparsify(found)
                 taken[each] = found.T if one_row else found
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
@@ -188,8 +190,6 @@ class MechanicalSystem:
         taken["home"] = numbers(self.home, self._at_home(named), f"{self.name}: home") or (1.0,) * len(named)
         at_home = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
         taken["home_parameters"] = at_home or tuple(self.parameters.values().tolist())
-        for each in ("mass", "input_matrix"):  # zeros of an array are no entries: structure is told by what is there
-            taken[each] = ca.sparsify(taken[each])
         for attribute, value in taken.items():
             object.__setattr__(self, attribute, value)
 

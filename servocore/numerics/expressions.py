@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,7 +37,7 @@ def time_derivative(expression: ca.SX, *jets: ca.SX) -> ca.SX:
     return sum(terms, ca.SX.zeros(expression.shape))
 
 
-def as_expression(value: Any, what: str) -> ca.SX:
+def as_expression(value: object, what: str) -> ca.SX:
     """Return a number, an array, a nested list of numbers and expressions, or an expression as one of CasADi's SX.
 
     Raises
@@ -62,7 +61,7 @@ def as_expression(value: Any, what: str) -> ca.SX:
     return ca.SX(float(rows))
 
 
-def _stacked(rows: Sequence[Any], what: str) -> ca.SX:
+def _stacked(rows: Sequence[object], what: str) -> ca.SX:
     """Put rows below one another; those that are lists themselves are laid out flat."""
     found = []
     for k, row in enumerate(rows):
@@ -77,7 +76,7 @@ def _stacked(rows: Sequence[Any], what: str) -> ca.SX:
     return ca.vertcat(ca.SX(0, lengths[0] if lengths else 1), *found)
 
 
-def _scalar(value: Any, what: str) -> ca.SX:
+def _scalar(value: object, what: str) -> ca.SX:
     found = as_expression(value, what)
     if found.numel() != 1:
         raise InvalidModel(f"{what} has shape {found.shape}, one number or expression belongs there")

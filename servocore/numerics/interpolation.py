@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import prod
-from typing import Any
+from typing import overload
 
 import casadi as ca
 import numpy as np
@@ -13,7 +13,11 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def lagrange(nodes: npt.ArrayLike, points: Iterable[Any]) -> Any:
+@overload
+def lagrange(nodes: npt.ArrayLike, points: Iterable[float]) -> ca.DM: ...
+@overload
+def lagrange(nodes: npt.ArrayLike, points: Iterable[ca.SX]) -> ca.SX: ...
+def lagrange(nodes: npt.ArrayLike, points: Iterable[float] | Iterable[ca.SX]) -> ca.DM | ca.SX:
     """Return the weights W with values(nodes) @ W = values(points), for polynomials of degree len(nodes) - 1.
 
     Parameters
@@ -32,7 +36,7 @@ def lagrange(nodes: npt.ArrayLike, points: Iterable[Any]) -> Any:
     return ca.horzcat(*[ca.vertcat(*_weights(places, point)) for point in points])
 
 
-def _weights(nodes: Array, point: Any) -> list[Any]:
+def _weights(nodes: Array, point: float | ca.SX) -> list[float | ca.SX]:
     """Value at a point of each polynomial that is one at its own node and zero at the others."""
     weights = []
     for i, own in enumerate(nodes):

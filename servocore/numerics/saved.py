@@ -24,13 +24,14 @@ def to_json(value: Any, form: str) -> str:
     form : str
         Name and version of the format.
     """
-    functions, document = ca.StringSerializer(), {"format": form, "casadi": ca.__version__}
+    functions = ca.StringSerializer()
+    document: dict[str, object] = {"format": form, "casadi": ca.__version__}
     known = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
     functions.pack([each for each in known.values() if isinstance(each, ca.Function)])
     document["functions"] = functions.encode()
     for name, each in known.items():
         if isinstance(each, tuple):
-            document[name] = [asdict(item) if is_dataclass(item) else item for item in each]  # type: ignore[arg-type]
+            document[name] = [asdict(item) if is_dataclass(item) else item for item in each]  # type: ignore[arg-type]  # no class
         elif not isinstance(each, ca.Function):
             document[name] = each
     return json.dumps(document)
@@ -62,7 +63,7 @@ def from_json(kind: type[Saved], text: str, form: str, parts: Mapping[str, type]
             raise ServocoreError(f"{what} has another format")
         document.pop("casadi")  # for humans
         functions = iter(ca.StringDeserializer(document.pop("functions")).unpack())
-        for name in (each.name for each in fields(kind) if each.init):  # type: ignore[arg-type]
+        for name in (each.name for each in fields(kind) if each.init):  # type: ignore[arg-type]  # a dataclass
             if name not in document:
                 document[name] = next(functions)
             elif isinstance(document[name], list):

@@ -186,7 +186,7 @@ def _flow(resolved: ResolvedSystem) -> ca.Function:
 def _flag(resolved: ResolvedSystem) -> ca.Function:
     """Compile (x, u, p) -> the outputs and their derivatives along the plant with constant inputs."""
     x, u, p, x_dot, outputs = _rate(resolved)
-    flag = [outputs(x, p)]
+    flag: list[ca.MX] = [outputs(x, p)]
     for _ in range(resolved.array.reference_order):
         flag.append(ca.jtimes(flag[-1], x, x_dot))
     return ca.Function("sc_flag", [x, u, p], [ca.densify(ca.horzcat(*flag))])

@@ -84,7 +84,13 @@ def points() -> MechanicalSystem:
     p = PARAMETERS
     weight = p["tracked_distance"] / (p["first_length"] + p["tracked_distance"])
     gamma = reference_symbols(1)
-    masses = (*[p["first_inertia"]] * 2, *[p["second_mass"]] * 2, *[p["second_inertia"]] * 2, 0, 0)
+    masses: tuple[ca.SX | float, ...] = (
+        *[p["first_inertia"]] * 2,
+        *[p["second_mass"]] * 2,
+        *[p["second_inertia"]] * 2,
+        0,
+        0,
+    )
     point = p["first_length"] * first + p["tracked_distance"] * second
     start = gamma[0, 0]
     along = ca.vertcat(ca.cos(start), ca.sin(start))

@@ -83,7 +83,7 @@ def points(trolley: Quantity = TROLLEY, *, invariant: bool = False) -> Mechanica
     gamma = reference_symbols(3)
     above, hanging, _ = hanging_load.suspension(gamma, PARAMETERS)
     radius = ca.norm_2(above)
-    masses = (
+    masses: tuple[ca.SX | float, ...] = (
         *[p["bridge_inertia"]] * 2,
         *[p["trolley_mass"]] * 2,
         0,

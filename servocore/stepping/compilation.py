@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -78,11 +78,16 @@ class _Later:
         library = library_of(self.build)
         if library is not None:
             with suppress(RuntimeError):  # a library that cannot be loaded
-                self.made = replace(program, **loaded(library, functions))
+                self.made = _with(program, loaded(library, functions))
         self.given_up = self.made is None and (asked or library is not None)
         if not asked and library is None:
             BACKGROUND.ask(self.build)
         return self.made or program
+
+
+def _with(program: Program, functions: Mapping[str, ca.Function]) -> Program:
+    """Return the program with other functions `_IN_MACHINE_CODE`."""
+    return replace(program, start=functions["start"], step=functions["step"], observe=functions["observe"])
 
 
 def _later_in_machine_code(*_: object) -> _Later:
@@ -94,7 +99,7 @@ def _in_machine_code(
 ) -> Program:
     """Return the same program with start, step and observation as machine code."""
     program = resolved.once(compile_program, formulation, method, limits, follow_branch)
-    return replace(program, **compiled({name: getattr(program, name) for name in _IN_MACHINE_CODE}, program.name))
+    return _with(program, compiled({name: getattr(program, name) for name in _IN_MACHINE_CODE}, program.name))
 
 
 def compile_program(

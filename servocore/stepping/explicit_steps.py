@@ -220,12 +220,11 @@ def compile_explicit_steps(resolved: ResolvedSystem, formula: Formula | None, na
 def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX) -> ca.SX:
     """Return inputs and what must be positive as expressions of the unknowns of the array, the path and parameters."""
     system, array, dae = resolved.system, resolved.array, resolved.dae(Reduced())
-    names = ("q", "v", "lam", "u")
     positive = [each for quantity, each in system.observables.items() if quantity.positive]
     wanted = ca.substitute(
         ca.vertcat(system.u, *positive),
-        ca.vertcat(*(getattr(system, name) for name in names)),
-        ca.vertcat(*(dae.physical[name] for name in names)),
+        ca.vertcat(system.q, system.v, system.lam, system.u),
+        ca.vertcat(*(dae.physical[name] for name in ("q", "v", "lam", "u"))),
     )
     symbols = ca.vertcat(dae.x, dae.z, ca.vec(system.gamma[:, : gamma.size2()]), system.p)
     values = [unknowns[array.places(each)] for each in (array.states, array.determined)]

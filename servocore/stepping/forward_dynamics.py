@@ -10,8 +10,7 @@ linearly over it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 
@@ -93,14 +92,15 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     state, given, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
     terms = ca.Function("sc_plant_terms", [state, *given, d, system.p, *clock], [matrix, -right], {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
-    found = ca.solve(*terms(*arguments), "qr")
+    bordered_mass, forces_on_it = terms(*arguments)
+    found = ca.solve(bordered_mass, forces_on_it, "qr")
     n = len(system.coordinates)
     forces = found[n + m_h : n + m_h + m] if held else arguments[1]
     results = [ca.vertcat(arguments[0][n:], found[:n]), found[n : n + m_h], forces]
     return ca.Function("sc_plant_rate", arguments, results)
 
 
-def _runge_kutta(rate: Any, state: ca.MX, h: ca.MX) -> ca.MX:
+def _runge_kutta(rate: Callable[[ca.MX, ca.MX | float], ca.MX], state: ca.MX, h: ca.MX) -> ca.MX:
     """Return the state after one step of the classical method, where ``rate(state, time)`` is its derivative."""
     first = rate(state, 0)
     second = rate(state + h / 2 * first, h / 2)
@@ -116,7 +116,7 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     output_rate = ca.mtimes(system.C, v)
     rows: list[tuple[Quantity, ca.SX]] = []
 
-    def add(quantities: Sequence[Any], values: ca.SX, suffix: str = "", unit: str = "") -> None:
+    def add(quantities: Sequence[Quantity], values: ca.SX, suffix: str = "", unit: str = "") -> None:
         rows.extend(
             (
                 Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, wraps=not suffix and each.wraps),

@@ -79,7 +79,7 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     to_dae = [array.unknowns.index(each) for each in entries]
     from_dae = [entries.index(each) for each in array.unknowns]
     begin = ca.Function("sc_begin", [step.start.values, step.start.rates], [step.first_state])
-    state = begin(first[to_dae], ca.MX(dae.x.numel(), 1))
+    state: ca.MX = begin(first[to_dae], ca.MX(dae.x.numel(), 1))
     found = []
     stages = _BACKWARDS.stages
     for k in range(0, len(jets), stages):

@@ -33,9 +33,8 @@ def compile_observation(
     order: int,
 ) -> ca.Function:
     """Compile (state, gamma (m, order + 1), p) -> (values of `known`, violations (4,)) at the state's own instant."""
-    names = ("q", "v", "lam", "u")
-    symbols = ca.vertcat(*[getattr(system, name) for name in names])
-    physical = ca.vertcat(*[dae.physical[name] for name in names])
+    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
+    physical = ca.vertcat(*[dae.physical[name] for name in ("q", "v", "lam", "u")])
     expressions = ca.vertcat(*[expression for _, expression in known])
     violations = violations_of(system)
     expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])

@@ -154,8 +154,7 @@ def signature(equations: SecondOrderEquations) -> Signature:
 
     sigma = np.full((len(equations.names),) * 2, ABSENT)
     for order in range(equations.y.size2()):
-        rows, columns = ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()
-        sigma[rows, columns] = order
+        sigma[ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()] = order
     size = len(sigma)
     weights = np.where(sigma == ABSENT, -4 * (size + 1), sigma)
     rows, columns = scipy.optimize.linear_sum_assignment(weights, maximize=True)

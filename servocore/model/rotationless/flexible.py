@@ -219,7 +219,7 @@ class ElasticRope:
 
     def points(self, q: ca.SX) -> list[ca.SX]:
         """Return the positions, shape (3,) each."""
-        return ca.vertsplit(q, 3)  # type: ignore[no-any-return]
+        return ca.vertsplit(q, 3)
 
     def weight_centre(self, q: ca.SX) -> ca.SX:
         """Return the centre of mass, shape (3,)."""
@@ -232,7 +232,10 @@ class ElasticRope:
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all pieces, by the squares of their lengths."""
         size = self.length / self.elements
-        energy = lambda x: self.axial * size / 2 * (ca.sqrt(x) - 1) ** 2  # noqa: E731
+
+        def energy(x: ca.SX) -> ca.SX:
+            return self.axial * size / 2 * (ca.sqrt(x) - 1) ** 2
+
         return [(energy, ca.sumsqr(b - a) / size**2) for a, b in pairwise(self.points(q))]
 
     def pieces(self, value: Any) -> list[Any]:

@@ -76,7 +76,7 @@ def on_plane(a: Place, b: Place) -> ca.SX:
     return ca.dot(spherical(a, b), a.axis)
 
 
-class Distance(ca.SX):  # type: ignore[misc]  # CasADi has no types
+class Distance(ca.SX):
     """The row of a distance, which knows its length and whether it can push.
 
     Attributes
