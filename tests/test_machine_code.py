@@ -19,7 +19,7 @@ from servocore.numerics import code_cache
 from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
 from servocore.numerics.vector_code import vector_source
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import compile_inputs
 from servocore.solvers.taylor import Taylor
@@ -70,6 +70,22 @@ def test_any_number_of_instants_and_cases_will_do(count):
     both, difference = compiled(t, p)
     np.testing.assert_array_equal(both, np.stack([np.vstack([t * k, t + 2]) for k in p]))
     np.testing.assert_array_equal(difference, np.stack([t - k for k in p]))
+
+
+@pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 201])
+@pytest.mark.usefixtures("compiler")
+def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count):
+    values = ca.vertcat(*OPERATIONS[:-3], 1 / (x - 3), ca.log(x - y), x * y)
+    function = ca.Function("sc_extremes", [x, y], [ca.densify(values), x - y])
+    t, p = np.linspace(-2.0, 3.0, count)[None] + 0.1, np.array([[3.0], [-4.0], [np.nan], [-np.inf]])
+    for native in (True, False):
+        found = Extremes(function, (True, False), native, "all")(t, p)
+        for extremes, rows in zip(found, Vectorised(function, (True, False), False, "all")(t, p), strict=True):
+            np.testing.assert_array_equal(extremes, extremes_of(rows))
+            finite = np.isfinite(rows).all(axis=2)
+            np.testing.assert_array_equal(extremes[:, 0][finite], rows.max(axis=2)[finite])
+            np.testing.assert_array_equal(extremes[:, 1][finite], rows.min(axis=2)[finite])
+            assert np.isnan(extremes.transpose(0, 2, 1)[~finite]).all()
 
 
 @pytest.mark.usefixtures("compiler")

@@ -52,12 +52,26 @@ typedef long long bits __attribute__((vector_size({8 * LANES})));
 #define magnitude(x) ((vec)((bits)(x) & 0x7fffffffffffffffLL))
 #define larger(x, y) either(((x) >= (y)) | ((y) != (y)), x, y)
 #define smaller(x, y) either(((x) <= (y)) | ((y) != (y)), x, y)
+#define raised(most, x) either((x) > (most), x, most)
+#define lowered(least, x) either((x) < (least), x, least)
 #define first_of(x) ((x)[0])
 #define sign(x) either((x) < 0.0, all(-1.0), either((x) > 0.0, all(1.0), x))
 #define each1(f, to, x) vec to; for (int i = 0; i < LANES; ++i) to[i] = f(x[i])
 #define each2(f, to, x, y) vec to; for (int i = 0; i < LANES; ++i) to[i] = f(x[i], y[i])
 """
 
+_EXTREMES = """static void extremes(vec most, vec least, vec total, double *high, double *low) {
+ double a = most[0], b = least[0], sum = total[0];
+ for (int i = 1; i < LANES; ++i) {
+  a = most[i] > a ? most[i] : a;
+  b = least[i] < b ? least[i] : b;
+  sum += total[i];
+ }
+ const int number = sum - sum == 0.0;
+ *high = number ? a : (double)NAN;
+ *low = number ? b : (double)NAN;
+}
+"""
 
 _SCALAR_HEAD = """#include <math.h>
 typedef double vec;
@@ -92,6 +106,46 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         return None
     sizes = [function.numel_out(k) for k in range(function.n_out())]
     return _HEAD + "\n".join(_lines(statements, along, sizes))
+
+
+def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
+    """Return C source of what `vector_source` computes, keeping highest and lowest values over the instants.
+
+    Nothing but these leaves the registers. Of result entry i of case c the highest value lies at c*2*rows + i of its
+    array and the lowest at c*2*rows + rows + i; both are NaN where the value is no finite number at some instant.
+    """
+    if not function.is_a("SXFunction"):
+        return None
+    statements = _Statements(function, along)
+    if statements.strange:
+        return None
+    sizes = [function.numel_out(k) for k in range(function.n_out())]
+    entries = sum(sizes)
+    first = [sum(sizes[:k]) for k in range(len(sizes))]
+    lines = [
+        *_begin(statements, along),
+        f"  vec most[{entries}], least[{entries}], total[{entries}];",
+        f"  for (int i = 0; i < {entries}; ++i)",
+        "   most[i] = all(-INFINITY), least[i] = all(INFINITY), total[i] = all(0.0);",
+        "  for (long next = 0; next < count; next += LANES) {",
+        "   const long k = next + LANES <= count ? next : count - LANES; (void)k;",
+        *[f"   {each}" for each in statements.block],
+        *[
+            f"   {{ const vec x = {value}; const int i = {first[which] + i}; total[i] += x;"
+            " most[i] = raised(most[i], x); least[i] = lowered(least[i], x); }"
+            for which, i, value in statements.results
+        ],
+        "  }",
+        *[
+            f"  for (int i = 0; i < {size}; ++i) extremes(most[{first[k]} + i], least[{first[k]} + i],"
+            f" total[{first[k]} + i], out[{k}] + (c*2)*{size} + i, out[{k}] + (c*2 + 1)*{size} + i);"
+            for k, size in enumerate(sizes)
+        ],
+        " }",
+        "}",
+        "",
+    ]
+    return _HEAD + _EXTREMES + "\n".join(lines)
 
 
 def chain_source(function: ca.Function, along: Sequence[bool]) -> str | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from servocore.numerics.calls import Array, chained, mapped
 from servocore.numerics.machine_code import BACKGROUND, Build, automatic, built, library_of
-from servocore.numerics.vector_code import LANES, NAME, chain_source, vector_source
+from servocore.numerics.vector_code import LANES, NAME, chain_source, extremes_source, vector_source
 
 MANY = 10_000
 """Instants from which on machine code is worth being made for a first call."""
@@ -160,14 +160,9 @@ class Vectorised:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
 
     def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
-        if count < LANES and not self._in_a_row:  # the last instant again and again
-            some = np.minimum(np.arange(LANES), count - 1)
-            wider = [a[..., some] if along else a for a, along in zip(arguments, self._along, strict=True)]
-            return [each[..., :count] for each in self._in_machine_code(tuple(wider), cases, LANES)]
-        held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
-        pairs = list(zip(held, self._along, strict=True))
-        row = _longs([a.strides[-2] // _BYTES if along else 0 for a, along in pairs])
-        lanes = [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
+        if count < LANES and not self._in_a_row:
+            return [each[..., :count] for each in self._in_machine_code(self._widened(arguments, count), cases, LANES)]
+        held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, size, count)) for size in self._sizes]
         sources, targets = (_addresses(each) for each in (held, results))
         threads = 1 if cases * count < 2 * _PER_THREAD else min(_processors(), cases * count // _PER_THREAD)
@@ -196,6 +191,47 @@ class Vectorised:
             for each in [pool.submit(run, *share) for share in shares]:
                 each.result()
         return results
+
+    def _widened(self, arguments: tuple[Array, ...], count: int) -> tuple[Array, ...]:
+        """Repeat the last instant until a register is full."""
+        some = np.minimum(np.arange(LANES), count - 1)
+        return tuple(a[..., some] if along else a for a, along in zip(arguments, self._along, strict=True))
+
+    def _placed(self, arguments: tuple[Array, ...]) -> tuple[list[Array], Any, list[int]]:
+        """Return the arguments as the compiled function reads them, and how far rows and cases lie apart."""
+        held = [a if a.strides[-1] == _BYTES else np.ascontiguousarray(a) for a in arguments]
+        pairs = list(zip(held, self._along, strict=True))
+        row = _longs([a.strides[-2] // _BYTES if along else 0 for a, along in pairs])
+        return held, row, [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
+
+
+class Extremes(Vectorised):
+    """Highest and lowest value of every result over the instants; what is between them is not kept.
+
+    A call returns arrays (2, rows), or (cases, 2, rows): NaN where a value is no finite number at some instant.
+    """
+
+    def interpreted(self, *arguments: Array) -> list[Array]:
+        """Evaluate one case by CasADi's interpreter."""
+        return [extremes_of(each) for each in super().interpreted(*arguments)]
+
+    def _source(self) -> str | None:
+        return extremes_source(self.function, self._along)
+
+    def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
+        if count < LANES:
+            return self._in_machine_code(self._widened(arguments, count), cases, LANES)
+        held, row, lanes = self._placed(arguments)
+        results = [np.empty((cases, 2, size)) for size in self._sizes]
+        self._run(cases, count, _longs(_addresses(held)), row, _longs(lanes), _longs(_addresses(results)), count)
+        return results
+
+
+def extremes_of(rows: Array) -> Array:
+    """Return highest and lowest values (..., 2, rows) of rows (..., rows, N), NaN where one is no finite number."""
+    found = np.stack([rows.max(axis=-1), rows.min(axis=-1)], axis=-2)
+    found[~np.isfinite(found).all(axis=-2, keepdims=True).repeat(2, axis=-2)] = np.nan
+    return found
 
 
 def _addresses(arrays: list[Array]) -> list[int]:
