@@ -1,8 +1,10 @@
-"""What a sweep costs beside its compiled function: `python -m benchmarks.sweep [CASES]` (a million when not given).
+"""What a sweep costs beside its compiled functions: `python -m benchmarks.sweep [CASES]` (a million when not given).
 
-The same cases of the rotary crane, 201 instants each: by `sc.sweep` into a Zarr store, and by two processes that call
-the compiled function on arrays in memory and keep nothing.
-Printed are cases a second, their ratio, and the peak of memory.
+The same cases of the rotary crane, 201 instants each: by `sc.sweep` into a Zarr store, and in memory by two processes
+that call a compiled function on the same arrays and keep nothing. That function is `sc.Batch`, which gives inputs and
+swing at all instants, or the sweep's own, of which only peaks and margins come back. They take turns; imports and
+machine code are made before. Printed are the best of the turns, cases a second by the clock and microseconds of the
+processor a case, and the peak of memory of the process that sweeps.
 """
 
 from __future__ import annotations
@@ -11,57 +13,101 @@ import resource
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Executor, ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
 import servocore as sc
+from servocore.planning.swept import settled
+from servocore.planning.swept_cases import Cases, evaluated, work_of
 
 INSTANTS = 201
 PROCESSES = 2
+TURNS = 3
 LIMITS = {"M_b": 400.0, "F": 40.0}
 _AT_ONCE = 64
 
-
-def ranges(cases: int) -> dict[str, np.ndarray]:
-    """Return two rows of parameters whose product has so many cases, nearly."""
-    side = round(cases**0.5)
-    return {"load_mass": np.linspace(50.0, 150.0, side), "trolley_mass": np.linspace(5.0, 15.0, side)}
+Rows = tuple[np.ndarray, np.ndarray]
+Times = tuple[float, float]
 
 
-def bare(share: tuple[np.ndarray, np.ndarray]) -> float:
-    """Call the compiled function for all cases of a share; return the time it took."""
-    batch = sc.Batch(sc.scenes.rotary_crane(), ("M_b", "F", "M_w", "swing"), native=True)
-    t = np.linspace(0.0, 20.0, INSTANTS)
-    loads, trolleys = share
-    batch(t, {"load_mass": loads[:1], "trolley_mass": trolleys[:1]})
-    begin = time.perf_counter()
-    for first in range(0, len(loads), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        batch(t, {"load_mass": loads[some], "trolley_mass": trolleys[some]})
-    return time.perf_counter() - begin
+def timed(run: Callable[[], object]) -> Times:
+    """Return the time that something takes, and that of the processor."""
+    begin, busy = time.perf_counter(), time.process_time()
+    run()
+    return time.perf_counter() - begin, time.process_time() - busy
+
+
+def batch(share: Rows) -> Times:
+    """Call `sc.Batch` for the cases of a share."""
+    compiled = sc.Batch(sc.scenes.rotary_crane(), ("M_b", "F", "M_w", "swing"), native=True)
+    t, (loads, trolleys) = np.linspace(0.0, 20.0, INSTANTS), share
+
+    def run(last: int) -> None:
+        for first in range(0, last, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            compiled(t, {"load_mass": loads[some], "trolley_mass": trolleys[some]})
+
+    run(_AT_ONCE)
+    return timed(lambda: run(len(loads)))
+
+
+def reduced(share: Rows) -> Times:
+    """Call the function of a sweep for the cases of a share."""
+    swept = settled(sc.scenes.rotary_crane(), {"load_mass": [90.0]}, None, LIMITS, INSTANTS, False, None)
+    problem, path = swept.problem, swept.references[0]
+    jets = path.jet(np.linspace(path.start_time, path.end_time, INSTANTS), problem.array.reference_order)
+    numbers = np.tile([1.0, *problem.p], (len(share[0]), 1))
+    for name, values in zip(("load_mass", "trolley_mass"), share, strict=True):
+        numbers[:, 1 + problem.system.parameters.names.index(name)] = values
+    work = work_of(problem, swept.limits, False, True)
+    of_path = {0: np.ascontiguousarray(jets.reshape(INSTANTS, -1).T)}
+
+    def run(last: int) -> None:
+        evaluated(work, Cases(of_path, np.zeros(last, dtype=int), numbers[:last]))
+
+    run(_AT_ONCE)
+    return timed(lambda: run(len(numbers)))
+
+
+def in_memory(pool: Executor, call: Callable[[Rows], Times], loads: np.ndarray, trolleys: np.ndarray) -> Times:
+    """Have two processes do what one of the above does."""
+    shares = zip(np.array_split(loads, PROCESSES), np.array_split(trolleys, PROCESSES), strict=True)
+    clock, busy = zip(*pool.map(call, shares), strict=True)
+    return max(clock), sum(busy)
+
+
+def swept_into_a_store(varied: dict[str, np.ndarray]) -> Times:
+    """Sweep the cases into a store."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = {"limits": LIMITS, "instants": INSTANTS, "native": True}
+        return timed(lambda: sc.sweep(sc.scenes.rotary_crane(), varied, store=Path(folder) / "s.zarr", **kept))
 
 
 def main() -> None:
-    """Run both and print."""
-    varied = ranges(int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000)
+    """Run all and print."""
+    side = round((int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000) ** 0.5)
+    varied = {"load_mass": np.linspace(50.0, 150.0, side), "trolley_mass": np.linspace(5.0, 15.0, side)}
     loads, trolleys = (each.ravel() for each in np.meshgrid(*varied.values(), indexing="ij"))
-    parts = np.array_split(np.arange(len(loads)), PROCESSES)
+    swept_into_a_store({name: values[:2] for name, values in varied.items()})  # imports, machine code
+    found: dict[str, list[Times]] = {"sc.Batch": [], "the sweep's own function": [], "sc.sweep into a store": []}
     with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
-        slowest = max(pool.map(bare, [(loads[part], trolleys[part]) for part in parts]))
-    crane = sc.scenes.rotary_crane()
-    sc.sweep(crane, {"load_mass": [90.0, 110.0]}, limits=LIMITS, instants=INSTANTS, native=True)  # compiled once
-    with tempfile.TemporaryDirectory() as folder:
-        begin = time.perf_counter()
-        sc.sweep(crane, varied, limits=LIMITS, instants=INSTANTS, store=Path(folder) / "sweep.zarr", native=True)
-        seconds = time.perf_counter() - begin
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        for _ in range(TURNS):
+            found["sc.Batch"].append(in_memory(pool, batch, loads, trolleys))
+            found["the sweep's own function"].append(in_memory(pool, reduced, loads, trolleys))
+            found["sc.sweep into a store"].append(swept_into_a_store(varied))
     print(f"{len(loads)} cases of {INSTANTS} instants")
-    print(f"compiled function, {PROCESSES} processes: {len(loads) / slowest:.0f} cases/s")
-    print(f"sweep into a store: {len(loads) / seconds:.0f} cases/s, {slowest / seconds:.2f} of it")
-    print(f"peak of memory: {memory:.0f} MB")
+    clock, busy = (min(times) for times in zip(*found["sc.sweep into a store"], strict=True))
+    for name, times in found.items():
+        own, own_busy = (min(each) for each in zip(*times, strict=True))
+        print(
+            f"{name:25}: {len(loads) / own:.0f} cases/s, {1e6 * own_busy / len(loads):.2f} us of the processor a case;"
+            f" the sweep has {own / clock:.2f} of its rate, by processor time {own_busy / busy:.2f}"
+        )
+    print(f"peak of memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
 
 
 if __name__ == "__main__":

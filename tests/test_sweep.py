@@ -53,6 +53,16 @@ def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution():
     assert (found.failure == "").all()
 
 
+def test_margins_are_those_of_a_solution_at_kinks_and_across_full_turns_too():
+    around = sc.rest_to_rest((-4.0, 2.0, -5.0), (-3.0, -3.0, -4.0), 20.0)  # the bridge passes 180 degrees
+    limits = {"swing.rate": 1.0, "phi": (-np.pi, 1.5 * np.pi), "s": 6.0}
+    found = sc.sweep(CRANE, {"load_mass": [80.0, 120.0]}, [around], limits=limits).isel(path=0)
+    for k, mass in enumerate((80.0, 120.0)):
+        scene = CRANE.with_reference(around).with_parameters(load_mass=mass).with_limits(**limits)
+        for name, margin in sc.solve(scene, step=0.1).margins.items():
+            assert float(found[f"margin_{name}"][k]) == pytest.approx(margin.left, rel=1e-9)
+
+
 @pytest.mark.parametrize("model", CRANE.models)
 def test_every_model_gives_the_same_numbers(model):
     few = {"load_mass": MASSES[:2], "duration": DURATIONS[:2]}
@@ -202,12 +212,18 @@ def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path):
         ({"limits": {"F.rate": 200.0}}, "F.rate takes a derivative that a sweep does not have"),
         ({"instants": 1}, "at least 2"),
         ({"chunk": 0}, "chunk must be a number of cases"),
+        ({"parameters": 5}, "a table of cases is a data frame"),
+        ({"references": CRANE.reference}, "references must be a list of paths"),
+        ({"executor": 5}, "the executor must be a concurrent.futures.Executor, not 5"),
+        ({"distributed": 6}, "distributed must be a Client of the package distributed, not 6"),
+        ({"scene": sc.scenes.mass_on_car(), "parameters": {"mass": [1.0]}, "limits": {"u.rate": 1.0}}, "one by one"),
     ],
 )
 def test_what_is_wrong_is_named_before_anything_is_computed(change, said, tmp_path):
     store = tmp_path / "s.zarr"
     with pytest.raises(sc.ServocoreError, match=said):
-        sc.sweep(CRANE, **{"parameters": VARIED, "store": store, **change})
+        sc.sweep(**{"scene": CRANE, "parameters": VARIED, "store": store, **change})
+    assert not store.exists()
 
 
 def test_a_store_of_another_sweep_is_not_resumed(tmp_path):
@@ -283,3 +299,15 @@ def test_the_command_refuses_in_one_sentence(words, said, tmp_path, monkeypatch)
     line = CommandLine(app, "servocore")
     line.assert_refused(line("sweep", *words.split()), said)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_package_is_told_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = CommandLine(app, "servocore")
+    for package, extra in (("matplotlib.axes", "report"), ("xarray", "sweep"), ("zarr", "sweep")):
+        with monkeypatch.context() as without:
+            without.setitem(sys.modules, package, None)
+            without.delitem(sys.modules, "servocore.cli.sweep_figure", raising=False)
+            run = line("sweep", "rotary_crane", "--vary", "load_mass=50:150:3", "-o", "study")
+        line.assert_refused(run, f"servocore[{extra}]")
+        assert list(tmp_path.iterdir()) == []

@@ -81,6 +81,8 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         refused. A case that fails is a row with its sentence. DIR/index.html shows
         the peak of the first input over what varies.
         """
+        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow, and may be missing: before the work
+
         subject = along(chosen(scene, parameters), reference, model)
         bounds = limits_given(limit, limits)
         varied = _varied(vary or (), sample, seed)
@@ -91,8 +93,6 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
                 subject, varied, limits=bounds, store=output / _STORE, resume=resume, instants=instants, inputs=inputs,
                 model=model, distributed=client, progress=progress,
             )  # fmt: skip
-        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow to import
-
         page, figure = sweep_page(found, subject.name)
         write_together({output / _PAGE: page, output / _FIGURE: figure})
         failed = int((found.failure.to_numpy() != "").sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import prod
@@ -124,7 +124,7 @@ def _table(varied: Any) -> dict[str, Any] | None:
         return {str(name): varied[name].to_numpy() for name in varied.columns}
     if isinstance(varied, Mapping) or varied is None:
         return None
-    rows = list(varied)
+    rows = list(varied) if isinstance(varied, Iterable) else []
     if not rows or not all(isinstance(each, Mapping) and set(each) == set(rows[0]) for each in rows):
         raise InvalidSetting("a table of cases is a data frame, or a list of mappings that all have the same names")
     return {name: [each[name] for each in rows] for name in rows[0]}

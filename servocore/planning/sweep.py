@@ -15,21 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, ServocoreError
+from servocore.errors import InvalidSetting, ServocoreError, described, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.calls import Array
 from servocore.planning.grid import DURATION, Slices
 from servocore.planning.sweep_store import Memory, Sink, Zarr
 from servocore.planning.swept import Swept, in_time, settings_of, settled
-from servocore.planning.swept_cases import SWING, Cases, evaluated, work_of
+from servocore.planning.swept_cases import SWING, Cases, Work, evaluated, work_of
 from servocore.references.base import Reference
 from servocore.solvers.following import prepared_table
 from servocore.solvers.solve import solve
 
 Progress = Callable[[int, int], None]
 
-_CHUNK = 8192  # cases: enough to keep a worker busy for a tenth of a second, few enough to lose
+# Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
+_CLUSTER = 64  # blocks
+# Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
+_FEWEST, _MOST, _WITH_INPUTS, _BLOCKS, _SLOW = 2048, 32768, 4096, 32, 16
 
 
 def sweep(
@@ -43,7 +46,7 @@ def sweep(
     inputs: bool = False,
     store: str | Path | None = None,
     resume: bool = False,
-    chunk: int = _CHUNK,
+    chunk: int | None = None,
     model: str | None = None,
     distributed: Any = None,
     native: bool | None = None,
@@ -73,8 +76,9 @@ def sweep(
         A Zarr store that is filled block by block; its content is returned without being read.
     resume : bool
         Whether a store of the same settings is completed.
-    chunk : int
-        Most cases of a block; what is in memory at once grows with it.
+    chunk : int, optional
+        Most cases of a block; what is in memory at once grows with it. When not given, a 32nd of all, but 2048 to 32768
+        of them, with inputs at most 4096; 16 where they are solved one by one.
     model : str, optional
         Model of the scene; its smallest when not given.
     distributed : distributed.Client, optional
@@ -105,16 +109,22 @@ def sweep(
     swept = settled(scene, parameters, references, limits, instants, inputs, model)
     if executor is not None and distributed is not None:
         raise InvalidSetting("give either an executor or a client of distributed, not both")
-    if isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1:
+    if executor is not None:
+        require_kind(executor, Executor, "the executor", "a concurrent.futures.Executor", InvalidSetting)
+    if distributed is not None and not hasattr(distributed, "get_executor"):
+        raise InvalidSetting(f"distributed must be a Client of the package distributed, not {described(distributed)}")
+    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
         raise InvalidSetting(f"chunk must be a number of cases, not {chunk!r}")
-    shape = swept.grid.block(chunk)
+    work = _work(swept, native)
+    fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
+    shape = swept.grid.block(chunk or fitting)
     settings = settings_of(swept)
     sink: Sink = Memory(swept, settings) if store is None else Zarr.opened(Path(store), swept, settings, shape, resume)
     if distributed is not None:
-        executor = distributed.get_executor()
+        executor = distributed.get_executor(pure=False)
     todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
-    for number, block, found in _computed(swept, todo, executor, native):
+    for number, block, found in _computed(swept, work, todo, executor):
         sink.put(number, block, found)
         done += _count(block)
         if progress is not None:
@@ -129,24 +139,36 @@ def _count(block: Slices) -> int:
 # Computing -----------------------------------------------------------------------------------------------------------
 
 
+def _work(swept: Swept, native: bool | None) -> Work | None:
+    """Compile what is computed of every case; None where cases have to be solved one by one."""
+    problem = swept.problem
+    if problem.flat and not (problem.follow_branch or problem.system.time.numel()) and prepared_table(problem) is None:
+        return work_of(problem, swept.limits, swept.inputs, native)
+    rates = [each.quantity for each in swept.limits if each.rate]
+    if rates:
+        raise InvalidSetting(
+            f"the cases of {problem.name} are solved one by one, where rates have no margin: {rates[0]}"
+        )
+    return None
+
+
 def _computed(
-    swept: Swept, todo: list[tuple[int, Slices]], executor: Executor | None, native: bool | None
+    swept: Swept, work: Work | None, todo: list[tuple[int, Slices]], executor: Executor | None
 ) -> Iterator[tuple[int, Slices, dict[str, Any]]]:
     """Yield the results of blocks as they come, with the sentences of cases that failed."""
-    problem = swept.problem
-    if not problem.flat or problem.follow_branch or problem.system.time.numel() or prepared_table(problem) is not None:
+    if work is None:
         for number, block in todo:
             yield number, block, _one_by_one(swept, block)
         return
-    work = work_of(problem, swept.limits, native, swept.by_formula)
     with ThreadPoolExecutor(os.cpu_count() or 1) as own:
         pool, waiting = executor or own, dict[Future[dict[str, Array]], tuple[int, Slices]]()
+        ahead = 2 * _workers(pool) + 2
         left = iter(todo)
         try:
             while True:
-                while len(waiting) < 2 * (os.cpu_count() or 1) + 2 and (each := next(left, None)) is not None:
+                while len(waiting) < ahead and (each := next(left, None)) is not None:
                     cases = _cases(swept, each[1])
-                    waiting[pool.submit(evaluated, work, cases, swept.inputs)] = each
+                    waiting[pool.submit(evaluated, work, cases)] = each
                 if not waiting:
                     return
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -157,33 +179,28 @@ def _computed(
                 future.cancel()
 
 
+def _workers(pool: Executor) -> int:
+    """Return how many blocks a pool computes at once; where it does not say, as many as a small cluster."""
+    return int(getattr(pool, "_max_workers", _CLUSTER))
+
+
 def _cases(swept: Swept, block: Slices) -> Cases:
     """Return the cases of a block as arrays."""
     grid, problem = swept.grid, swept.problem
     which, names = grid.paths(block), problem.system.parameters.names
-    p = np.tile(problem.p, (len(which), 1))
+    numbers = np.tile(np.array([1.0, *problem.p]), (len(which), 1))
     for name in grid.columns:
-        if name != DURATION:
-            p[:, names.index(name)] = grid.values(name, block)
-    keys = np.column_stack([which, grid.values(DURATION, block) if DURATION in grid.columns else np.zeros(len(which))])
-    different, of_case = np.unique(keys, axis=0, return_inverse=True)
-    laws = [_law(swept, int(path), duration) for path, duration in different]
-    times = [np.linspace(each.start_time, each.end_time, swept.instants) for each in laws]
-    order = problem.array.reference_order
-    if swept.by_formula:
-        paths = np.array([each.formula.numbers(order) for each in laws if each.formula is not None])
-    else:
-        paths = np.stack([each.jet(t, order).reshape(len(t), -1).T for each, t in zip(laws, times, strict=True)])
-    t = np.array(times)
-    if len(laws) > 1:
-        t, paths = t[of_case.ravel()], paths[of_case.ravel()]
-    return Cases(t, paths, p)
-
-
-def _law(swept: Swept, path: int, duration: float) -> Reference:
-    """Return a path in a duration; 0 for its own."""
-    own = swept.references[path]
-    return own if not duration else in_time(own, duration)
+        values = grid.values(name, block)
+        if name == DURATION:
+            numbers[:, 0] = values / np.array([each.duration for each in swept.references])[which]
+        else:
+            numbers[:, 1 + names.index(name)] = values
+    order, jets = problem.array.reference_order, {}
+    for path in np.unique(which).tolist():
+        own = swept.references[path]
+        at = own.jet(np.linspace(own.start_time, own.end_time, swept.instants), order)
+        jets[path] = np.ascontiguousarray(at.reshape(len(at), -1).T)
+    return Cases(jets, which, numbers)
 
 
 # Cases that fail, and cases by themselves ----------------------------------------------------------------------------
@@ -207,7 +224,8 @@ def _sentence(swept: Swept, block: Slices, k: int) -> str:
 
 def _solved(swept: Swept, block: Slices, k: int) -> Any:
     given = swept.grid.case(block, k)
-    law = _law(swept, int(swept.grid.paths(block)[k]), given.pop(DURATION, 0.0))
+    path = swept.references[int(swept.grid.paths(block)[k])]
+    law = in_time(path, given.pop(DURATION)) if DURATION in given else path
     scene = swept.scene.with_reference(law).with_parameters(**given)
     unlimited = replace(scene, limits=tuple(each for each in scene.limits if each.of_path))
     return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)

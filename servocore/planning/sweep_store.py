@@ -149,8 +149,9 @@ class Zarr:
     """
 
     def __init__(self, path: Path, swept: Swept) -> None:
-        self._path, self._swept = path, swept
+        self._path, self._swept, self._xarray = path, swept, _xarray()
         self._group = _zarr().open_group(path, mode="r+")
+        self._arrays = {each.name: self._group[each.name] for each in variables_of(swept)}
         self._done = self._group[DONE]
         self._known = np.asarray(self._done[:], dtype=bool)
 
@@ -164,6 +165,7 @@ class Zarr:
             If there is one already that is not to be resumed, or its settings are other ones.
         """
         held = {**settings, "block": list(shape)}
+        _xarray()
         if not path.exists():
             _made(path, swept, held)
             return cls(path, swept)
@@ -187,13 +189,14 @@ class Zarr:
         """Write a block, and then that it is there."""
         with _quiet():
             for each in variables_of(self._swept):
-                self._group[each.name][block] = _placed(self._swept, each, found, block)
+                if each.result != "failure" or found["failure"].any():  # a store has empty sentences by itself
+                    self._arrays[each.name][block] = _placed(self._swept, each, found, block)
         self._done[number] = 1
 
     def dataset(self) -> Any:
         """Return the dataset, of which nothing is read before it is used."""
-        with _quiet():
-            return _xarray().open_zarr(self._path, consolidated=False).drop_vars(DONE)
+        with _quiet():  # without chunks of Dask, whose import takes seconds
+            return self._xarray.open_zarr(self._path, consolidated=False, chunks=None).drop_vars(DONE)
 
 
 def _made(path: Path, swept: Swept, settings: Mapping[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,7 +16,6 @@ from servocore.planning.grid import DURATION, Grid
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.stretched import Stretched
-from servocore.structure.inversion import inversion
 
 _LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
 
@@ -42,9 +42,6 @@ class Swept:
         At each of which a case is looked at.
     inputs : bool
         Whether the inputs themselves are kept.
-    by_formula : bool
-        Whether all paths, in all durations, are one formula with other numbers, and the inversion one expression: then
-        the path is part of the compiled function.
     """
 
     scene: Scene
@@ -55,7 +52,6 @@ class Swept:
     references: tuple[Reference, ...]
     instants: int
     inputs: bool
-    by_formula: bool
 
 
 def settled(
@@ -65,6 +61,8 @@ def settled(
     require_scene(scene, "sweep")
     if isinstance(instants, bool) or not isinstance(instants, int) or instants < 2:
         raise InvalidSetting(f"instants must be a number of at least 2, not {instants!r}")
+    if isinstance(references, Reference) or not isinstance(references, Iterable | None):
+        raise InvalidSetting("references must be a list of paths, one or more")
     paths = tuple(references or ())
     bounded = scene.with_limits(**limits) if limits else scene
     problem = Problem.of(bounded.with_reference(paths[0]) if paths else bounded, model)
@@ -84,11 +82,7 @@ def settled(
     for each in paths:
         bounded.with_reference(each)  # refuses what is no path of this scene
     paths = paths or (problem.reference,)
-    formula = problem.reference.formula
-    longer = [in_time(each, 2.0 * each.duration) for each in paths] if DURATION in grid.columns else []
-    inside = problem.flat and problem.resolved.once(inversion).expression is not None
-    by_formula = inside and formula is not None and all(each.formula == formula for each in (*paths, *longer))
-    return Swept(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs), by_formula)
+    return Swept(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs))
 
 
 def settings_of(swept: Swept) -> dict[str, Any]:

@@ -6,27 +6,28 @@ machine code found again, once in every process.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
+from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, at_instants
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
 from servocore.problem import Problem
 from servocore.solvers.batch import compile_reading
 from servocore.stepping.observation import observed
-from servocore.stepping.path_function import jet_of, with_path_inside
 
 SWING = "swing"
 """The observable whose peak is told beside those of the inputs, where a model has it."""
 
-_AT_ONCE = 64  # cases: their results stay in the cache of a processor until their peaks are known
+_AT_ONCE = 64  # cases: what one call computes stays in the cache of a processor
 
 
 @dataclass(frozen=True)
@@ -37,55 +38,55 @@ class Work:
     ----------
     title : str
         Of the scene, for messages.
-    on_path : str
-        Function (t, numbers of the path, p) -> rows, as text; (gamma, p) -> rows where the path is no formula.
-    jet : str
-        Function (t, numbers) -> gamma, as text; empty where the path is no formula.
-    seeking : str
-        Function (gamma, p) -> rows by Newton's method, as text.
+    quick, seeking : str
+        Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
+        Newton's method. They may be the same.
     inputs : int
         The first rows are inputs,
     swing : bool
         the next is the swing where there is one,
     bounds : tuple of (float, float)
         the next ones are limited so; what follows must be positive.
+    turns : tuple of int
+        Rows with angles that are known up to full turns: what is limited has none of their jumps.
+    kept : bool
+        Whether the inputs are kept at every instant.
     native : bool or None
         As for `ExactInversion`.
     """
 
     title: str
-    on_path: str
-    jet: str
+    quick: str
     seeking: str
     inputs: int
     swing: bool
     bounds: tuple[tuple[float, float], ...]
+    turns: tuple[int, ...]
+    kept: bool
     native: bool | None
 
 
 @dataclass(frozen=True)
 class Cases:
-    """Some cases: times (cases or 1, N), what stands for their paths, and parameters (cases, size).
+    """Some cases: the jets of their paths, and what each has of its own.
 
-    `paths` has the numbers of the formula, (cases or 1, size), or reference jets (cases or 1, rows, N).
+    Attributes
+    ----------
+    jets : mapping of int to ndarray, shape (m (order + 1), N)
+        By number of the path, gamma, gamma', ... at the instants.
+    path : ndarray, shape (cases,)
+        Which path each has.
+    numbers : ndarray, shape (cases, 1 + parameters)
+        How many times as long as its path each takes, and values of the parameters.
     """
 
-    t: Array
-    paths: Array
-    p: Array
-
-    def parts(self) -> Iterator[Cases]:
-        """Yield a few cases at a time."""
-        for first in range(0, len(self.p), _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
-            t, paths = (each[some] if len(each) > 1 else each for each in (self.t, self.paths))
-            yield Cases(t, paths, self.p[some])
+    jets: Mapping[int, Array]
+    path: npt.NDArray[np.intp]
+    numbers: Array
 
 
-def work_of(problem: Problem, limits: tuple[Limit, ...], native: bool | None, by_formula: bool) -> Work:
+def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: bool | None) -> Work:
     """Compile what is to be computed of the cases of a flat problem.
-
-    With `by_formula` the path becomes part of the function, see `Swept`.
 
     Raises
     ------
@@ -100,11 +101,25 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], native: bool | None, by
     wanted += [(Quantity(each.quantity, each.unit), _limited(problem, each)) for each in limits]
     wanted += [each for each in known.values() if each[0].positive]
     quick, seeking = compile_reading(problem.resolved, wanted)
-    on_path, jet, formula = quick or seeking, "", problem.reference.formula
-    if by_formula and quick is not None and formula is not None:
-        on_path, jet = with_path_inside(quick, formula), jet_of(formula, problem.array.reference_order).serialize()
+    texts = [_in_time(each).serialize() for each in (quick or seeking, seeking)]
     bounds = tuple((each.bound, each.upper) for each in limits)
-    return Work(problem.name, on_path.serialize(), jet, seeking.serialize(), len(system.inputs), swing, bounds, native)
+    first = len(system.inputs) + swing
+    turns = tuple(first + k for k, each in enumerate(limits) if counts_turns(each.expression, each.rate, system))
+    return Work(problem.name, texts[0], texts[1], len(system.inputs), swing, bounds, turns, kept, native)
+
+
+def _in_time(function: ca.Function) -> ca.Function:
+    """Return (gamma, [factor, *p]) -> the results of a function (gamma, p) on the same path, `factor` times as long.
+
+    Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
+    """
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    gamma, given = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
+    rate, powers = 1.0 / given[0], [kind(1.0)]
+    for _ in range(gamma.size2() - 1):
+        powers.append(powers[-1] * rate)
+    columns = [column * power for column, power in zip(ca.horzsplit(gamma), powers, strict=True)]
+    return ca.Function("sc_in_time", [gamma, given], function.call([ca.horzcat(*columns), given[1:]]), {"cse": True})
 
 
 def _limited(problem: Problem, limit: Limit) -> ca.SX:
@@ -115,65 +130,83 @@ def _limited(problem: Problem, limit: Limit) -> ca.SX:
         raise InvalidSetting(
             f"{limit.quantity} takes a derivative that a sweep does not have: it limits rates of positions only"
         )
-    return ca.jtimes(expression, system.q, system.v)
+    rate = ca.jtimes(expression, system.q, system.v)
+    return ca.if_else(ca.fabs(rate) < np.inf, rate, 0.0)  # there is none at a kink, such as that of the swing at rest
 
 
-def evaluated(work: Work, cases: Cases, inputs: bool) -> dict[str, Array]:
+def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
     """Return ``peaks`` (cases, inputs), ``swing`` (cases,), ``margins`` (cases, limits) and ``solved`` (cases,).
 
-    With `inputs` also these, (cases, N, inputs). Cases that are not solved at some instant hold NaN.
+    Where they are kept also ``inputs``, (cases, N, inputs). Cases that are not solved at some instant hold NaN.
     """
-    found = [_of_part(work, part, inputs) for part in cases.parts()]
-    return {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    functions, parts = _rebuilt(work), []
+    extremes = np.empty((len(cases.numbers), 2, functions.rows.function.numel_out(0)))
+    for path, jets in cases.jets.items():
+        of_path = np.flatnonzero(cases.path == path)
+        for some in np.split(of_path, range(_AT_ONCE, len(of_path), _AT_ONCE)):
+            if functions.extremes is not None:
+                extremes[some] = functions.extremes(jets, cases.numbers[some])[0]
+                continue
+            rows = _rows(functions, jets, cases.numbers[some])
+            rows[:, work.turns] = np.unwrap(rows[:, work.turns])
+            extremes[some] = extremes_of(rows)
+            parts.append((some, rows[:, : work.inputs]))
+    if functions.extremes is not None:
+        for case in np.flatnonzero(~np.isfinite(extremes).all(axis=(1, 2))):
+            jets = cases.jets[int(cases.path[case])]
+            extremes[case] = extremes_of(_rows(functions, jets, cases.numbers[case : case + 1]))[0]
+    found = _told(work, extremes)
+    if work.kept:
+        found["inputs"] = np.empty((len(extremes), next(iter(cases.jets.values())).shape[1], work.inputs))
+        for some, rows in parts:
+            found["inputs"][some] = rows.transpose(0, 2, 1)
+        found["inputs"][found["solved"] == 0.0] = np.nan
+    return found
 
 
-def _of_part(work: Work, cases: Cases, inputs: bool) -> dict[str, Array]:
-    rows = _rows(work, cases)
+def _told(work: Work, extremes: Array) -> dict[str, Array]:
+    highest, lowest = extremes[:, 0], extremes[:, 1]
     m, limits = work.inputs, work.inputs + work.swing
-    highest, lowest = rows.max(axis=2), rows.min(axis=2)  # NaN if there is one
-    positive = lowest[:, limits + len(work.bounds) :] > 0.0
-    solved = np.isfinite(highest).all(axis=1) & np.isfinite(lowest).all(axis=1) & positive.all(axis=1)
-    for each in () if solved.all() else (rows, highest, lowest):
-        each[~solved] = np.nan
+    solved = np.isfinite(extremes).all(axis=(1, 2)) & (lowest[:, limits + len(work.bounds) :] > 0.0).all(axis=1)
+    extremes[~solved] = np.nan
     peaks = np.maximum(highest, -lowest)
     low, high = np.array(work.bounds).reshape(-1, 2).T
     among = slice(limits, limits + len(work.bounds))
-    found = {
+    return {
         "peaks": peaks[:, :m],
-        "swing": peaks[:, m] if work.swing else np.empty(len(rows)),
+        "swing": peaks[:, m] if work.swing else np.empty(len(peaks)),
         "margins": np.minimum(lowest[:, among] - low, high - highest[:, among]),
         "solved": solved.astype(float),
     }
-    return {**found, "inputs": rows[:, :m].transpose(0, 2, 1)} if inputs else found
 
 
-def _rows(work: Work, cases: Cases) -> Array:
-    """Return all rows, shape (cases, rows, N)."""
-    quick, jet, seeking = _rebuilt(work)
-    if jet is None:
-        rows = np.asarray(quick(cases.paths if len(cases.paths) > 1 else cases.paths[0], cases.p)[0])
-    else:
-        t = cases.t[:, None] if len(cases.t) > 1 else cases.t
-        rows = np.asarray(quick(t, cases.paths if len(cases.paths) > 1 else cases.paths[0], cases.p)[0])
+def _rows(functions: _Functions, jets: Array, numbers: Array) -> Array:
+    """Return all rows of cases of one path, shape (cases, rows, N)."""
+    rows = functions.rows(jets, numbers)[0]
     if np.isfinite(rows.sum()):
         return rows
     left = np.asarray(~np.isfinite(rows).all(axis=1))
     for case in np.flatnonzero(left.any(axis=1)):
-        at, which = np.flatnonzero(left[case]), case % len(cases.paths)
-        if jet is None:
-            side = cases.paths[which].T
-            jets = side.reshape(len(side), -1, seeking.size1_in(0))[at]
-        else:
-            t, numbers = cases.t[case % len(cases.t)][at], cases.paths[which]
-            jets = np.stack([np.array(jet(each, numbers)).T for each in t])
-        rows[case][:, at] = at_instants(seeking, jets=jets, p=cases.p[case])[0]
+        at = np.flatnonzero(left[case])
+        gamma = jets.T[at].reshape(len(at), -1, functions.seeking.size1_in(0))
+        rows[case][:, at] = at_instants(functions.seeking, jets=gamma, p=numbers[case])[0]
     return rows
 
 
+@dataclass(frozen=True)
+class _Functions:
+    """The functions of a work: all rows, their extremes where nothing else is kept, and all rows by Newton's method."""
+
+    rows: Vectorised
+    extremes: Extremes | None
+    seeking: ca.Function
+
+
 @lru_cache(maxsize=4)  # a process gets the same work with every block, and nothing else lives as long as it does
-def _rebuilt(work: Work) -> tuple[Vectorised, ca.Function | None, ca.Function]:
+def _rebuilt(work: Work) -> _Functions:
     """Return the functions of a work: made once in every process."""
-    on_path, seeking = (ca.Function.deserialize(each) for each in (work.on_path, work.seeking))
-    jet = ca.Function.deserialize(work.jet) if work.jet else None
-    along = (True, False, False) if jet is not None else (True, False)
-    return Vectorised(on_path, along, work.native, work.title), jet, seeking
+    quick, seeking = (ca.Function.deserialize(each) for each in (work.quick, work.seeking))
+    how = (quick, (True, False))
+    if work.kept or work.turns:
+        return _Functions(Vectorised(*how, work.native, work.title), None, seeking)
+    return _Functions(Vectorised(*how, False, work.title), Extremes(*how, work.native, work.title), seeking)
