@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import servocore as sc
+from servocore.checks.between_instants import suspects
 from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics.code_cache import CodeCache
@@ -151,6 +152,19 @@ def test_neighbours_that_are_apart_are_found_in_machine_code_too():
     apart = taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), scale)
     assert set(np.flatnonzero(apart)) >= {39, 40, 59, 60}
     np.testing.assert_array_equal(found[0] != 1.0, apart)
+
+
+@pytest.mark.usefixtures("compiler")
+def test_what_stands_out_between_instants_is_found_in_machine_code_too():
+    crane = sc.scenes.rotary_crane()
+    problem, found = Problem.of(crane), sc.solve(crane, step=0.02)
+    assert suspects(problem, found, True) == suspects(problem, found) == []
+    places = {name: found.names.index(name) for name in ("M_b", "s", "tension", "l")}
+    for name, k in (("M_b", 500), ("s", 333), ("tension", 1), ("l", 2), ("M_b", 4), ("s", 996), ("tension", 999)):
+        values = found.values.copy()
+        values[k, places[name]] *= 0.5
+        spoilt = replace(found, values=values)
+        assert suspects(problem, spoilt, True) == suspects(problem, spoilt) != [], (name, k)
 
 
 def test_machine_code_has_no_more_statements_than_the_expression_has_operations():

@@ -76,6 +76,8 @@ def follow_angles(
     angular = problem.resolved.once(_angles_and_rates, tuple(channels[k].name for k in wrapping), native)
     if angular is None:
         return
+    if len(t) > 1 and _turns_little(t, values[:, wrapping], angular.fastest(states, problem.p)):
+        return
     angles, rates = angular(states, problem.p)
     for row, k in enumerate(wrapping):
         turns, unclear = _turns(np.diff(t), angles[row], rates[row])
@@ -87,15 +89,27 @@ def follow_angles(
 
 @dataclass(frozen=True, eq=False)
 class _Angular:
-    """Angles and their rates as a function of the entries `used` of a state, and of p."""
+    """Angles and their rates as functions of the entries `used` of a state, and of p."""
 
     function: Vectorised
+    rates: Vectorised
     used: tuple[int, ...]
 
     def __call__(self, states: Array, p: Array) -> tuple[Array, Array]:
         """Return angles and rates, shape (angles, N) each, of states (size, N)."""
         angles, rates = self.function(states[self.used, :], p)
         return angles, rates
+
+    def fastest(self, states: Array, p: Array) -> float:
+        """Return the largest rate of any angle, NaN if one is none."""
+        (rates,) = self.rates(states[self.used, :], p)
+        return float(np.maximum(rates.max(), -rates.min()))
+
+
+def _turns_little(t: Array, values: Array, fastest: float) -> bool:
+    """Whether angles (N, angles) as they are reported make no turn that may be another: then they are continuous."""
+    longest = float(np.diff(t).max())
+    return longest * fastest < _QUARTER_TURN and bool((np.abs(np.diff(values, axis=0)) < _QUARTER_TURN).all())
 
 
 def _turns(steps: Array, angle: Array, rate: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
@@ -146,8 +160,14 @@ def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: 
     found = ca.substitute([angles, rates], [ca.vertcat(system.q, system.v)], [state[array.places(wanted)]])
     used = sorted(set(ca.jacobian_sparsity(ca.vertcat(*found), state).get_col()))
     # A state holds all derivatives of all unknowns, an angle needs a few of them.
-    function = ca.Function("sc_angles", [state[used], system.p], [ca.densify(each) for each in found])
-    return _Angular(Vectorised(function, (True, False), native, system.name), tuple(used))
+    results = [ca.densify(each) for each in found]
+    both = ca.Function("sc_angles", [state[used], system.p], results)
+    alone = ca.Function("sc_angle_rates", [state[used], system.p], results[1:])
+    return _Angular(
+        Vectorised(both, (True, False), native and None, system.name),  # seldom needed: not to be waited for
+        Vectorised(alone, (True, False), native, system.name),
+        tuple(used),
+    )
 
 
 def require_less_than_half_a_turn(program: Program, channel: int, t: Array, angle: Array) -> None:

@@ -10,12 +10,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
+from servocore.numerics.vectorised import Vectorised
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 
@@ -30,25 +32,74 @@ _SECTIONS, _ROUNDS = 17, 11
 _NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; nearer a singularity round-off may be all
 
 
-def suspects(problem: Problem, solution: Solution) -> list[tuple[int, int]]:
-    """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports."""
+def suspects(problem: Problem, solution: Solution, native: bool | None = False) -> list[tuple[int, int]]:
+    """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports.
+
+    `native` says whether machine code may look first whether there is any; see `Vectorised`.
+    """
     t = solution.t
     if len(t) < 4 * _BESIDE[1] or len(solution.channels) < len(problem.system.inputs):
         return []
     columns, positive, coordinates = problem.resolved.once(_watched, solution.channels)
+    if native is not False:
+        alarm = problem.resolved.once(_compiled_alarm, solution.channels, native)
+        if alarm.ready(len(t)) and not _alarming(alarm, solution.values, [*columns, *coordinates], positive):
+            return []
     values = solution.values.T[[*columns, *coordinates]]
-    bend = values[:, :-2] - values[:, 1:-1]
-    bend -= values[:, 1:-1]
-    bend += values[:, 2:]
-    np.abs(bend, out=bend)
-    peaks = np.maximum(values.max(axis=1), -values.min(axis=1))
-    standing_out = _standing_out(bend, _ROUND_OFF * peaks)
-    standing_out[positive] |= values[positive, 1:-1] <= bend[positive]
+    standing_out = _marked(values, positive)
     inputs = [row for row, k in enumerate(columns) if solution.channels[k] in problem.system.inputs]
     turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
     if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # what spins stands out everywhere, and says nothing
         standing_out[inputs] |= turning_back
     return [(columns[row], int(k) + 1) for row, k in np.argwhere(standing_out[: len(columns)])]
+
+
+def _marked(values: Array, positive: list[int], peaks: Array | None = None) -> npt.NDArray[np.bool_]:
+    """Return where values (rows, N) stand out, or may lose a sign that they must have; shape (rows, N - 2)."""
+    bend = values[:, :-2] - values[:, 1:-1]
+    bend -= values[:, 1:-1]
+    bend += values[:, 2:]
+    np.abs(bend, out=bend)
+    found = _standing_out(bend, _ROUND_OFF * (_peaks(values) if peaks is None else peaks))
+    found[positive] |= values[positive, 1:-1] <= bend[positive]
+    return found
+
+
+def _peaks(values: Array) -> Array:
+    found: Array = np.maximum(values.max(axis=1), -values.min(axis=1))
+    return found
+
+
+def _alarming(alarm: Vectorised, values: Array, rows: list[int], positive: list[int]) -> bool:
+    """Whether something of values (N, channels) stands out: what `_marked` looks at first, with nothing stored.
+
+    At both ends, where neighbours are missing, it looks itself.
+    """
+    known, ends = np.ascontiguousarray(values.T), 4 * _BESIDE[1]
+    peaks, width = _peaks(known), 2 * _BESIDE[0] + 3
+    inner = known.shape[1] - width + 1
+    (found,) = alarm(*(known[:, k : k + inner] for k in range(width)), _ROUND_OFF * peaks)
+    return bool(found.any()) or any(
+        _marked(known[rows, part], positive, peaks[rows]).any() for part in (slice(ends), slice(-ends, None))
+    )
+
+
+def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], native: bool | None) -> Vectorised:
+    """Compile (values at instants in a row, least) -> whether one stands out in the middle."""
+    (columns, positive, coordinates), near = _watched(resolved, channels), _BESIDE[0]
+    instants = [ca.SX.sym(f"at{k}", len(channels)) for k in range(2 * near + 3)]
+    least, found = ca.SX.sym("least", len(channels)), ca.SX(0)
+    for row, k in enumerate([*columns, *coordinates]):
+        before, here, after = (
+            ca.fabs(((instants[at - 1][k] - instants[at][k]) - instants[at][k]) + instants[at + 1][k])
+            for at in (1, 1 + near, 1 + 2 * near)
+        )
+        beside = _STANDS_OUT * ca.fmax(before, after)
+        found = ca.logic_or(found, ca.logic_and(here > least[k], here > beside))
+        if row in positive:
+            found = ca.logic_or(found, instants[1 + near][k] <= here)
+    function = ca.Function("sc_alarm", [*instants, least], [ca.densify(found)])
+    return Vectorised(function, [True] * len(instants) + [False], native, resolved.system.name)
 
 
 def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
@@ -58,8 +109,9 @@ def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
     """
     near, far = _BESIDE
     found = bend > least[:, None]
-    found[:, near:] &= bend[:, near:] > _STANDS_OUT * bend[:, :-near]
-    found[:, :-near] &= bend[:, :-near] > _STANDS_OUT * bend[:, near:]
+    times = _STANDS_OUT * bend
+    found[:, near:] &= bend[:, near:] > times[:, :-near]
+    found[:, :-near] &= bend[:, :-near] > times[:, near:]
     if found.any():
         rows, places = np.nonzero(found)
         padded = np.pad(bend, ((0, 0), (far, far)))

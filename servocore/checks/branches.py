@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -77,7 +78,7 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
         return []
     entries, nominal = _entries(problem, t, q), np.array(problem.system.coordinates.nominal)
     found = []
-    for part in problem.resolved.once(constraint_entries)[1]:
+    for part in problem.resolved.once(constraint_entries).parts:
         if len(part.rows) and len(part.columns):
             found += _losses(problem, t, q, part, part.dense(entries) * nominal[part.columns])
     return sorted(found, key=lambda loss: loss.time)
@@ -194,18 +195,28 @@ def _condition(jacobian: Array) -> float:
 
 def _entries(problem: Problem, t: Array, q: Array) -> Array:
     """Return the entries of S at every configuration, shape (nnz, N)."""
-    function, jets = problem.resolved.once(constraint_entries)[0], problem.reference.jet(t, 0)
-    return at_instants(function, q.T, jets=jets, p=problem.p)[0]
+    compiled = problem.resolved.once(constraint_entries)
+    jets = problem.reference.jet(t, 0) if compiled.on_path else np.zeros((len(t), 1, problem.reference.dimension))
+    return at_instants(compiled.function, q.T, jets=jets, p=problem.p)[0]
 
 
-def constraint_entries(resolved: ResolvedSystem) -> tuple[ca.Function, tuple[Part, ...]]:
-    """Compile (q, gamma, p) -> the entries of S = [G; C], column by column, and find its independent parts.
+class _Entries(NamedTuple):
+    """(q, gamma, p) -> the entries of S = [G; C], column by column; its parts; and whether it holds the path at all.
 
     gamma is the path at an instant, shape (m,), with the time if the system holds it.
     """
+
+    function: ca.Function
+    parts: tuple[Part, ...]
+    on_path: bool
+
+
+def constraint_entries(resolved: ResolvedSystem) -> _Entries:
+    """Compile the entries of all constraints' Jacobian, and find its independent parts."""
     system = resolved.system
-    S = ca.vertcat(system.G, system.C)
-    return ca.Function("sc_S", [system.q, system.gamma[:, 0], system.p], [S.nz[:]]), parts_of(S.sparsity())
+    S, path = ca.vertcat(system.G, system.C), system.gamma[:, 0]
+    function = ca.Function("sc_S", [system.q, path, system.p], [S.nz[:]])
+    return _Entries(function, parts_of(S.sparsity()), bool(ca.depends_on(S, path)))
 
 
 def constraint_rows(
@@ -235,7 +246,8 @@ def require_one_branch(problem: Problem, solution: Solution) -> str:
     if places is None:
         return ""
     passed, count = "", len(solution.t)
-    watched = np.unique([*range(0, count, -(-count // _WATCHED)), count - 1])
+    every = -(-count // _WATCHED)
+    watched = np.append(np.arange(0, count - 1, every), count - 1)
     for loss in rank_losses(problem, solution.t[watched], solution.values[watched[:, None], places]):
         if changes_branch(problem, solution.t, solution.values[:, places], loss.time):
             raise IntegrationFailed(

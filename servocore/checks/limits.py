@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.instants import survey
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.calls import Array
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.margins import compile_margins, limit_texts, limits_order
+from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import LimitText, require_margins
 
 _VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
@@ -19,20 +19,22 @@ _REFINED_POINTS = 21
 _REFINEMENTS = 4
 
 
-def require_feasible(problem: Problem, t: Array | None = None) -> None:
+def require_feasible(problem: Problem, t: Array | None = None, native: bool | None = False) -> None:
     """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
+
+    `native` says whether machine code may evaluate the limits; see `Vectorised`.
 
     The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
     the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
     """
     of_path = tuple(each for each in problem.limits if each.of_path)
-    _require_at(problem, tuple(each for each in of_path if each.at_instants_only), t)
+    _require_at(problem, tuple(each for each in of_path if each.at_instants_only), t, native)
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
     texts = limit_texts(limits)
     t = survey(problem.reference)
-    margins = _margins(problem, limits, t)
+    margins = _margins(problem, limits, t, native)
     _require_kept(texts, margins, t)
     if not _may_fall_to_zero(margins):
         return
@@ -41,7 +43,7 @@ def require_feasible(problem: Problem, t: Array | None = None) -> None:
     lanes = np.arange(len(rows))
     for _ in range(_REFINEMENTS):  # all valleys of all limits at once
         grid = np.linspace(below, above, _REFINED_POINTS)
-        margins = _margins(problem, limits, grid.ravel()).reshape(len(limits), *grid.shape)
+        margins = _margins(problem, limits, grid.ravel(), native).reshape(len(limits), *grid.shape)
         lows = margins[rows, :, lanes]
         deepest = np.nan_to_num(lows, nan=-np.inf).argmin(axis=1)
         for lane in lanes[~(lows[lanes, deepest] > 0.0)]:
@@ -74,21 +76,19 @@ def _valleys(margins: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]
     return np.repeat(np.arange(len(margins)), places.shape[1]), places.ravel()
 
 
-def _require_at(problem: Problem, limits: tuple[Limit, ...], t: Array | None) -> None:
+def _require_at(problem: Problem, limits: tuple[Limit, ...], t: Array | None, native: bool | None) -> None:
     if not limits or t is None:
         return
-    for text, margin in zip(limit_texts(limits), _margins(problem, limits, t), strict=True):
+    for text, margin in zip(limit_texts(limits), _margins(problem, limits, t, native), strict=True):
         lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
         require_margins((text,), margin[[lowest]], float(t[lowest]))
 
 
-def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array) -> Array:
+def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool | None) -> Array:
     """Return how far each limit is at the instants, shape (limits, N)."""
-    function, order = problem.resolved.once(_compiled_margins, limits)
-    (margins,) = at_instants(function, jets=problem.reference.jet(t, order), p=problem.p)
-    return margins
+    return problem.resolved.once(_compiled_margins, limits, native)(problem, t)[0]
 
 
-def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...]) -> tuple[ca.Function, int]:
+def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], native: bool | None) -> PathFunction:
     order = limits_order(resolved.system, limits)
-    return compile_margins(resolved.system, limits, order), order
+    return PathFunction(resolved, compile_margins(resolved.system, limits, order), native)

@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -244,10 +245,18 @@ def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
     states : ndarray, shape (unknowns of the array, N)
         Its unknowns there.
     """
-    jets = problem.reference.jet(t, problem.array.reference_order)
-    (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
+    function, on_path = problem.resolved.once(_compiled_jacobian)
+    order = problem.array.reference_order
+    jets = problem.reference.jet(t, order) if on_path else np.zeros((len(t), order + 1, problem.reference.dimension))
+    (rows,) = at_instants(function, states, jets=jets, p=problem.p)
     matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
     return matrices
+
+
+def _compiled_jacobian(resolved: ResolvedSystem) -> tuple[ca.Function, bool]:
+    """Compile the system Jacobian, and tell whether it depends on the path: most do so by the motion alone."""
+    function = resolved.once(system_jacobian)
+    return function, bool(function.jac_sparsity(0, 1).nnz())
 
 
 def _scaled(matrices: Array) -> Array:

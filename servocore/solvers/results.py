@@ -66,13 +66,16 @@ def solution_of(
         table, violation = _observed(problem, segment, refuse_turns)
         tables.append(table if segment is segments[-1] else table[:-1])
         violations.append(violation)
-    values, program = np.vstack(tables), segments[-1].program
-    t = np.concatenate([*(each.t[:-1] for each in segments[:-1]), segments[-1].t])
-    if len(segments) > 1:
+    program = segments[-1].program
+    if len(segments) == 1:  # as it is: of many instants copies take as long as many a check
+        t, values, violation = segments[0].t, tables[0], violations[0]
+    else:
+        t = np.concatenate([*(each.t[:-1] for each in segments[:-1]), segments[-1].t])
+        values, violation = np.vstack(tables), np.hstack(violations)
         for k, channel in enumerate(program.channels):
             if channel.wraps:
                 values[:, k] = np.unwrap(values[:, k])
-    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], np.hstack(violations))
+    summary = _summed_up(segments, values[:, : len(problem.system.inputs)], violation)
     return Solution(
         t, program.channels, values, route or program.name, replace(summary, **told), problem.reference.fit_error
     )
@@ -102,9 +105,9 @@ def _observed(problem: Problem, segment: Segment, refuse_turns: bool) -> tuple[A
 
 def _require_numbers(problem: Problem, program: Program, t: Array, table: Array) -> None:
     """Raise `IntegrationFailed` if an input is not finite: no equation of the derivative array may show that."""
-    bad = np.argwhere(~np.isfinite(table[:, : len(problem.system.inputs)]))
-    if len(bad):
-        k, j = bad[0]
+    finite = np.isfinite(table[:, : len(problem.system.inputs)])
+    if not finite.all():
+        k, j = np.argwhere(~finite)[0]
         raise IntegrationFailed(
             f"{program.name}: at t = {t[k]:.6g} s {program.channels[j].name} is {table[k, j]}: a term of the model is"
             " no finite number there, as v/|v| is none at rest"
@@ -135,11 +138,19 @@ def input_noise(inputs: Array) -> float | None:
     """
     if len(inputs) < _FEWEST_FOR_NOISE:
         return None
-    differences = np.ascontiguousarray(inputs.T)
-    for _ in range(_DIFFERENCES):
-        differences = differences[:, 1:] - differences[:, :-1]
-    np.abs(differences, out=differences)
-    middle = (differences.shape[1] - 1) // 2, differences.shape[1] // 2
-    deviation = np.partition(differences, middle)[:, middle].mean(axis=1) / _NORMAL_MEDIAN
-    peaks = np.maximum(np.abs(inputs).max(axis=0), 1e-300)
-    return float((deviation / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
+    deviations = np.array([_median_difference(row) for row in inputs.T]) / _NORMAL_MEDIAN
+    peaks = np.array([max(row.max(), -row.min(), 1e-300) for row in inputs.T])
+    return float((deviations / math.sqrt(math.comb(2 * _DIFFERENCES, _DIFFERENCES)) / peaks).max())
+
+
+def _median_difference(row: Array) -> float:
+    """Return the median of the magnitudes of the differences of order eight; one row at a time stays in the cache."""
+    here, there = row.copy(), np.empty_like(row)
+    for size in range(len(row) - 1, len(row) - 1 - _DIFFERENCES, -1):
+        np.subtract(here[1 : size + 1], here[:size], out=there[:size])
+        here, there = there, here
+    differences = np.abs(here[:size])
+    middle = size // 2
+    differences.partition(middle)  # one place at a time: that goes side by side
+    upper = differences[middle]
+    return float(upper if size % 2 else 0.5 * (upper + differences[:middle].max()))

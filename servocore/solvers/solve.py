@@ -41,6 +41,7 @@ from servocore.stepping.given_starts import require_start
 from servocore.structure.inversion import inversion
 
 _MORE = 212  # a prime number of steps: none ends in the middle or at a third, where paths are special
+_MANY = 500  # instants from which on checks are worth machine code
 _FEW = 150  # instants: where nothing that happens between them shows
 _BETTER = RadauIIA(5)
 _ROUGH = 0.01  # a tolerance that does not say by itself that inputs are good
@@ -110,7 +111,7 @@ def solve(
     own = route is method  # such a route brings no checks of its own, and chooses its instants
     checked = checks or own
     if checked:
-        require_feasible(problem, None if own else times)
+        require_feasible(problem, None if own else times, _native(route, times))
     run = run_within_limits if checked else _run
     try:
         solution = run(problem, lambda each: route.run(each, times, progress))
@@ -126,11 +127,17 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
     return run(problem)
 
 
+def _native(route: Route, t: Array) -> bool | None:
+    """Whether checks may use machine code; see `Vectorised`."""
+    return route.native if isinstance(route, Pointwise) and len(t) > _MANY else False
+
+
 def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Look at a solution (one branch, no poles between instants, right inputs); return it with what was seen."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
-    warned = survey_between(problem, solution, unknowns_beside)
+    native = _native(route, solution.t)
+    warned = survey_between(problem, solution, unknowns_beside, native)
     if not warned and len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
         survey_between(problem, _at_more_instants(problem), unknowns_beside)
     branch = _branch(problem, route, solution) + passed

@@ -107,7 +107,12 @@ def _require_regular(problem: Problem, solution: Solution, states: Array, suspec
                 )
 
 
-def survey_between(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> bool:
+def survey_between(
+    problem: Problem,
+    solution: Solution,
+    beside: Callable[[Problem, Solution], Array],
+    native: bool | None = False,
+) -> bool:
     """Look between the instants of a solution where something seems to grow beyond what it reports, and warn of it.
 
     Returns whether it warned.
@@ -118,6 +123,8 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
         What was solved, and how.
     beside : callable
         (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
+    native : bool or None
+        Whether machine code may look first whether there is something; see `Vectorised`.
 
     Raises
     ------
@@ -126,7 +133,7 @@ def survey_between(problem: Problem, solution: Solution, beside: Callable[[Probl
     """
     if problem.follow_branch or not isinstance(problem.resolved.outcome, DerivativeArray):
         return False
-    suspected = suspects(problem, solution)
+    suspected = suspects(problem, solution, native)
     if not suspected:
         return False
     if not problem.flat:
