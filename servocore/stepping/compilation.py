@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from functools import partial
 
 import casadi as ca
@@ -16,9 +14,9 @@ from servocore.methods.base import Discretisation, Method, instantaneous
 from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.limits import Limit
 from servocore.numerics.calls import Array, Call
-from servocore.numerics.machine_code import BACKGROUND, Build, automatic, build_of, compiled, library_of, loaded
+from servocore.numerics.later import Later, in_machine_code
+from servocore.numerics.machine_code import automatic
 from servocore.numerics.square_systems import compile_solver
-from servocore.numerics.vectorised import MANY
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.given_starts import started
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
@@ -53,45 +51,15 @@ def program_of(
     program = problem.resolved.once(make, *settings)
     if native is not None or not automatic():
         return program
-    return problem.resolved.once(_later_in_machine_code, *settings).program(program, steps)
+    return problem.resolved.once(_later_in_machine_code, *settings).best(steps)
 
 
-@dataclass
-class _Later:
-    """Machine code of a program that comes when it is ready."""
-
-    calls: int = 0
-    build: Build | None = None
-    made: Program | None = None
-    given_up: bool = False
-
-    def program(self, program: Program, steps: int) -> Program:
-        """Return the program as machine code if that is there, and as it is if not."""
-        self.calls += 1
-        if self.made is not None or self.given_up or (self.calls < 2 and steps < MANY):
-            return self.made or program
-        functions = {name: getattr(program, name) for name in _IN_MACHINE_CODE}
-        asked = self.build is not None
-        self.build = self.build or build_of(functions, program.name)
-        if asked and BACKGROUND.pending(self.build):
-            return program
-        library = library_of(self.build)
-        if library is not None:
-            with suppress(RuntimeError):  # a library that cannot be loaded
-                self.made = _with(program, loaded(library, functions))
-        self.given_up = self.made is None and (asked or library is not None)
-        if not asked and library is None:
-            BACKGROUND.ask(self.build)
-        return self.made or program
-
-
-def _with(program: Program, functions: Mapping[str, ca.Function]) -> Program:
-    """Return the program with other functions `_IN_MACHINE_CODE`."""
-    return replace(program, start=functions["start"], step=functions["step"], observe=functions["observe"])
-
-
-def _later_in_machine_code(*_: object) -> _Later:
-    return _Later()
+def _later_in_machine_code(
+    resolved: ResolvedSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...], follow_branch: bool
+) -> Later[Program]:
+    """Return a program with start, step and observation as machine code as soon as that is ready."""
+    program = resolved.once(compile_program, formulation, method, limits, follow_branch)
+    return Later(program, _IN_MACHINE_CODE, program.name)
 
 
 def _in_machine_code(
@@ -99,7 +67,7 @@ def _in_machine_code(
 ) -> Program:
     """Return the same program with start, step and observation as machine code."""
     program = resolved.once(compile_program, formulation, method, limits, follow_branch)
-    return _with(program, compiled({name: getattr(program, name) for name in _IN_MACHINE_CODE}, program.name))
+    return in_machine_code(program, _IN_MACHINE_CODE, program.name)
 
 
 def compile_program(
