@@ -93,6 +93,7 @@ from servocore.solvers import (
 from servocore.stepping.forward_dynamics import compile_plant
 from servocore.stepping.plant import Plant
 from servocore.stepping.program import Program, StepReport
+from servocore.stepping.rotation_update import RotationUpdate
 from servocore.stepping.stepper import Stepper
 
 __version__ = "0.2.0"
@@ -138,6 +139,7 @@ __all__ = [
     "RadauIIA",
     "Reduced",
     "Reference",
+    "RotationUpdate",
     "SampledFeedback",
     "Scene",
     "Sensitivities",

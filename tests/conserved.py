@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -30,7 +30,7 @@ class Motion:
     def run(self, step: float, steps: int, every: int = 1, inputs=None, **how) -> sc.Solution:
         t = step * np.arange(0, steps + 1, every)
         still = lambda _: np.zeros(len(self.system.inputs))  # noqa: E731
-        how = how or {"method": sc.EnergyMomentum(), "step": step}
+        how = how if "rtol" in how else {"method": sc.EnergyMomentum(), "step": step} | how
         return sc.simulate(self.scene, inputs or still, t=t, start=self.start, **how)
 
     def drift(self, found: sc.Solution) -> tuple[float, float]:
@@ -118,7 +118,7 @@ def crane() -> Motion:
 
 
 def braked_crane() -> Motion:
-    """The crane in bodies, 40 coordinates: the winch is braked, no angles are defined."""
+    """The crane in bodies, 40 coordinates: the winch is braked, no angles are defined, the buffer as in `crane`."""
     parts = Assembly(
         (
             RigidBody("bridge", 60.0, (20.0, 400.0, 400.0)),
@@ -145,6 +145,8 @@ def braked_crane() -> Motion:
     frame = ca.SX.eye(3)
     guess = {"bridge": ((0, 0, 0), frame), "trolley": (far, frame), "winch": (far, frame), "load": (5, 0, -5), "s": 5}
     system = made(parts, "braked crane", load.position[0], guess, constraints)
+    buffer = sc.Potential(system.potential, [(lambda x: 5.0 * (x / 25.0) ** 2, s**2)])
+    system = replace(system, potential=buffer)
     d, rate = turning((0, 0, 0.1))
     swing = np.array([0.5, 0.0, -np.sqrt(25.0 - 0.25)])
     moved, across = np.array([0.2, 0.5, 0.0]), np.array([0.0, 1.0, 0.0])  # of the trolley; of the load besides

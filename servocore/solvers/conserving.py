@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, InvalidSetting
+from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, chained, mapped
+from servocore.numerics.later import Later, in_machine_code
+from servocore.numerics.machine_code import automatic
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.given_inputs import Inputs
+from servocore.solvers.given_inputs import Inputs, values_at
 from servocore.solvers.loop import CHUNK
 from servocore.stepping.energy_momentum import (
     ConservingStep,
     compile_conserving_step,
     require_invariant_constraints,
 )
+from servocore.stepping.rotation_update import RotationUpdate
 
 BALANCE = (
     Quantity("energy", "J", "kinetic and potential energy"),
@@ -27,6 +30,7 @@ BALANCE = (
 
 _ON_GRID = 1e-6  # of a step
 _MOST_STEPS = 10**7
+_IN_MACHINE_CODE = ("step",)
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,29 @@ class EnergyMomentum:
 
     For systems with a constant mass matrix and constraints that are at most quadratic, as in the rotationless
     formulation; a potential that is more than quadratic is given as a `Potential`.
+
+    Parameters
+    ----------
+    update : RotationUpdate, optional
+        What has six unknowns a body and no multipliers in the equations of a step; positions and multipliers when not
+        given.
+    native : bool, optional
+        Whether a C compiler shall turn a step into machine code, which takes some seconds; with None it does so in the
+        background, for long motions and for those that are asked for again. No digit depends on it.
     """
 
-    name: str = "energy-momentum"
+    update: RotationUpdate | None = None
+    native: bool | None = None
+    name: str = field(default="energy-momentum", init=False)
+
+    def __post_init__(self) -> None:
+        if self.update is not None:
+            require_kind(self.update, RotationUpdate, "the update", "RotationUpdate() or None", InvalidSetting)
 
 
 @dataclass(frozen=True, eq=False)
 class Conserved:
-    """A motion by the scheme.
+    """A motion by the scheme, at the instants that are asked for.
 
     Attributes
     ----------
@@ -71,13 +90,17 @@ class Conserved:
     worst: float
 
 
-def conserved_motion(problem: Problem, start: Array, inputs: Inputs, t: Array, step: float) -> Conserved:
+def conserved_motion(
+    problem: Problem, method: EnergyMomentum, start: Array, inputs: Inputs, t: Array, step: float
+) -> Conserved:
     """Integrate by the energy-momentum scheme.
 
     Parameters
     ----------
     problem : Problem
         With the system and its parameters.
+    method : EnergyMomentum
+        Its unknowns, and whether as machine code.
     start : ndarray, shape (2 n,)
         (q, v) at t[0], which satisfy the constraints and their rates.
     inputs : callable
@@ -92,35 +115,46 @@ def conserved_motion(problem: Problem, start: Array, inputs: Inputs, t: Array, s
     InvalidModel
         If the system has no energy that the scheme conserves.
     InvalidSetting
-        If an instant is not on the grid of steps.
+        If an instant is not on the grid of steps, or there is no C compiler for `native`.
     IntegrationFailed
         If Newton's method fails, with the time: bodies turn too far in a step.
     """
     system, at = problem.system, _places(t, step)
-    scheme = scheme_of(problem)
-    n = len(system.coordinates)
+    n, count = len(system.coordinates), int(at[-1])
+    scheme = scheme_of(problem, method, count)
     require_invariant_constraints(system, start[:n], problem.p)
     state = np.concatenate([start, np.zeros(system.lam.numel())])
-    grid = t[0] + step * np.arange(at[-1] + 1)
-    u = np.array([inputs(min(time + step / 2, float(t[-1]))) for time in grid[:-1]]).reshape(len(grid) - 1, -1)
-    states, counts, worst, work = _stepped(problem, scheme, state, u, step, float(t[0]))
-    q, v, scaled = states[:n], states[n : 2 * n], states[2 * n :] / step**2
-    if scaled.shape[1] > 1:
-        scaled[:, 0] = scaled[:, 1]  # the first step's are the only ones known at the start
-        scaled[:, 1:-1] = (scaled[:, 1:-1] + scaled[:, 2:]) / 2
-    energy, turning = mapped(scheme.energy, len(at))(q[:, at], v[:, at], np.tile(problem.p[:, None], len(at)))
-    done = np.concatenate([[0.0], np.cumsum(work)])[at]
-    balance = np.column_stack([energy.ravel(), done, turning.reshape(3, -1, order="F").T])
-    return Conserved(states[: 2 * n, at], scaled[:, at].T, balance, len(u), int(counts), worst)
+    run = _stepped(problem, scheme, state, inputs, t, step, np.union1d(at, np.minimum(at + 1, count)))
+    now, after = (np.searchsorted(run.places, each) for each in (at, np.minimum(at + 1, count)))
+    # The multipliers of a state are those of the step before it: the first has none, the last no step after it.
+    scaled = run.states[2 * n :] / step**2
+    scaled[:, 0] = scaled[:, min(1, len(run.places) - 1)]
+    q, v = run.states[:n, now], run.states[n : 2 * n, now]
+    energy, turning = mapped(scheme.energy, len(at))(q, v, np.tile(problem.p[:, None], len(at)))
+    balance = np.column_stack([energy.ravel(), run.work[now], turning.reshape(3, -1, order="F").T])
+    forces = (scaled[:, now] + scaled[:, after]) / 2
+    return Conserved(run.states[: 2 * n, now], forces.T, balance, count, int(run.iterations), run.worst)
 
 
-def scheme_of(problem: Problem) -> ConservingStep:
-    """Return the compiled scheme of a problem; raises `InvalidModel` if it conserves nothing there."""
-    return problem.resolved.once(_scheme)
+def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
+    """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
+    if method.native:
+        return problem.resolved.once(_native_scheme, method.update)
+    if method.native is None and automatic():
+        return problem.resolved.once(_later_scheme, method.update).best(steps)
+    return problem.resolved.once(_scheme, method.update)
 
 
-def _scheme(resolved: ResolvedSystem) -> ConservingStep:
-    return compile_conserving_step(resolved.system)
+def _scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
+    return compile_conserving_step(resolved.system, update)
+
+
+def _native_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
+    return in_machine_code(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
+
+
+def _later_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> Later[ConservingStep]:
+    return Later(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
 
 
 def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
@@ -141,16 +175,29 @@ def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """Steps that were kept: their places, states (size, N), work since the start (N,); iterations, worst residual."""
+
+    places: npt.NDArray[np.intp]
+    states: Array
+    work: Array
+    iterations: float
+    worst: float
+
+
 def _stepped(
-    problem: Problem, scheme: ConservingStep, state: Array, u: Array, step: float, begin: float
-) -> tuple[Array, float, float, Array]:
-    """Return the states (size, N + 1), Newton iterations, the worst residual, and the work of each step (N,)."""
-    parts, works, counted, worst, done = [state[:, None]], list[Array](), 0.0, 0.0, 0
-    while done < len(u):
-        length = min(CHUNK, len(u) - done)
-        given = u[done : done + length].T
-        arguments = (given, np.full((1, length), step), np.tile(problem.p[:, None], length))
-        found, counts, residual, work = chained(scheme.step, length)(parts[-1][:, -1], *arguments)
+    problem: Problem, scheme: ConservingStep, state: Array, inputs: Inputs, t: Array, step: float,
+    kept: npt.NDArray[np.intp],
+) -> _Run:  # fmt: skip
+    """Take all steps, chunk by chunk in compiled loops, and keep the states at some places, the first among them."""
+    states, works = [state[:, None]], [np.zeros(1)]
+    counted, worst, done, begin, total = 0.0, 0.0, 0, float(t[0]), 0.0
+    while done < kept[-1]:
+        length = min(CHUNK, int(kept[-1]) - done)
+        middles = np.minimum(begin + step * (done + 0.5 + np.arange(length)), float(t[-1]))
+        arguments = (values_at(inputs, middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
+        found, counts, residual, work = chained(scheme.step, length)(state, *arguments)
         found = found.reshape(len(state), -1, order="F")
         bad = ~np.isfinite(found).all(axis=0)
         if bad.any():
@@ -160,9 +207,11 @@ def _stepped(
                 " solved: something turns or swings too far in a step of"
                 f" {step:g} s; a smaller step is needed"
             )
-        parts.append(found)
-        works.append(work.ravel())
+        wanted = kept[(kept > done) & (kept <= done + length)] - done - 1
+        so_far = total + np.cumsum(work.ravel())
+        states.append(found[:, wanted])
+        works.append(so_far[wanted])
         counted += float(counts.reshape(2, -1, order="F")[0].sum())
         worst = max(worst, float(residual.max()))
-        done += length
-    return np.hstack(parts), counted, worst, np.concatenate(works or [np.zeros(0)])
+        state, total, done = found[:, -1], float(so_far[-1]), done + length
+    return _Run(kept, np.hstack(states), np.concatenate(works), counted, worst)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -84,36 +86,63 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
         raise InvalidSetting(f"the input {names[j]} of the solution is {table[k, j]} at t = {solution.t[k]:g} s")
     if len(solution.t) < 2:
         return lambda _: table[0]
-    spline = scipy.interpolate.make_interp_spline(solution.t, table, k=min(3, len(solution.t) - 1))
-
-    def evaluate(time: float) -> Array:
-        values: Array = spline(min(max(time, first), last))  # an instant may lie outside by round-off
-        return values
-
-    return evaluate
+    return _Spline(scipy.interpolate.make_interp_spline(solution.t, table, k=min(3, len(solution.t) - 1)), first, last)
 
 
-def counted(inputs: Callable[[float], Any], system: MechanicalSystem) -> Inputs:
-    """Return a function of time whose values are looked at: as many finite numbers as the system has inputs."""
-    names = [each.name for each in system.inputs]
+@dataclass(frozen=True, eq=False)
+class _Spline:
+    """Inputs between the samples of a solution; an instant may lie outside by round-off."""
 
-    def evaluate(time: float) -> Array:
-        given = inputs(time)
+    curve: Callable[[Any], Array]
+    first: float
+    last: float
+
+    def __call__(self, time: float) -> Array:
+        return self.curve(min(max(time, self.first), self.last))
+
+    def many(self, t: Array) -> Array:
+        """Return the inputs at times (N,), shape (N, m)."""
+        return self.curve(np.clip(t, self.first, self.last))
+
+
+@dataclass(frozen=True, eq=False)
+class Counted:
+    """A function of time whose values are looked at: as many finite numbers as the system has inputs."""
+
+    inputs: Callable[[float], Any]
+    system: MechanicalSystem
+
+    def __call__(self, time: float) -> Array:
+        """Return the inputs at a time, shape (m,)."""
+        given, names = self.inputs(time), [each.name for each in self.system.inputs]
         try:
             values = np.asarray(() if given is None else given, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):
             raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(given)}") from None
         if len(values) != len(names):
             raise InvalidSetting(
-                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {system.name} has"
+                f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {self.system.name} has"
                 f" {len(names)}: {', '.join(names)}"
             )
         if not np.isfinite(values).all():
             lost = int(np.flatnonzero(~np.isfinite(values))[0])
             raise IntegrationFailed(
-                f"{system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
+                f"{self.system.name}: the forward simulation stopped at t = {time:.6g} s: the input {names[lost]} is"
                 f" {values[lost]}"
             )
         return values
 
-    return evaluate
+    def many(self, t: Array) -> Array:
+        """Return the inputs at times (N,), shape (N, m): looked at together, and one by one where something is off."""
+        given = [self.inputs(time) for time in t.tolist()]
+        with suppress(TypeError, ValueError):
+            values = np.array(given, dtype=np.float64)
+            if values.shape == (len(t), len(self.system.inputs)) and np.isfinite(values).all():
+                return values
+        return np.array([self(time) for time in t.tolist()]).reshape(len(t), -1)
+
+
+def values_at(inputs: Inputs, t: Array) -> Array:
+    """Return inputs at times (N,), shape (N, m)."""
+    many: Callable[[Array], Array] | None = getattr(inputs, "many", None)
+    return np.array([inputs(time) for time in t.tolist()]).reshape(len(t), -1) if many is None else many(t)

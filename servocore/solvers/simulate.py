@@ -17,7 +17,7 @@ from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.conserving import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward import Tolerance, integrated
-from servocore.solvers.given_inputs import Inputs, counted, interpolated, rising_times
+from servocore.solvers.given_inputs import Counted, Inputs, interpolated, rising_times, values_at
 from servocore.stepping.arguments import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.given_starts import moved_to
@@ -107,7 +107,7 @@ def simulate(
         require_callable(inputs, "the inputs", "a Solution or a function of time")
         if t is None:
             raise InvalidSetting("inputs given as a function need the times at which to report")
-        instants, evaluate = rising_times(t), counted(inputs, problem.system)
+        instants, evaluate = rising_times(t), Counted(inputs, problem.system)
     if method is None and step is None:
         return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
     return _conserved(problem, evaluate, instants, method, step)
@@ -120,10 +120,10 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
             f"a forward simulation with a step of its own goes by EnergyMomentum(), not by {described(method)}"
         )
     require_number(step, "the step of the energy-momentum scheme", "a time in s")
-    scheme_of(problem)  # first of all: what cannot be conserved needs no start
+    scheme_of(problem, method)  # first of all: what cannot be conserved needs no start
     start = _initial_state(problem, float(t[0]))
-    found = conserved_motion(problem, start, inputs, t, float(step or 0.0))
-    u = np.array([inputs(time) for time in t]).reshape(len(t), -1)
+    found = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
+    u = values_at(inputs, t)
     known = _report(problem, _Motion(t, found.states, found.multipliers, u), found.steps, found.iterations)
     statistics = replace(
         known.statistics,
@@ -154,7 +154,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
     name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
     states, steps, evaluations = integrated(name, [each.name for each in quantities], rate, start, t, tolerance)
-    u = np.array([inputs(time) for time in t])
+    u = values_at(inputs, t)
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
     return _Motion(t, states, np.array(forces).reshape(len(t), -1), u), steps, evaluations
 

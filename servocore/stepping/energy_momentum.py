@@ -25,6 +25,8 @@ from servocore.model.symbols import Coordinates
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array, Call
 from servocore.numerics.square_systems import SquareSystem, compile_solver
+from servocore.stepping.rotation_update import RotationUpdate, compile_rotation_step
+from servocore.stepping.step_terms import step_terms
 
 _AXES = "xyz"
 _ROUND_OFF = 1e-9  # relative: what is left of a constraint's moment
@@ -46,16 +48,25 @@ class ConservingStep:
     energy: ca.Function
 
 
-def compile_conserving_step(system: MechanicalSystem) -> ConservingStep:
-    """Compile the scheme for a system.
+def compile_conserving_step(system: MechanicalSystem, update: RotationUpdate | None = None) -> ConservingStep:
+    """Compile the scheme for a system; its unknowns are positions and multipliers, or those of an update.
 
     Raises
     ------
     InvalidModel
-        If M depends on q, the equations hold the time, or a constraint, V2 or an invariant is more than quadratic.
+        If M depends on q, the equations hold the time, or a constraint, V2 or an invariant is more than quadratic; or
+        if the update cannot be used.
     """
     _require_conservable(system)
-    n, m_h, q, v = len(system.coordinates), system.lam.numel(), system.q, system.v
+    q, v = system.q, system.v
+    energy = ca.dot(v, ca.mtimes(system.mass, v)) / 2 + ca.SX(system.potential)
+    told = ca.Function("sc_energy", [q, v, system.p], [energy, angular_momentum(system)], {"cse": True})
+    return ConservingStep(_compile_step(system) if update is None else compile_rotation_step(system), told)
+
+
+def _compile_step(system: MechanicalSystem) -> ca.Function:
+    """Compile a step in positions and multipliers."""
+    n, m_h = len(system.coordinates), system.lam.numel()
     equations, push = conserving_equations(system)
     q0, v0, h = equations.givens[:n], equations.givens[n : 2 * n], equations.givens[-1 - system.p.numel()]
     q1, L1 = equations.unknowns[:n], equations.unknowns[n:]
@@ -64,46 +75,26 @@ def compile_conserving_step(system: MechanicalSystem) -> ConservingStep:
     sizes = (2 * n + m_h, len(system.inputs), 1, system.p.numel())
     arguments = [ca.MX.sym(name, size) for name, size in zip(("state", "u", "h", "p"), sizes, strict=True)]
     state, work, counts, residual = solver(ca.vertcat(*arguments))
-    step = ca.Function("sc_conserving_step", arguments, [state, counts, residual, work])
-    energy = ca.dot(v, ca.mtimes(system.mass, v)) / 2 + ca.SX(system.potential)
-    told = ca.Function("sc_energy", [q, v, system.p], [energy, angular_momentum(system)], {"cse": True})
-    return ConservingStep(step, told)
+    return ca.Function("sc_conserving_step", arguments, [state, counts, residual, work])
 
 
 def conserving_equations(system: MechanicalSystem) -> tuple[SquareSystem, ca.SX]:
     """Return the equations of a step for (q1, L), given (q0, v0, L0, u, h, p), and the forces that do work, (n,)."""
-    n, m_h, nominal = len(system.coordinates), system.lam.numel(), ca.DM(system.coordinates.nominal)
-    sizes = {"q0": n, "v0": n, "L0": m_h, "q1": n, "L1": m_h}
-    q0, v0, L0, q1, L1 = (ca.SX.sym(name, size) for name, size in sizes.items())
-    h = ca.SX.sym("h")
-    middle, rate = (q0 + q1) / 2, (q1 - q0) / h
-    terms = [system.G, system.input_matrix, system.force]
-    G, B, force = ca.substitute(terms, [system.q, system.v], [middle, rate])
-    push = force - ca.mtimes(B.T, system.u)
-    momentum = ca.mtimes(system.mass, q1 - q0 - h * v0) + ca.mtimes(G.T, L1) / 2
-    momentum += h**2 / 2 * (_conservative(system, q0, q1) - push)
+    terms, m_h, n = step_terms(system), system.lam.numel(), len(system.coordinates)
+    q0, v0, h, nominal = terms.q0, terms.v0, terms.h, terms.nominal
+    q1, L0, L1 = ca.SX.sym("q1", n), ca.SX.sym("L0", m_h), ca.SX.sym("L1", m_h)
+    momentum, G, push = ca.substitute([terms.momentum, terms.G, terms.push], [terms.change], [q1 - q0])
     inertia = ca.fabs(ca.diag(system.mass)) * nominal
     heaviest = ca.mmax(inertia)
     equations = SquareSystem(
         unknowns=ca.vertcat(q1, L1),
         givens=ca.vertcat(q0, v0, L0, system.u, h, system.p),
-        residual=ca.vertcat(momentum, ca.substitute(system.constraints, system.q, q1)),
+        residual=ca.vertcat(momentum + ca.mtimes(G.T, L1) / 2, ca.substitute(system.constraints, system.q, q1)),
         guess=ca.vertcat(q0 + h * v0, L0),
         unknown_scale=ca.vertcat(ca.SX(nominal), heaviest * ca.SX.ones(m_h)),
         residual_scale=ca.vertcat(ca.if_else(inertia > 0, inertia, heaviest), ca.SX.ones(m_h)),
     )
     return equations, push
-
-
-def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
-    """Return the discrete gradient of the potential between two configurations, shape (n,)."""
-    q, middle = system.q, (q0 + q1) / 2
-    quadratic, stored = summands(system.potential)
-    found = ca.substitute(ca.gradient(quadratic, q), q, middle)
-    for each in stored:
-        before, after = (ca.substitute(each.invariant, q, place) for place in (q0, q1))
-        found += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
-    return found
 
 
 def _require_conservable(system: MechanicalSystem) -> None:

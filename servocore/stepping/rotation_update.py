@@ -1,0 +1,238 @@
+"""A step of the energy-momentum scheme in rotations and displacements: six unknowns a body, no multipliers.
+
+The equations are those of `energy_momentum`, in the discrete null space of the constraints (Betsch 2005). The
+unknowns w are changes of places, and for every body a rotation theta:
+
+    d_i1 = cay(theta) d_i0,     cay(theta) = (I - S/2)^-1 (I + S/2),     S = skew(theta)
+
+Then q1 - q0 = P w with the columns -skew(d_ih) of P at the middle of the step, directors stay orthonormal, and P^T
+takes the multipliers of that out. With r(w) = P^T R of the momentum rows R, A = G P of the joints in the middle of the
+step and A0 the same at its beginning, the multipliers of the joints go by a projection:
+
+    (I - A^T (A0 A^T)^-1 A0) r(w) + A0^T g(q1) = 0
+
+The first term lies across A0 and the second along it, so that both vanish. No columns are chosen that others depend
+on: the matrix is regular as long as the joints are independent. One linear solve gives all multipliers afterwards.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.stepping.step_terms import StepTerms, step_terms
+
+_DIRECTORS = tuple(f"d{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")
+_TICK = 1e-20  # as in `square_systems`: the clock counts iterations
+_ROUND_OFF = 1e-9
+
+
+@dataclass(frozen=True)
+class RotationUpdate:
+    """For `EnergyMomentum`: six unknowns a body, and no multipliers in the equations of a step.
+
+    The motion is that with multipliers, to Newton's tolerance. Directors stay orthonormal by themselves, to round-off
+    that gathers over the steps. A body can turn by less than half a turn in a step. It pays where most constraints
+    are those of rigid bodies; with many joints multipliers are cheaper.
+    """
+
+
+@dataclass(frozen=True, eq=False)
+class _Unknowns:
+    """The unknowns w of a step: what they are beside the coordinates.
+
+    Attributes
+    ----------
+    frames : list of list of int
+        Places of the nine components of the directors of every body.
+    plain : list of int
+        Places of all other coordinates.
+    rows : list of int
+        Constraints that are not those of orthonormality.
+    """
+
+    frames: list[list[int]]
+    plain: list[int]
+    rows: list[int]
+
+    @property
+    def count(self) -> int:
+        return len(self.plain) + 3 * len(self.frames)
+
+    def change(self, q: ca.SX, w: ca.SX) -> ca.SX:
+        """Return by how much the unknowns change a configuration, shape (n,)."""
+        found = ca.SX.zeros(q.numel())
+        found[self.plain] = w[: len(self.plain)]
+        for k, places in enumerate(self.frames):
+            theta = self._rotation(w, k)
+            for d in (places[:3], places[3:6], places[6:]):
+                across = ca.cross(theta, q[d])
+                found[d] = 4 / (4 + ca.sumsqr(theta)) * (across + ca.cross(theta, across) / 2)
+        return found
+
+    def basis(self, q: ca.SX) -> ca.SX:
+        """Return P, shape (n, count): the velocities of which the unknowns are the sizes."""
+        found = ca.SX(q.numel(), self.count)
+        for column, place in enumerate(self.plain):
+            found[place, column] = 1
+        for k, places in enumerate(self.frames):
+            first = len(self.plain) + 3 * k
+            for d in (places[:3], places[3:6], places[6:]):
+                found[d, first : first + 3] = -ca.skew(q[d])
+        return found
+
+    def guess(self, q: ca.SX, change: ca.SX) -> ca.SX:
+        """Return unknowns that change a configuration by as much, to first order."""
+        turns = [
+            sum(ca.cross(q[d], change[d]) for d in (places[:3], places[3:6], places[6:])) / 2 for places in self.frames
+        ]
+        return ca.vertcat(change[self.plain], *turns)
+
+    def _rotation(self, w: ca.SX, k: int) -> ca.SX:
+        first = len(self.plain) + 3 * k
+        return w[first : first + 3]
+
+
+def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
+    """Return the unknowns of a system; raise `InvalidModel` for a body whose directors are not kept orthonormal."""
+    names = system.coordinates.names
+    stems = [name.removesuffix(_DIRECTORS[0]) for name in names if name.endswith(_DIRECTORS[0])]
+    frames, internal = [], set[int]()
+    for stem in stems:
+        if not all(f"{stem}{each}" in names for each in _DIRECTORS):
+            continue
+        places = [names.index(f"{stem}{each}") for each in _DIRECTORS]
+        rows = _orthonormality(system, places)
+        if len(rows) != 6:
+            raise InvalidModel(
+                f"{system.name}: RotationUpdate turns bodies, but of the six constraints that keep the directors of"
+                f" {stem.rstrip('._')} orthonormal there are {len(rows)}; without RotationUpdate it can be integrated"
+            )
+        frames.append(places)
+        internal |= set(rows)
+    turned = {place for places in frames for place in places}
+    return _Unknowns(
+        frames,
+        [k for k in range(len(names)) if k not in turned],
+        [k for k in range(system.lam.numel()) if k not in internal],
+    )
+
+
+def _orthonormality(system: MechanicalSystem, places: list[int]) -> list[int]:
+    """Return constraints on nine directions that hold after every rotation: told at two of them."""
+    pattern = np.asarray(ca.DM(ca.jacobian_sparsity(system.constraints, system.q), 1))
+    others = np.setdiff1d(range(pattern.shape[1]), places)
+    own = [k for k in range(len(pattern)) if not pattern[k, others].any() and pattern[k].any()]
+    look = ca.Function("sc_rows", [system.q, system.p], [ca.densify(system.constraints[own])])
+    worst = np.zeros(len(own))
+    for seed in (1.0, 2.0):
+        turn, _ = np.linalg.qr(np.sin(seed + 7.0 * np.arange(9)).reshape(3, 3))
+        q = np.zeros(len(system.coordinates))
+        q[places] = turn.ravel()
+        found = np.asarray(look(q, system.parameters.values())).ravel()
+        worst = np.maximum(worst, np.abs(found))
+    return [k for k, value in zip(own, worst, strict=True) if value < _ROUND_OFF]
+
+
+def compile_rotation_step(system: MechanicalSystem) -> ca.Function:
+    """Compile (state (q, v, L), u, h, p) -> (state, counts (2,), residual, work), as `ConservingStep` has it.
+
+    Raises
+    ------
+    InvalidModel
+        If a body has directors that the constraints do not keep orthonormal.
+    """
+    unknowns, n, terms = _unknowns_of(system), len(system.coordinates), step_terms(system)
+    sizes = (2 * n + system.lam.numel(), len(system.inputs), 1, system.p.numel())
+    state, *others = (ca.MX.sym(name, size) for name, size in zip(("state", "u", "h", "p"), sizes, strict=True))
+    given = ca.vertcat(state[: 2 * n], *others)
+    root, iterations, residual = _solved(unknowns, terms, given)
+    w, q0, v0, h = ca.SX.sym("w", unknowns.count), terms.q0, terms.v0, terms.h
+    change = unknowns.change(q0, w)
+    at_end = ca.substitute([terms.momentum, terms.G, ca.dot(terms.push, terms.change)], [terms.change], [change])
+    end = ca.Function("sc_rotated", [w, terms.givens], [q0 + change, 2 * change / h - v0, *at_end], {"cse": True})
+    q, v, momentum, G, work = end(root, given)
+    L = 2 * _multipliers(G, momentum) if system.lam.numel() else ca.MX(0, 1)
+    after = ca.vertcat(q, v, L)
+    counts = ca.vertcat(iterations, iterations)
+    return ca.Function("sc_rotation_step", [state, *others], [after, counts, residual, work])
+
+
+def _multipliers(G: ca.MX, momentum: ca.MX) -> ca.MX:
+    """Return half of h^2 lam, by one linear solve."""
+    return -ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, momentum), "qr")
+
+
+def _solved(unknowns: _Unknowns, terms: StepTerms, given: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """Return the unknowns of a step, Newton iterations, and the largest scaled residual."""
+    start, scale = _begin(unknowns, terms)(given)
+    size = unknowns.count
+    x, p = ca.MX.sym("x", size + 1), ca.MX.sym("p", given.numel() + size)
+    equations, J = _projected(unknowns, terms, x[:size], p[: given.numel()], p[given.numel() :])
+    late = ca.exp(-x[size] / _TICK)  # the clock of `square_systems`: every correction is a tick
+    g = ca.vertcat(equations, late)
+    look = ca.Function("sc_look", [x, p], [ca.diagcat(J, -late / _TICK), g], ["x", "p"], ["J", "g"])
+    options = {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "error_on_fail": False, "max_iter": MAX_ITERATIONS}
+    newton = ca.rootfinder("sc_turn", "fast_newton", {"x": x, "p": p, "g": g}, {**options, "jacobian_function": look})
+    handed = ca.vertcat(given, scale)
+    root = newton(ca.vertcat(start, 0), handed)
+    ticks = root[size] / _TICK
+    _, left = look(root, handed)
+    residual = ca.mmax(ca.fabs(left[:size]))
+    return root[:size] * scale * ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0), ticks, residual
+
+
+def _begin(unknowns: _Unknowns, terms: StepTerms) -> ca.Function:
+    """Compile givens -> where Newton starts, in units of the scales, and the scales of the unknowns."""
+    plain = unknowns.plain
+    scale = ca.vertcat(terms.nominal[plain] + ca.fabs(terms.q0[plain]), ca.SX.ones(3 * len(unknowns.frames)))
+    start = unknowns.guess(terms.q0, terms.h * terms.v0) / scale
+    return ca.Function("sc_begin", [terms.givens], [start, scale], {"cse": True})
+
+
+def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, given: ca.MX, scale: ca.MX) -> tuple[ca.MX, ca.MX]:
+    """Return the projected equations and their Jacobian; what is scaled is in units of the heaviest inertia.
+
+    Rows and unknowns are weighed by the roots of their inertias, joints by the sizes of their rows, so that the
+    condition of the matrix depends neither on units nor on h.
+    """
+    step, weights = ca.SX.sym("x", unknowns.count), ca.SX.sym("scale", unknowns.count)
+    change = unknowns.change(terms.q0, step * weights)
+    momentum, G = ca.substitute([terms.momentum, terms.G], [terms.change], [change])
+    basis, first = unknowns.basis(terms.q0 + change / 2), unknowns.basis(terms.q0)
+    inertia = ca.diag(ca.mtimes([first.T, terms.mass, first])) * weights**2
+    heaviest = ca.mmax(inertia)
+    unit = weights / ca.sqrt(ca.if_else(inertia > _ROUND_OFF * heaviest, inertia, heaviest))
+    r = ca.mtimes(basis.T, momentum) * unit / ca.sqrt(heaviest)
+    rows = unknowns.rows
+    A, A0 = (ca.mtimes(m[rows, :], P) for m, P in ((G, basis), (terms.G_before, first)))
+    A, A0 = (ca.mtimes(each, ca.diag(unit)) for each in (A, A0))
+    size = ca.sqrt(ca.sum2(A0**2))
+    A, A0 = (each / ca.repmat(size, 1, unknowns.count) for each in (A, A0))
+    g = ca.substitute(terms.constraints_after[rows], terms.change, change) / size / ca.sqrt(heaviest)
+    lam = ca.SX.sym("lam", len(rows))
+    arguments = [step, ca.vertcat(terms.givens, weights)]
+    dense = [ca.densify(each) for each in (r, A, A0, g, ca.jacobian(g, step))]
+    look = ca.Function("sc_pieces", arguments, dense, {"cse": True})
+    bend = ca.Function(
+        "sc_bend", [*arguments, lam], [ca.densify(ca.jacobian(r + ca.mtimes(A.T, lam), step))], {"cse": True}
+    )
+    handed = ca.vertcat(given, scale)
+    found, across, along, gap, slope = look(x, handed)
+    if not rows:
+        return found, bend(x, handed, ca.MX(0, 1))
+    reduce = ca.solve(ca.mtimes(along, across.T), along, "qr")
+    K = bend(x, handed, -ca.mtimes(reduce, found))
+    # Twice: round-off of the forces along A0 would be taken for a gap of the joints.
+    left = _without(across, reduce, _without(across, reduce, found))
+    return left + ca.mtimes(along.T, gap), _without(across, reduce, K) + ca.mtimes(along.T, slope)
+
+
+def _without(across: ca.MX, reduce: ca.MX, columns: ca.MX) -> ca.MX:
+    """Return columns without what the joints' forces can take."""
+    return columns - ca.mtimes(across.T, ca.mtimes(reduce, columns))
