@@ -26,7 +26,8 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore.cli.levels import ROUTES, Spread, compiled_run, timed_in_turn
+from servocore.cli.level import Spread
+from servocore.cli.levels import ROUTES, compiled_run, timed_in_turn
 from servocore.cli.levels_text import machine
 from servocore.numerics.calls import Call, side_by_side
 from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from rich.console import Console
@@ -44,9 +45,12 @@ def measure(count: int) -> dict[str, float]:
     inputs = sc.ExactInversion(scene)
     inputs(times)
     found["ExactInversion, us an instant"] = seconds(lambda: inputs(times)) / INSTANTS * 1e6
-    for name, arguments in (("solve", ()), ("projected backward Euler", (sc.Projected(), sc.BackwardEuler()))):
-        found[f"{name}: first, s"] = seconds(lambda given=arguments: sc.solve(scene, *given, step=step), 1)
-        found[f"{name}: {STEPS} steps, ms"] = seconds(lambda given=arguments: sc.solve(scene, *given, step=step)) * 1e3
+    for name, run in (
+        ("solve", partial(sc.solve, scene, step=step)),
+        ("projected backward Euler", partial(sc.solve, scene, sc.Projected(), sc.BackwardEuler(), step=step)),
+    ):
+        found[f"{name}: first, s"] = seconds(run, 1)
+        found[f"{name}: {STEPS} steps, ms"] = seconds(run) * 1e3
     return found
 
 

@@ -102,7 +102,7 @@ def fastest(runs: dict[str, Callable[[], object]]) -> dict[str, float]:
     return best
 
 
-def loop_arguments(stepper: sc.Stepper, count: int) -> tuple[object, ...]:
+def loop_arguments(stepper: sc.Stepper, count: int) -> tuple[np.ndarray, ...]:
     """State, reference columns, steps and parameters of a run over the whole reference."""
     reference, program = SCENE.reference, stepper.program
     t = np.linspace(reference.start_time, reference.end_time, count + 1)

@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -63,7 +64,7 @@ def bare_loop() -> Callable[[], np.ndarray]:
     return run
 
 
-def test_bare_casadi_loop(benchmark, record: Record):
+def test_bare_casadi_loop(benchmark: Any, record: Record) -> None:
     """One CasADi function, called step by step from Python."""
     run = bare_loop()
     stepper = sc.Stepper(CRANE, sc.Projected(), sc.BackwardEuler(), STEP)
@@ -75,7 +76,7 @@ def test_bare_casadi_loop(benchmark, record: Record):
 
 
 @pytest.mark.parametrize("method", PROJECTED, ids=lambda method: method.name)
-def test_projected_loop(benchmark, record: Record, method: sc.Method):
+def test_projected_loop(benchmark: Any, record: Record, method: sc.Method) -> None:
     """The compiled loop over the steps alone, as `solve` runs it."""
     run = compiled_run(CRANE, sc.Projected(), method, "points", STEPS)
     assert np.isfinite(benchmark(run)[0]).all()
@@ -83,7 +84,7 @@ def test_projected_loop(benchmark, record: Record, method: sc.Method):
 
 
 @pytest.mark.parametrize("model", list(CRANE.models))
-def test_exact_inversion_loop(benchmark, record: Record, model: str):
+def test_exact_inversion_loop(benchmark: Any, record: Record, model: str) -> None:
     """The compiled loop of exact inversion alone, as `solve` runs it."""
     run = compiled_run(CRANE, sc.Reduced(), sc.BackwardEuler(), model, STEPS)
     assert np.isfinite(benchmark(run)[0]).all()
@@ -91,14 +92,14 @@ def test_exact_inversion_loop(benchmark, record: Record, model: str):
 
 
 @pytest.mark.parametrize("model", list(CRANE.models))
-def test_exact_inversion_of_inputs(benchmark, record: Record, model: str):
+def test_exact_inversion_of_inputs(benchmark: Any, record: Record, model: str) -> None:
     """Inputs alone, prepared once, with the derivatives of the path."""
     inversion, t = sc.ExactInversion(CRANE, model), np.linspace(0.0, CRANE.reference.duration, STEPS)
     assert np.isfinite(benchmark(inversion, t)).all()
     record(f"ExactInversion, {model}", STEPS)
 
 
-def test_exact_inversion_in_c(benchmark, record: Record):
+def test_exact_inversion_in_c(benchmark: Any, record: Record) -> None:
     """The functions of the former alone, generated as C by CasADi and compiled by gcc -O3."""
     loop, arguments = functions_of(CRANE, "points", STEPS)
     with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +112,7 @@ def test_exact_inversion_in_c(benchmark, record: Record):
 
 
 @pytest.mark.parametrize("formulation", [sc.Projected(), sc.Reduced()], ids=lambda each: each.name)
-def test_stepper(benchmark, record: Record, formulation: sc.Formulation):
+def test_stepper(benchmark: Any, record: Record, formulation: sc.Formulation) -> None:
     """`Stepper.advance`, one call from Python."""
     stepper = sc.Stepper(CRANE, formulation, sc.BackwardEuler(), STEP)
     past = CRANE.reference.start_time + STEP * np.array(stepper.start_instants)
@@ -123,14 +124,14 @@ def test_stepper(benchmark, record: Record, formulation: sc.Formulation):
 
 
 @pytest.mark.parametrize("formulation", [sc.Projected(), sc.Reduced()], ids=lambda each: each.name)
-def test_solve(benchmark, record: Record, formulation: sc.Formulation):
+def test_solve(benchmark: Any, record: Record, formulation: sc.Formulation) -> None:
     """The whole of `solve`: checks of the path, start, loop and what it reports."""
     solution = benchmark(sc.solve, CRANE, formulation, sc.BackwardEuler(), step=STEP)
     assert len(solution.t) == STEPS + 1
     record(f"solve, {formulation.name}", STEPS)
 
 
-def test_closed_form(benchmark, record: Record):
+def test_closed_form(benchmark: Any, record: Record) -> None:
     """All instants at once, the path included."""
     t, values = np.linspace(0.0, CRANE.reference.duration, STEPS + 1), CRANE.parameter_values()
     closed_form = CRANE.closed_form
@@ -140,7 +141,7 @@ def test_closed_form(benchmark, record: Record):
     record(CLOSED_FORM, STEPS)
 
 
-def test_fmu_step(benchmark, record: Record):
+def test_fmu_step(benchmark: Any, record: Record) -> None:
     """Set inputs, step and get outputs by the C functions of the FMU; `fmu_cost.py` measures this in more detail."""
     fmpy = pytest.importorskip("fmpy")
     build = pytest.importorskip("crane_fmu.build")

@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
-from servocore.rotationless import GROUND, Assembly, Frame, RigidBody, angle, on_line, revolute, turned
+from servocore.rotationless import GROUND, Assembly, Frame, Place, RigidBody, angle, on_line, revolute, turned
 
 CRANK, BASE = 0.5, 1.1
 """Lengths of crank and rocker, and of coupler and base, in m: a parallelogram."""
@@ -173,7 +173,7 @@ def bricard() -> sc.MechanicalSystem:
     )
 
 
-def _far_end(frame: Frame, k: int) -> object:
+def _far_end(frame: Frame, k: int) -> Place:
     return frame.at((BAR, 0, 0), axis=(0, -np.sin(_twist(k)), np.cos(_twist(k))))
 
 

@@ -70,7 +70,7 @@ class Findings:
     row: str
     records: list[Record] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
-    curves: dict[str, Any] = field(default_factory=dict)
+    curves: dict[Any, Any] = field(default_factory=dict)
     gaps: dict[Record, str] = field(default_factory=dict)
 
     def add(

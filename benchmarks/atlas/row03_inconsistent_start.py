@@ -107,7 +107,7 @@ def _consistent(found: Findings, cars: sc.Scene, quick: bool) -> None:
     """Start as the library does, with all constraints satisfied: no spike. The reduced form cannot have one."""
     for steps in STEPS[:1] if quick else STEPS:
         h = cars.reference.duration / steps
-        exact = cars.exact(h * np.arange(13))["u"]
+        exact = cars.exact(h * np.arange(13, dtype=np.float64))["u"]
         peak = float(np.abs(cars.exact(np.linspace(0.0, 4.0, 401))["u"]).max())
         own = march(sc.Stepper(cars, sc.Projected(), sc.BackwardEuler(), h), 12)["u"]
         error = float(np.abs(own - exact).max()) / peak

@@ -87,7 +87,7 @@ def free_swing(step: ca.Function, steps: int) -> tuple[Array, Array, Array]:
         g.append(np.abs((states[:2] ** 2).sum(axis=0) - 1).max() / 2)
         g_dot.append(np.abs((states[:2] * states[2:]).sum(axis=0)).max())
         state = states[:, -1]
-    return STEP * CHUNK * np.arange(1, len(g) + 1), np.array(g), np.array(g_dot)
+    return STEP * CHUNK * np.arange(1, len(g) + 1, dtype=np.float64), np.array(g), np.array(g_dot)
 
 
 def measure(quick: bool) -> Findings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -121,7 +122,7 @@ def draw(found: Findings) -> Figure:
     """Small multiples: error over step and violence."""
     figure, axes = panels(4, 4, width=7.4, height=1.75, sharex=True, sharey=True)
     colours = mpl.colormaps["cividis_r"].with_extremes(bad="white", over="black")
-    image = None
+    image: Any = None
     for ax, (title, (divisions, violence, table)) in zip(axes.flat, found.curves.items(), strict=True):
         shown = np.log10(np.clip(table, 1e-16, 1e30))
         image = ax.imshow(shown, origin="lower", aspect="auto", cmap=colours, vmin=-8, vmax=0, interpolation="nearest")

@@ -241,7 +241,8 @@ def _misled() -> sc.MechanicalSystem:
     y = system.gamma[0, 0]
     joint = CRANK * ca.vertcat(ca.cos(y), ca.sin(y), 0)
     crossed = [
-        ca.if_else(y > ca.pi, each, other) for each, other in zip(antiparallelogram_angles(y), (0, y), strict=True)
+        ca.if_else(y > ca.pi, each, other)
+        for each, other in zip(antiparallelogram_angles(y), (ca.SX(0), y), strict=True)
     ]
     columns = [
         ca.vertcat(0, 0, 0, ca.vec(turned(UP, y))),

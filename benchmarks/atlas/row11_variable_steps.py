@@ -19,13 +19,15 @@ CHANGE = 1.2
 def alternating(count: int) -> Array:
     """Return steps whose sizes alternate 1 : 2, as shares of the run."""
     steps = np.tile([1.0, 2.0], count // 2)
-    return steps / steps.sum()
+    shares: Array = steps / steps.sum()
+    return shares
 
 
 def changed_once(count: int) -> Array:
     """Return equal steps that become 1.2 times as long in the middle of the acceleration."""
     steps = np.where(np.arange(count) < count // 3, 1.0, CHANGE)
-    return steps / steps.sum()
+    shares: Array = steps / steps.sum()
+    return shares
 
 
 def constant(count: int) -> Array:

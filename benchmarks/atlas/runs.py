@@ -43,14 +43,13 @@ def error_at(
     return relative_error(scene, solution, skip, model)
 
 
-def amplified(errors: Array) -> Array:
+def amplified(errors: Array) -> npt.NDArray[np.intp]:
     """Return where errors, in the order of falling steps, have risen well above their least: amplified round-off."""
     best = int(errors.argmin())
-    found: Array = np.flatnonzero((np.arange(len(errors)) > best) & (errors > 2.5 * errors[best]) & np.isfinite(errors))
-    return found
+    return np.flatnonzero((np.arange(len(errors)) > best) & (errors > 2.5 * errors[best]) & np.isfinite(errors))
 
 
-def slope(x: Array, y: Array) -> float:
+def slope(x: npt.ArrayLike, y: npt.ArrayLike) -> float:
     """Exponent of the power law that fits y(x) best in logarithms."""
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
@@ -81,7 +80,7 @@ def march(stepper: sc.Stepper, steps: int, disturb: Callable[[Array], Array] | N
     if disturb is not None:
         state = disturb(state)
     program, h = stepper.program, stepper.step
-    t = stepper.scene.reference.start_time + h * np.arange(steps + 1)
+    t = stepper.scene.reference.start_time + h * np.arange(steps + 1, dtype=np.float64)
     jets = stepper.scene.reference.jet(t, program.start_order)
     rows = [program.values(state, jets[0], stepper.parameters)]
     for k in range(steps):
@@ -125,7 +124,7 @@ def long_march(stepper: sc.Stepper, steps: int, chunk: int) -> Iterator[Chunk]:
     parameters = np.tile(p[:, None], chunk)
     state, begun = begin(stepper), stepper.scene.reference.start_time
     for done in range(0, steps, chunk):
-        t = begun + h * np.arange(done + 1, done + chunk + 1)
+        t = begun + h * np.arange(done + 1, done + chunk + 1, dtype=np.float64)
         nodes = [stepper.scene.reference.jet(t - (1.0 - c) * h, program.order) for c in program.nodes]
         states, _, worst = loop(state, side_by_side(np.concatenate(nodes, axis=1)), np.full((1, chunk), h), parameters)
         if not (np.isfinite(states).all() and np.isfinite(worst).all()):

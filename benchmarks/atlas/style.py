@@ -56,7 +56,8 @@ def label(axes: Axes, x: str, y: str, title: str, legend: str | None = "best", *
     axes.set(xlabel=x, ylabel=y)
     axes.set_title(title, fontsize=8)
     if legend:
-        axes.legend(loc=legend, handlelength=2.4, **more)
+        options: dict[str, Any] = {"loc": legend, "handlelength": 2.4, **more}
+        axes.legend(**options)
 
 
 def steps_in_ms(axes: Axes, h: Any) -> None:

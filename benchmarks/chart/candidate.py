@@ -38,7 +38,7 @@ class Problem:
     def grid(self, intervals: int = OUTPUT_INTERVALS) -> Array:
         """Return the instants of a run with so many intervals."""
         reference = self.scene.reference
-        t = reference.start_time + np.arange(intervals + 1) * (reference.duration / intervals)
+        t = reference.start_time + np.arange(intervals + 1, dtype=np.float64) * (reference.duration / intervals)
         t[-1] = reference.end_time
         return t
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 
@@ -19,7 +20,7 @@ from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
 
-STYLE = {
+STYLE: Any = {
     "font.size": 9, "axes.titlesize": 9.5, "axes.labelsize": 9, "legend.fontsize": 8, "axes.grid": True,
     "grid.color": "0.88", "grid.linewidth": 0.6, "axes.axisbelow": True, "svg.hashsalt": "speed-accuracy",
     "figure.dpi": 100, "savefig.dpi": 160, "svg.fonttype": "path",
@@ -148,13 +149,13 @@ def _closed_form(axis: Axes, rows: Sequence[Row], what: str) -> None:
     for row in rows:
         if row.solver == CLOSED_FORM and row.solved:
             if what == "error":
-                axis.axvline(row.seconds, color="0.35", linewidth=1.0, linestyle=(0, (1, 2)),
+                axis.axvline(row.point[0], color="0.35", linewidth=1.0, linestyle=(0, (1, 2)),
                              label="closed form (exact)")  # fmt: skip
             else:
-                axis.axvline(row.seconds, color="0.35", linewidth=1.0, linestyle=(0, (1, 2)), label="closed form")
+                axis.axvline(row.point[0], color="0.35", linewidth=1.0, linestyle=(0, (1, 2)), label="closed form")
 
 
-def _family(method: str) -> dict[str, object]:
+def _family(method: str) -> dict[str, Any]:
     """Return colour and dash of a family of methods, and the marker of its member."""
     adaptive = method.endswith("adaptive")
     for k, (start, dash) in enumerate(FAMILIES.items()):
@@ -179,13 +180,13 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
     top = 1e1
     for method in dict.fromkeys(row.method for row in own if row.formulation == "projected" and row.model == model):
         points = [row for row in own if (row.model, row.formulation, row.method) == (model, "projected", method)]
-        label = method if min(row.error for row in points) < top else f"{method} (above the scale)"
-        axis.plot([row.seconds for row in points], [max(row.error, OLDEST) for row in points], label=label,
+        label = method if min(row.point[1] for row in points) < top else f"{method} (above the scale)"
+        axis.plot([row.point[0] for row in points], [max(row.point[1], OLDEST) for row in points], label=label,
                   **_family(method))  # fmt: skip
     for method, marker, words in ((SOLVED, "*", "exact inversion by solve"), (INVERTED, "P", "ExactInversion"),
                                   (INVERTED + COMPILED, "X", "ExactInversion, machine code")):  # fmt: skip
         exact = [row for row in own if (row.model, row.method) == (model, method)]
-        axis.plot([row.seconds for row in exact], [row.error for row in exact], marker + ":", color="black",
+        axis.plot([row.point[0] for row in exact], [row.point[1] for row in exact], marker + ":", color="black",
                   markersize=9, label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
              ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),

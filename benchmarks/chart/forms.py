@@ -21,7 +21,7 @@ import numpy as np
 
 import servocore as sc
 from benchmarks.chart.candidate import Array, Problem
-from benchmarks.chart.paths import path_jet
+from benchmarks.chart.paths import path_jet, straight
 from servocore import RadauIIA
 from servocore.formulations import Projected, Reduced
 from servocore.model.system import MechanicalSystem
@@ -210,7 +210,7 @@ def _with_path(raw: _Raw, problem: Problem, system: MechanicalSystem, t: ca.SX, 
     gamma = ca.vec(system.gamma)
     columns = ca.jacobian_sparsity(ca.vertcat(*expressions), gamma).get_col()
     order = max((column // system.gamma.size1() for column in columns), default=0)
-    jet = ca.horzcat(*path_jet(problem.scene.reference, t, order, near_end=near_end))
+    jet = ca.horzcat(*path_jet(straight(problem.scene), t, order, near_end=near_end))
     old = [ca.vec(system.gamma[:, : order + 1]), system.p]
     residual, outputs, violation = ca.substitute(expressions, old, [ca.vec(jet), ca.SX(ca.DM(p))])
     return _Raw(raw.keys, raw.symbols, raw.rates, residual, outputs, violation)
@@ -221,7 +221,7 @@ def _without_prescribed(raw: _Raw, problem: Problem, system: MechanicalSystem, t
     C = system.C
     if not C.is_constant() or C.nnz() != C.size1() or not np.allclose(np.abs(ca.DM(C).nonzeros()), 1.0):
         return raw
-    jet = path_jet(problem.scene.reference, t, 2, near_end=near_end)
+    jet = path_jet(straight(problem.scene), t, 2, near_end=near_end)
     old, new, gone = [], [], set()
     places = {key: k for k, key in enumerate(raw.keys)}
     for row in range(C.size1()):

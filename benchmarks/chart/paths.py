@@ -6,8 +6,16 @@ import math
 
 import casadi as ca
 
+from servocore.model.scene import Scene
 from servocore.references.profiles import PolynomialProfile
 from servocore.references.rest_to_rest import RestToRest
+
+
+def straight(scene: Scene) -> RestToRest:
+    """Return the path of a scene; raises TypeError if it does not go straight from rest to rest."""
+    if not isinstance(scene.reference, RestToRest):
+        raise TypeError(f"{scene.name} follows no straight line from rest to rest")
+    return scene.reference
 
 
 def path_jet(reference: RestToRest, t: ca.SX, order: int, *, near_end: bool = True) -> list[ca.SX]:

@@ -141,7 +141,9 @@ def read_record(folder: Path) -> Record:
         for line in csv.DictReader(stream):
             values = list(line.values())
             repeats, lower, upper, preparation, errors = values[-5:]
-            quartiles = (float(lower), float(upper)) if lower and upper else (None, None)
+            quartiles: tuple[float | None, float | None] = (
+                (float(lower), float(upper)) if lower and upper else (None, None)
+            )
             spent[tuple(values[:-5])] = Spent(int(repeats), *quartiles, float(preparation), errors)
     facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
     return Record(read_rows(folder / RESULTS), spent, facts)

@@ -90,7 +90,7 @@ def _paper_step(paper: Sequence[dict[str, Any]]) -> Iterator[Requirement]:
 def _orders(record: Record) -> Iterator[Requirement]:
     lines = [line for line in record.order_study[0] if line.nominal > 0]
     fitted = [line for line in lines if line.fit.order is not None]
-    short = [line for line in fitted if line.fit.order < line.nominal - ORDER_SHORTFALL]
+    short = [line for line in lines if line.fit.order is not None and line.fit.order < line.nominal - ORDER_SHORTFALL]
     if lines:
         names = ", ".join(line.method for line in [*short, *(line for line in lines if line.fit.order is None)])
         above = [f"{each.method} {each.fit.order:.2f} of {each.nominal}" for each in fitted

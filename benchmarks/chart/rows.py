@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,13 @@ class Row:
         return self.error is not None and self.seconds is not None and math.isfinite(self.error)
 
     @property
+    def point(self) -> tuple[float, float]:
+        """Time in s and error of a row that is solved."""
+        if self.seconds is None or self.error is None:
+            raise ValueError(f"{self.solver} gave no answer: {self.message}")
+        return self.seconds, self.error
+
+    @property
     def series(self) -> tuple[str, str, str, str, str]:
         """What the points of one line have in common."""
         return self.scene, self.solver, self.model, self.formulation, self.method
@@ -70,7 +78,8 @@ def write_rows(path: Path, rows: Iterable[Row]) -> None:
 def read_rows(path: Path) -> list[Row]:
     """Undo `write_rows`."""
     with path.open(newline="") as stream:
-        return [
-            Row(**{key: (float(text) if text else None) if key in _NUMBERS else text for key, text in line.items()})
-            for line in csv.DictReader(stream)
-        ]
+        return [Row(**{key: _read(key, text) for key, text in line.items()}) for line in csv.DictReader(stream)]
+
+
+def _read(key: str, text: str) -> Any:
+    return (float(text) if text else None) if key in _NUMBERS else text

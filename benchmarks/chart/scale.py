@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import casadi as ca
@@ -91,15 +92,19 @@ def _cranes(count: int) -> Iterator[Point]:
         for _ in range(2):
             inputs(t)
             BACKGROUND.wait()
-        value = _seconds(lambda each=inputs: each(t)) / INSTANTS * 1e6
+        value = _seconds(partial(inputs, t)) / INSTANTS * 1e6
         yield Point(CRANE, count, f"ExactInversion, {words}", value, "us an instant")
     yield Point(CRANE, count, "closed form in NumPy",
                 _seconds(lambda: [each.exact(t) for each in alone]) / INSTANTS * 1e6, "us an instant")  # fmt: skip
-    for name, arguments in (("solve", ()), ("projected backward Euler", (sc.Projected(), sc.BackwardEuler()))):
-        first = _seconds(lambda given=arguments: sc.solve(scene, *given, step=step, native=False), 1)
-        yield Point(CRANE, count, f"{name}, the first", first, "s")
-        later = _seconds(lambda given=arguments: sc.solve(scene, *given, step=step, native=False))
-        yield Point(CRANE, count, f"{name}, {STEPS} steps", 1e3 * later, "ms")
+    for name, run in (
+        ("solve", partial(sc.solve, scene, step=step, native=False)),
+        (
+            "projected backward Euler",
+            partial(sc.solve, scene, sc.Projected(), sc.BackwardEuler(), step=step, native=False),
+        ),
+    ):
+        yield Point(CRANE, count, f"{name}, the first", _seconds(run, 1), "s")
+        yield Point(CRANE, count, f"{name}, {STEPS} steps", 1e3 * _seconds(run), "ms")
     if count <= MOST_OF_PEER:
         yield Point(CRANE, count, f"idas, 1e-6, {STEPS} intervals", 1e3 * _seconds(_idas(scene), 2), "ms")
 
@@ -136,10 +141,10 @@ def _many_instants() -> Iterator[Point]:
     t, step = np.linspace(path.start_time, path.end_time, LARGE), path.duration / (LARGE - 1)
     for words, native in (("interpreted", False), ("machine code", True)):
         prepared = sc.ExactInversion(crane, native=native)
-        runs = {
-            "ExactInversion": lambda inputs=prepared: inputs(t),
-            "solve": lambda given=native: sc.solve(crane, step=step, native=given),
-            "solve without checks": lambda given=native: sc.solve(crane, step=step, native=given, checks=False),
+        runs: dict[str, Callable[[], object]] = {
+            "ExactInversion": partial(prepared, t),
+            "solve": partial(sc.solve, crane, step=step, native=native),
+            "solve without checks": partial(sc.solve, crane, step=step, native=native, checks=False),
         }
         for name, run in runs.items():
             run()

@@ -34,15 +34,15 @@ def is_peer(row: Row) -> bool:
 
 def fastest(rows: Iterable[Row], accuracy: float, where: Callable[[Row], bool] = lambda _: True) -> Row | None:
     """Return the fastest row with at most this error, or None."""
-    good = [row for row in rows if row.solved and row.error <= accuracy and where(row)]
-    return min(good, key=lambda row: row.seconds, default=None)
+    good = [row for row in rows if row.solved and row.point[1] <= accuracy and where(row)]
+    return min(good, key=lambda row: row.point[0], default=None)
 
 
 def front(rows: Iterable[Row]) -> list[Row]:
     """Return the rows that no other beats in both time and error, slowest last."""
     found: list[Row] = []
-    for row in sorted((row for row in rows if row.solved), key=lambda row: (row.seconds, row.error)):
-        if not found or row.error < found[-1].error:
+    for row in sorted((row for row in rows if row.solved), key=lambda row: row.point):
+        if not found or row.point[1] < found[-1].point[1]:
             found.append(row)
     return found
 
@@ -66,7 +66,7 @@ class Comparison:
 
     def ratio(self, peer: Row | None) -> float | None:
         """How many times our time a peer takes; None if one of the two does not get there."""
-        return None if self.own is None or peer is None else peer.seconds / self.own.seconds
+        return None if self.own is None or peer is None else peer.point[0] / self.own.point[0]
 
 
 def compare(rows: Sequence[Row], scene: str) -> list[Comparison]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import servocore as sc
 from benchmarks.chart import own
 from benchmarks.chart.candidate import Candidate, Problem
+from benchmarks.chart.paths import straight
 from benchmarks.chart.record import ORDER_SCENE
 from benchmarks.chart.rows import Row
 from benchmarks.chart.timing import Timed, measure, one_line
@@ -36,7 +37,7 @@ def problems() -> list[Problem]:
 def order_problem() -> Problem:
     """Return the rotary crane on the smoother path, on which orders can be seen."""
     crane = sc.scenes.rotary_crane()
-    path = crane.reference
+    path = straight(crane)
     smooth = sc.rest_to_rest(path.start, path.end, path.duration, sc.DEGREE13)
     return Problem(ORDER_SCENE, crane.with_reference(smooth))
 

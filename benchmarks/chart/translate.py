@@ -51,7 +51,8 @@ def compiled(name: str, arguments: Sequence[ca.SX], expressions: Sequence[ca.SX]
     """Return the function whose `source` this is."""
     space: dict[str, Any] = {each: getattr(math, each) for each in ("sqrt", "sin", "cos")}
     exec(source(name, arguments, expressions), space)  # our own text
-    return space[name]
+    function: Callable[..., Any] = space[name]
+    return function
 
 
 def _template(operation: int) -> str:
@@ -103,7 +104,8 @@ def apply(
 
 def _uses(function: ca.Function) -> list[int]:
     """Count for every instruction how often its result is read."""
-    counts, writer = [0] * function.n_instructions(), {}
+    counts = [0] * function.n_instructions()
+    writer: dict[int, int] = {}
     for k in range(function.n_instructions()):
         if function.instruction_id(k) not in (ca.OP_INPUT, ca.OP_CONST):
             for i in function.instruction_input(k):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import servocore as sc
+from benchmarks.chart.paths import straight
 
 DURATIONS = (20.0, 10.0, 5.0)
 DRIVES = sc.Drives(bandwidth=6.0, damping=1.0)
@@ -20,7 +21,7 @@ class Case:
 
     def over(self, duration: float) -> sc.Scene:
         """Return the scene with its path in a time in s."""
-        path = self.scene.reference
+        path = straight(self.scene)
         return self.scene.with_reference(sc.rest_to_rest(path.start, path.end, duration))
 
 

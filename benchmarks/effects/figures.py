@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.atlas.style import BAD, GOOD, OTHER, STYLE, plt
+from benchmarks.atlas.style import BAD, GOOD, OTHER, STYLE
 from benchmarks.effects.cases import DURATIONS
 from benchmarks.effects.measure import LINES, Pair
 

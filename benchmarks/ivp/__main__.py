@@ -98,7 +98,8 @@ def table(problem: IvpProblem, rows: list[Row]) -> str:
 def published_digits(problem: IvpProblem) -> str:
     """Say how many digits the published values have, by kind."""
     correct = digits(problem.published, problem.reference())
-    kinds = {"coordinates": lambda name: name in problem.system.coordinates.names,
+    kinds: dict[str, Callable[[str], bool]] = {
+             "coordinates": lambda name: name in problem.system.coordinates.names,
              "rates": lambda name: name.endswith("_dot"),
              "multipliers": lambda name: name.startswith("lam") or name == "T"}  # fmt: skip
     parts = [f"{kind} {min(v for k, v in correct.items() if chosen(k)):.1f}" for kind, chosen in kinds.items()]

@@ -29,7 +29,7 @@ def equations(problem: IvpProblem) -> tuple[Residual, Jacobians, int]:
     q, v, g, forces = system.q, system.v, system.constraints, system.bias
     if problem.driven is not None:
         g = ca.vertcat(g, system.output - problem.driven(t))
-    else:
+    elif problem.force is not None:
         forces = forces + system.input_matrix.T * problem.force
     m, G = g.numel(), ca.jacobian(g, q)
     a, lam, L, q_rate = (ca.SX.sym(name, size) for name, size in (("a", n), ("lam", m), ("L", m), ("q_rate", n)))

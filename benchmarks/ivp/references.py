@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import mpmath as mp
 
@@ -20,7 +21,7 @@ from benchmarks.ivp import REFERENCES
 
 COLUMNS = 12  # of the extrapolation: order 24
 
-Number = mp.mpf
+Number: TypeAlias = Any  # an mpf; mpmath has no types
 Vector = list[Number]
 Equations = Callable[[Number, Vector, Vector], tuple[list[Vector], Vector, list[Vector], Vector]]
 """(t, q, v) -> M, f, G and the rest of g'', so that M a + G^T lam = f and G a = -rest."""
@@ -39,7 +40,8 @@ def accelerations(equations: Equations, t: Number, q: Vector, v: Vector) -> tupl
     rows += [[*G[j], *([m("0")] * k), -rest[j]] for j in range(k)]
     size = n + k
     for c in range(size):
-        best = max(range(c, size), key=lambda r, c=c: abs(rows[r][c]))
+        sizes = [abs(rows[r][c]) for r in range(c, size)]
+        best = c + sizes.index(max(sizes))
         rows[c], rows[best] = rows[best], rows[c]
         for r in range(c + 1, size):
             if rows[r][c]:
@@ -238,10 +240,9 @@ def crank(_: Number, q: Vector, v: Vector) -> tuple[list[Vector], Vector, list[V
 def crank_start() -> tuple[Vector, Vector]:
     """Return the published deflections and rates; the other coordinates follow from the constraints."""
     e, e_rate = (
-        map(m, ("0", "0", ".103339863e-4", ".169327969e-4")),
+        tuple(map(m, ("0", "0", ".103339863e-4", ".169327969e-4"))),
         tuple(map(m, (".444896105", ".463434311e-2", "-.178591076e-5", "-.268938672e-5"))),
     )
-    e = tuple(e)
     reach, omega, z = m("0.3") + e[3], m("150"), m("0")
     return [z, z, m("0.15") + reach, *e], [omega, -m("0.15") * omega / reach, e_rate[3], *e_rate]
 

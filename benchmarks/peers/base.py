@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import casadi as ca
 import numpy as np
 
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Answer, Array, Candidate, Problem, on_output_grid
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, INPUTS_AS_DERIVATIVES, Form, make_form
+
+Setting = TypeVar("Setting")
 
 FORMS = (("projected", ""), ("reduced", DERIVATIVE_ARRAY), ("reduced", INPUTS_AS_DERIVATIVES))
 """Formulation and variant of all forms that a peer may get."""
@@ -40,14 +42,14 @@ class Lean:
 
     def __init__(self, function: ca.Function) -> None:
         buffer, self._evaluate = function.buffer()
-        self.arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
-        self.results = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
+        self.arguments: list[Array] = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
+        self.results: list[Array] = [np.zeros(function.size_out(k), order="F") for k in range(function.n_out())]
         for k, each in enumerate(self.arguments):
             if each.size:
-                buffer.set_arg(k, memoryview(each))
+                buffer.set_arg(k, each.data)
         for k, each in enumerate(self.results):
             if each.size:
-                buffer.set_res(k, memoryview(each.reshape(-1, order="F")))
+                buffer.set_res(k, each.reshape(-1, order="F").data)
         self._buffer = buffer
 
     def __call__(self, *arguments: Array | float) -> list[Array]:
@@ -118,6 +120,6 @@ def named(method: str, form: Form) -> str:
     return f"{method}, {form.variant}" if form.variant else method
 
 
-def inside(values: Sequence[float], smoke: bool) -> Sequence[float]:
+def inside(values: Sequence[Setting], smoke: bool) -> Sequence[Setting]:
     """Return all settings, or the first two of them for a smoke test."""
     return values[:2] if smoke else values

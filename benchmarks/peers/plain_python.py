@@ -13,7 +13,7 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import get_lapack_funcs
+from scipy.linalg.lapack import dgesv
 
 from benchmarks.chart.candidate import COARSE, OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, Form
@@ -82,7 +82,6 @@ def _row_scale(form: Form, jacobian: ca.SX, before: ca.SX, weights: Array) -> ca
 
 def integrate(evaluate: Callable[..., tuple[list[float], list[float]]], t: Array, y0: Array, weights: Array) -> Array:
     """Step through the instants; raises ArithmeticError where Newton's method does not converge."""
-    (gesv,) = get_lapack_funcs(("gesv",), (y0,))
     size = len(y0)
     y = np.empty((size, len(t)))
     y[:, 0] = y0
@@ -92,7 +91,7 @@ def integrate(evaluate: Callable[..., tuple[list[float], list[float]]], t: Array
         for _ in range(MOST_ITERATIONS):
             residual, jacobian = evaluate((t[k],), now.tolist(), before.tolist())
             matrix = np.array(jacobian).reshape((size, size), order="F")
-            _, _, correction, info = gesv(matrix, np.array(residual), overwrite_a=True, overwrite_b=True)
+            _, _, correction, info = dgesv(matrix, np.array(residual), overwrite_a=True, overwrite_b=True)
             if info:
                 raise ArithmeticError(f"singular matrix at t = {t[k]:g} s")
             now -= correction * weights

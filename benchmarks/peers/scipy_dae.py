@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ PROJECTED = (
     *((rtol, 9, 0) for rtol in (1e-3, 1e-4)),
 )
 TESTED = {0: "positions tested", 1: "positions and velocities tested", 9: "all unknowns tested"}
-METHODS = (
+METHODS: tuple[tuple[str, dict[str, object]], ...] = (
     ("Radau, 3 stages", {"method": "Radau", "stages": 3}),
     ("Radau, 5 stages", {"method": "Radau", "stages": 5}),
     ("Radau, 7 stages", {"method": "Radau", "stages": 7}),
@@ -79,7 +80,7 @@ def projected_settings() -> list[tuple[str, dict[str, float]]]:
     ]
 
 
-def prepare(form: Form, method: dict[str, object], rtol: float, steps: float = 0.0, level: int = 9) -> Prepared:
+def prepare(form: Form, method: dict[str, object], rtol: float, steps: float = 0.0, level: float = 9) -> Prepared:
     """Compile residual and Jacobians."""
     from scipy_dae.integrate import solve_dae  # noqa: PLC0415
 
@@ -109,9 +110,9 @@ def prepare(form: Form, method: dict[str, object], rtol: float, steps: float = 0
     return Prepared(run, partial(_read, t, answer), _remark)
 
 
-def _read(t: Array, answer: Callable[[Array, Array, Array], Answer], found: tuple[object, Array]) -> Answer:
+def _read(t: Array, answer: Callable[[Array, Array, Array], Answer], found: tuple[Any, Array]) -> Answer:
     return answer(t, found[0].y, found[0].yp)
 
 
-def _remark(found: tuple[object, Array]) -> str:
+def _remark(found: tuple[Any, Array]) -> str:
     return f"{found[0].nfev} residuals, {found[0].njev} Jacobians, {found[0].nlu} factorisations"

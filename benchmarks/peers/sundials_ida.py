@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
     return found
 
 
-def prepare(form: Form, rtol: float, steps: float = 0.0, level: int = 9) -> Prepared:
+def prepare(form: Form, rtol: float, steps: float = 0.0, level: float = 9) -> Prepared:
     """Compile residual and Jacobian, and set IDA up."""
     import sksundae  # noqa: PLC0415
 
@@ -96,9 +97,9 @@ def prepare(form: Form, rtol: float, steps: float = 0.0, level: int = 9) -> Prep
     return Prepared(run, partial(_read, t, answer), _remark)
 
 
-def _read(t: Array, answer: Callable[[Array, Array, Array], Answer], found: tuple[object, Array]) -> Answer:
+def _read(t: Array, answer: Callable[[Array, Array, Array], Answer], found: tuple[Any, Array]) -> Answer:
     return answer(t, found[0].y.T, found[0].yp.T)
 
 
-def _remark(found: tuple[object, Array]) -> str:
+def _remark(found: tuple[Any, Array]) -> str:
     return f"{found[0].nfev} residuals, {found[0].njev} Jacobians"

@@ -35,17 +35,29 @@ pi: float
 inf: float
 
 OP_ADD: int
+OP_ASSIGN: int
 OP_CONST: int
+OP_CONSTPOW: int
 OP_COS: int
 OP_DIV: int
+OP_FABS: int
+OP_FMAX: int
+OP_FMIN: int
+OP_IF_ELSE_ZERO: int
 OP_INPUT: int
+OP_INV: int
+OP_LE: int
+OP_LT: int
 OP_MUL: int
 OP_NEG: int
+OP_NOT: int
 OP_OUTPUT: int
+OP_POW: int
 OP_SIN: int
 OP_SQ: int
 OP_SQRT: int
 OP_SUB: int
+OP_TWICE: int
 
 class Sparsity:
     @overload
@@ -361,7 +373,15 @@ class Function:
     def forward(self, directions: int) -> Function: ...
     def reverse(self, directions: int) -> Function: ...
     def factory(self, name: str, arguments: Sequence[str], results: Sequence[str]) -> Function: ...
+    @overload
     def map(self, count: int) -> Function: ...
+    @overload
+    def map(
+        self, name: str, parallelization: str, count: int, reduce_in: Sequence[int], reduce_out: Sequence[int]
+    ) -> Function: ...
+    @overload
+    def mapaccum(self, count: int) -> Function: ...
+    @overload
     def mapaccum(self, name: str, count: int) -> Function: ...
     def fold(self, count: int) -> Function: ...
     def find_functions(self) -> list[Function]: ...
@@ -385,6 +405,17 @@ class CodeGenerator:
     def add(self, function: Function, with_jacobian_sparsity: bool = False) -> None: ...
     def generate(self, prefix: str = "") -> str: ...
     def dump(self) -> str: ...
+
+class NlpBuilder:
+    x: list[MX]
+    f: MX
+    g: list[MX]
+    x_init: list[float]
+    x_lb: list[float]
+    x_ub: list[float]
+    g_lb: list[float]
+    g_ub: list[float]
+    def import_nl(self, file: str) -> None: ...
 
 class StringSerializer:
     def pack(self, value: Sequence[Function]) -> None: ...
