@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -199,53 +198,6 @@ def far_off(
         f" t = {solution.t[k]:.6g} s it is {solution[worst][k]:.4g} {unit} and should be {exact[worst][k]:.4g} {unit};"
         f" with --formulation {default} they are exact"
     )
-
-
-@dataclass(frozen=True)
-class Plan:
-    """What is to be planned.
-
-    Attributes
-    ----------
-    way : reference or sequence of points
-        The curve of a path, or start and end (m).
-    limits : mapping
-        As `servocore.Scene.with_limits` takes them.
-    robust : mapping of str to pair
-        Factors of parameters at which the limits are kept as well.
-    step : float or None
-        Largest time between rows in s; a 200th of the duration without it.
-    """
-
-    way: Any
-    limits: Mapping[str, Any]
-    robust: Mapping[str, tuple[float, float]]
-    step: float | None = None
-
-
-def plan(
-    scene: sc.Scene, wanted: Plan, progress: Callable[[str], None] | None = None
-) -> tuple[sc.Solution, sc.PlanReport]:
-    """Return inputs and motion of the fastest law of a crane, in equal rows, and what is known about it.
-
-    Raises
-    ------
-    ServocoreError
-        If there is no such law, or something wanted makes no sense.
-    """
-    if wanted.step is not None and not (np.isfinite(wanted.step) and wanted.step > 0.0):
-        raise sc.InvalidSetting(f"the step must be a positive time, not {wanted.step:g} s")
-    path, report = sc.fastest(scene, wanted.way, wanted.limits, robust=wanted.robust, progress=progress)
-    rows = 200.0 if wanted.step is None else np.ceil(path.duration / wanted.step)
-    if rows > MOST_ROWS:
-        raise sc.InvalidSetting(f"a step of {wanted.step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
-    bounded = scene.with_reference(path).with_limits(**wanted.limits)
-    return sc.solve(bounded, step=path.duration / rows), report
-
-
-def limits_given(texts: Sequence[str] | None, file: Path | None) -> dict[str, Any]:
-    """Return the limits of a file and of --limit, which replace those of the file."""
-    return {**({} if file is None else sc.read_limits(file)), **sc.limits_of_texts(texts or ())}
 
 
 def table(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:

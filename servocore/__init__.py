@@ -42,7 +42,7 @@ from servocore.methods import (
 )
 from servocore.model.effects import Effect, Effects
 from servocore.model.generalise import generalise
-from servocore.model.limit_files import factors_of_texts, limits_of_texts, read_limits
+from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
 from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters
 from servocore.model.potentials import Potential
@@ -68,6 +68,7 @@ from servocore.references import (
     DEGREE13,
     Profile,
     Reference,
+    csv_of,
     figure_of_eight,
     from_csv,
     periodic,
@@ -157,6 +158,7 @@ __all__ = [
     "Trapezoidal",
     "analyse",
     "compile_plant",
+    "csv_of",
     "effects",
     "export_fmu",
     "export_plant",
@@ -166,7 +168,7 @@ __all__ = [
     "fastest",
     "figure_of_eight",
     "from_csv",
-    "limits_of_texts",
+    "limits_given",
     "periodic",
     "read_limits",
     "read_parameters",

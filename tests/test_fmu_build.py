@@ -117,7 +117,7 @@ def test_what_the_slave_imports_travels_and_nothing_else(kind):
     assert f"crane_fmu/slave/{kind.module}.py" in sources
     assert "servocore/errors.py" in sources
     unused = {
-        "crane_fmu/cli.py",
+        "crane_fmu/cli/commands.py",
         "servocore/solve.py",
         "servocore/scenes/__init__.py",
         "servocore/references/periodic.py",

@@ -62,14 +62,31 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
     )  # of 200 N: round-off by the fourth power of the step
 
 
-def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing():
-    way = ["--from", 5, 0, -5, "--to", -2, 2, -2]
-    result = crane("plan", *way, "--limit", "M_b=1000", "--limit", "F=60", "--limit", "swing=5deg")
+def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing_and_a_path_for_the_others():
+    limits = [each for limit in ("M_b=1000", "F=60", "swing=5deg") for each in ("--limit", limit)]
+    result = crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *limits, "--path", "way.csv")
     assert result.exit_code == 0
     lines = result.stdout.splitlines()
     assert lines[0] == "time,M_b,F,M_w,phi,s,l,x,y,z,tension,swing"
     assert len(lines) == 202
     assert 7.1 < float(lines[-1].split(",")[0]) < 7.2
+    assert crane("feedforward", "--reference", "way.csv", *limits, "-o", "inputs.csv").exit_code == 0
+    table = np.array([line.split(",") for line in lines[1:]], dtype=float)
+    assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--limit", "F=60", "--keep-out", "sphere 1 2 -3 1"], "--keep-out belongs to --free"),
+        (["--limit", "F=60", "--free"], "needs a limit of every input, and M_b has none"),
+        (["--limit", "F=60", "--free", "--keep-out", "cone 1 2 -3 1"], "'cone 1 2 -3 1' is neither"),
+        (["--limit", "F=60", "-o", "way.csv", "--path", "way.csv"], "both name way.csv"),
+    ],
+)
+def test_what_the_short_form_cannot_plan_is_refused(options, sentence):
+    crane.assert_refused(crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *options), sentence)
+    assert os.listdir() == []
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,12 @@ import pytest
 from scipy.optimize import linprog
 
 import servocore as sc
-from servocore.planning.chains import advanced
+from servocore.planning.chains import advanced, sampled_law
 from servocore.planning.laws import law_of, shape_of, shortest
 from servocore.planning.rows import rounded
 from servocore.planning.tasks import corner_problems, curve_of, task_along
 from servocore.planning.transcription import Transcription
+from servocore.references.timed_path import TimedPath
 
 CRANE = sc.scenes.rotary_crane()
 OVERHEAD = sc.scenes.overhead_crane()
@@ -236,6 +237,17 @@ def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner
     cornered = sc.through([(5, 0, -5), (3, 0, -5), (3, 0.001, -5), (3, 3, -5)], times=[0, 4, 8, 12])
     with pytest.raises(sc.InvalidReference, match="no smooth curve follows the path"):
         sc.fastest(CRANE, cornered, DEFAULT)
+
+
+def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path):
+    points = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
+    unit = shape_of(sc.DEGREE9)(np.linspace(0.0, 1.0, 81), 4).T
+    law = sampled_law(unit[:, :, None] / 7.5 ** np.arange(5)[:, None, None], 7.5, 4)
+    path = TimedPath.of(curve_of(sc.through(points, duration=20), 3, "crane"), law.path())
+    (tmp_path / "way.csv").write_text(sc.csv_of(path), encoding="utf-8")
+    t = np.linspace(0.0, 7.5, 2001)
+    back, snap = (each.jet(t, 4)[:, 4] for each in (sc.from_csv(tmp_path / "way.csv"), path))
+    assert np.abs(back - snap).max() < 1e-4 * np.abs(snap).max()
 
 
 def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer():

@@ -21,7 +21,7 @@ from servocore.model.limit_files import factors_of_texts, limits_given
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
-from servocore.planning.space import Box, Space, Sphere
+from servocore.planning.space import Space
 from servocore.references.base import Reference
 from servocore.references.csv_file import csv_of, from_csv
 from servocore.solution import Solution
@@ -153,8 +153,7 @@ def plan_scene(
     way = _way(subject, start, end, between or [], reference)
     if keep_out and not free:
         raise InvalidSetting("--keep-out belongs to --free")
-    dimension = len(subject.model(model).outputs)
-    space = Space(tuple(_body(each, dimension) for each in keep_out or ())) if free else None
+    space = Space.of_texts(keep_out or (), dimension=len(subject.model(model).outputs)) if free else None
     ranges = factors_of_texts(robust or ())
     with PatientProgress("planning") as progress:
         path, report = fastest(subject, way, bounds, free=space, robust=ranges, model=model, progress=progress.describe)
@@ -204,24 +203,6 @@ def _point(option: str, text: str, names: Sequence[str]) -> list[float]:
     if len(found) != len(names):
         raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
     return found
-
-
-def _body(text: str, dimension: int) -> Sphere | Box:
-    """Return a body from a text; raises `InvalidSetting` if it is none."""
-    kind, *rest = text.replace(",", " ").split() or [""]
-    try:
-        numbers = tuple(float(each) for each in rest)
-    except ValueError:
-        numbers = ()
-    centre, sizes = numbers[:dimension], numbers[dimension:]
-    if kind == "sphere" and len(centre) == dimension and len(sizes) == 1:
-        return Sphere(centre, sizes[0])
-    if kind == "box" and len(centre) == len(sizes) == dimension:
-        return Box(centre, sizes)
-    raise InvalidSetting(
-        f"--keep-out {text!r} is neither 'sphere' with a centre of {dimension} numbers and a radius, nor 'box' with a"
-        f" centre and half sizes"
-    )
 
 
 def _table(scene: Scene, solution: Solution, model: str | None) -> str:

@@ -37,7 +37,25 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
 
 
 def limits_given(texts: Iterable[str] | None, file: Path | None) -> dict[str, Bounds]:
-    """Return the limits of a file, if there is one, and of texts, which replace those of the file."""
+    """Return the limits of a file, if there is one, and of texts, which replace those of the file.
+
+    Parameters
+    ----------
+    texts : iterable of str or None
+        One a limit: ``F=60``, ``M_w=-104..-92``, ``swing=5 deg`` or ``s.rate=1.2``.
+    file : Path or None
+        TOML, see `read_limits`.
+
+    Returns
+    -------
+    dict
+        For `Scene.with_limits`, which knows the names.
+
+    Raises
+    ------
+    InvalidModel, InvalidSetting
+        If the file cannot be read or a limit is none.
+    """
     return {**({} if file is None else read_limits(file)), **limits_of_texts(texts or ())}
 
 

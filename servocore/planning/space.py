@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -104,6 +105,24 @@ class Space:
             if each not in _PARTS:
                 raise InvalidSetting(f"{each} is no part that can keep clear; there are {', '.join(_PARTS)}")
 
+    @classmethod
+    def of_texts(cls, texts: Iterable[str], dimension: int) -> Space:
+        """Return the space that texts describe, such as ``sphere 1 2 -3 0.5`` or ``box 1 2 -3 0.4 3 1.2``.
+
+        Parameters
+        ----------
+        texts : iterable of str
+            A body each: its kind, its centre, then a radius or half sizes; m.
+        dimension : int
+            How many coordinates a centre has.
+
+        Raises
+        ------
+        InvalidSetting
+            If a text is no body.
+        """
+        return cls(tuple(_body(each, dimension) for each in texts))
+
     def require(self, system: MechanicalSystem, tracked: str) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies."""
         dimension = len(system.outputs)
@@ -145,3 +164,20 @@ class Space:
         if "bridge" in self.parts:
             found += [[f * each for each in above] for f in parts.tolist()]
         return found
+
+
+def _body(text: str, dimension: int) -> Body:
+    kind, *rest = text.replace(",", " ").split() or [""]
+    try:
+        numbers = tuple(float(each) for each in rest)
+    except ValueError:
+        numbers = ()
+    centre, sizes = numbers[:dimension], numbers[dimension:]
+    if kind == "sphere" and len(centre) == dimension and len(sizes) == 1:
+        return Sphere(centre, sizes[0])
+    if kind == "box" and len(centre) == len(sizes) == dimension:
+        return Box(centre, sizes)
+    raise InvalidSetting(
+        f"--keep-out {text!r} is neither 'sphere' with a centre of {dimension} numbers and a radius, nor 'box' with a"
+        f" centre and half sizes"
+    )

@@ -1,7 +1,7 @@
 """Reference paths gamma(t): values that answer with exact derivatives at any times."""
 
 from servocore.references.base import Reference
-from servocore.references.csv_file import from_csv, waypoints_from_csv
+from servocore.references.csv_file import csv_of, from_csv, waypoints_from_csv
 from servocore.references.periodic import figure_of_eight, periodic
 from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, Profile, three_phase
 from servocore.references.rest_to_rest import rest_to_rest
@@ -15,6 +15,7 @@ __all__ = [
     "DEGREE13",
     "Profile",
     "Reference",
+    "csv_of",
     "figure_of_eight",
     "from_csv",
     "periodic",

@@ -14,8 +14,29 @@ import rich.table
 import typer
 
 import servocore as sc
-from crane_fmu import catalogue
 from crane_fmu import feedforward as ff
+from crane_fmu.cli import plan
+from crane_fmu.cli.options import (
+    AbsoluteTolerance,
+    Duration,
+    End,
+    FormulationName,
+    Limits,
+    LimitsFile,
+    MethodName,
+    ModelName,
+    OutputFile,
+    OutputStep,
+    ParametersFile,
+    PlotFile,
+    ProfileName,
+    Ramp,
+    ReferenceFile,
+    RelativeTolerance,
+    Start,
+    Step,
+    Tolerance,
+)
 from servocore.cli.console import (
     SETTINGS,
     PatientProgress,
@@ -26,7 +47,7 @@ from servocore.cli.console import (
     held_notes,
     table_console,
 )
-from servocore.files import PICTURES, require_picture, require_places, write_together
+from servocore.files import require_picture, require_places, write_together
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
 
@@ -43,84 +64,6 @@ app = typer.Typer(
 def _commands(_version: Version = False) -> None:
     """Take options that belong to no command; the text of the help is that of `app`."""
 
-
-Point = tuple[float, float, float]
-_file = partial(typer.Option, rich_help_panel="Path: a file")
-_line = partial(typer.Option, rich_help_panel="Path: a straight line")
-_crane = partial(typer.Option, rich_help_panel="Crane and computation")
-_results = partial(typer.Option, rich_help_panel="Results")
-_PARAMETERS = ", ".join(sc.scenes.rotary_crane().parameter_values())
-
-ReferenceFile = Annotated[
-    Path | None,
-    _file("--reference", metavar="FILE.csv",
-          help="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
-          " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
-]  # fmt: skip
-Tolerance = Annotated[
-    float | None,
-    _file("--tolerance", metavar="METRES",
-          help="How far the path may stay away from the positions in the file, for rounded or noisy ones."),
-]  # fmt: skip
-Start = Annotated[Point | None, _line("--from", metavar="X Y Z", help="Start (m); z < 0 is below the girder.")]
-End = Annotated[Point | None, _line("--to", metavar="X Y Z", help="End (m).")]
-Duration = Annotated[float | None, _line("--duration", metavar="T", help="Time of the motion (s).")]
-ProfileName = Annotated[
-    str | None,
-    _line("--profile", metavar="NAME",
-          help=f"Time law: {', '.join(catalogue.PROFILES)}. Default: {next(iter(catalogue.PROFILES))}."),
-]  # fmt: skip
-Ramp = Annotated[
-    float | None,
-    _line("--ramp", metavar="TAU0",
-          help=f"Time to accelerate (s), only for {catalogue.THREE_PHASE}. Default: duration/4."),
-]  # fmt: skip
-ParametersFile = Annotated[
-    Path | None,
-    _crane("--parameters", metavar="FILE.toml", help=f"Any of {_PARAMETERS} (SI units)."),
-]
-ModelName = Annotated[str, _crane("--model", metavar="NAME", help=f"One of {', '.join(catalogue.MODELS)}.")]
-FormulationName = Annotated[
-    str, _crane("--formulation", metavar="NAME", help=f"One of {', '.join(catalogue.FORMULATIONS)}.")
-]
-MethodName = Annotated[str, _crane("--method", metavar="NAME", help=f"One of {', '.join(catalogue.METHODS)}.")]
-Step = Annotated[
-    float | None,
-    _crane("--step", metavar="H", help="Step (s); divides the duration. Default: duration/200."),
-]
-RelativeTolerance = Annotated[
-    float | None,
-    _crane("--rtol", metavar="R", help="In place of a step: error of the inputs relative to their peaks."),
-]
-AbsoluteTolerance = Annotated[
-    float | None,
-    _crane("--atol", metavar="A", help="In place of a step: error of the inputs in their own units."),
-]
-OutputStep = Annotated[
-    float | None,
-    _crane("--output-step", metavar="H",
-           help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200."),
-]  # fmt: skip
-Limits = Annotated[
-    list[str] | None,
-    _crane("--limit", metavar="NAME=VALUE",
-           help="A limit that the motion must keep, any number of times:"
-           " F=60, M_w=-104..-92, swing=5deg, s.rate=1.2."),
-]  # fmt: skip
-LimitsFile = Annotated[
-    Path | None,
-    _crane("--limits", metavar="FILE.toml", help='More of them: F = 60, M_w = [-104, -92], swing = "5 deg".'),
-]
-OutputFile = Annotated[
-    Path | None,
-    _results("--output", "-o", metavar="FILE.csv",
-             help="Where the table goes. Default: the standard output stream."),
-]  # fmt: skip
-PlotFile = Annotated[
-    Path | None,
-    _results("--plot", metavar="FILE.png",
-             help=f"Draw inputs and motion; {', '.join(PICTURES)} are known."),
-]  # fmt: skip
 
 _FEEDFORWARD_EXAMPLES = """[bold]Examples[/bold]
 
@@ -171,7 +114,7 @@ def feedforward(
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, route, progress, ff.limits_given(limit, limits))
+        solution = ff.feedforward(path, changed, route, progress, sc.limits_given(limit, limits))
         table, far_off = ff.table(solution), ff.far_off(solution, path, changed, route)
         if far_off:
             notes.clear()  # one sentence says it all
@@ -185,58 +128,7 @@ def feedforward(
         end_as_of_no_use(NAME, far_off)
 
 
-Robust = Annotated[
-    list[str] | None,
-    _crane("--robust", metavar="NAME=LOW..HIGH",
-           help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1."),
-]  # fmt: skip
-LargestStep = Annotated[
-    float | None, _crane("--step", metavar="H", help="Largest time between rows (s). Default: duration/200.")
-]
-_PLAN_EXAMPLE = """[bold]Example[/bold]
-
-[cyan]crane-fmu plan --from 5 0 -5 --to -2 2 -2 --limit M_b=1000 --limit F=60 --limit swing=5deg -o plan.csv[/cyan]
-"""
-
-
-@app.command(epilog=_PLAN_EXAMPLE)
-def plan(
-    reference: ReferenceFile = None,
-    tolerance: Tolerance = None,
-    start: Start = None,
-    end: End = None,
-    parameters: ParametersFile = None,
-    limit: Limits = None,
-    limits: LimitsFile = None,
-    robust: Robust = None,
-    step: LargestStep = None,
-    output: OutputFile = None,
-    plot: PlotFile = None,
-) -> None:
-    """Find the fastest motion of the load along a line, or the curve of a path in a file, within limits.
-
-    The table is that of feedforward with the swing angle behind it. With --output, how good the plan is and how it is
-    known that it keeps the limits is printed.
-    """
-    if (reference is None) == (start is None or end is None):
-        raise sc.InvalidSetting("the way is given either by --reference or by --from and --to")
-    require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
-    require_picture(plot)
-    scene = sc.scenes.rotary_crane()
-    if parameters is not None:
-        scene = scene.with_parameters(**sc.read_parameters(parameters, scene))
-    way = (start, end) if reference is None else sc.from_csv(reference, tolerance)
-    with PatientProgress("planning") as progress:
-        wanted = ff.Plan(way, ff.limits_given(limit, limits), sc.factors_of_texts(robust or ()), step)
-        solution, report = ff.plan(scene, wanted, progress.describe)
-        contents: dict[Path, str | bytes] = {}
-        if plot is not None:
-            from crane_fmu.report.style import picture  # noqa: PLC0415
-            from crane_fmu.report.trajectories import inputs_and_motion  # noqa: PLC0415
-
-            contents[plot] = picture(inputs_and_motion(solution), plot.suffix.lower(), solution.route)
-    deliver(ff.table(solution, (*ff.COLUMNS, "swing")), output, contents, report)
-
+app.command("plan", epilog=plan.EXAMPLES)(plan.plan_motion)
 
 OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]
 
@@ -337,7 +229,7 @@ def drive(
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     names, starts = driving.signals(mapped or ()), driving.settings(settings or ())
     with PatientProgress("driving the plant"):
-        found = driving.drive(plant, path, names, changed, starts, step, ff.limits_given(limit, limits))
+        found = driving.drive(plant, path, names, changed, starts, step, sc.limits_given(limit, limits))
     if output is not None:
         write_together({output: found.table()})
     print(*found.sentences(), sep="\n")
