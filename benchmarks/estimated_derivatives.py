@@ -11,10 +11,12 @@ import time
 import numpy as np
 
 import servocore as sc
-from crane_fmu.slave.estimate import SAMPLES, Samples, estimated, first_sample, with_sample
+from crane_fmu.build.estimates import estimate_functions
+from crane_fmu.slave.estimate import SAMPLES, estimation
 
 CRANE = sc.scenes.rotary_crane()
 PATH = CRANE.reference
+ESTIMATION = estimation(estimate_functions(8))  # interpreted; the FMU has it as machine code
 
 
 def times(kind: str) -> np.ndarray:
@@ -30,15 +32,16 @@ def along(t: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray, float
     """Return the jets that are estimated, the polynomials' snap, and the microseconds of a step."""
     exact = PATH.jet(t, 4)
     positions = np.round(exact[:, 0] / rounding) * rounding if rounding else exact[:, 0]
-    samples: Samples = first_sample(positions[0])
+    told = np.zeros((len(t), 15))
+    told[:, :3] = positions
+    (memory,) = ESTIMATION.begin(told[0], 0)
     jets, through, spent = exact * 0.0, np.zeros((len(t), 3)), 0.0
     jets[:, 0] = positions
     for k in range(1, len(t)):
         begin = time.thread_time()
-        samples = with_sample(samples, positions[k], t[k] - t[k - 1], 0)
-        found, samples = estimated(samples, 0)
+        memory, found, _, _ = ESTIMATION.follow(memory, told[k], t[k] - t[k - 1], 1.0, 0)
         spent += time.thread_time() - begin
-        jets[k, 1:] = found.rows
+        jets[k] = found.reshape(5, 3)
         if k >= SAMPLES:
             last = slice(k - SAMPLES + 1, k + 1)
             span = t[k] - t[last][0]

@@ -22,6 +22,7 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
+from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.fmu import export_fmu, export_plant, export_trajectory
 from servocore.export.plant_model import PlantWishes
@@ -141,6 +142,7 @@ __all__ = [
     "Reduced",
     "Reference",
     "RotationUpdate",
+    "SampledEstimates",
     "SampledFeedback",
     "Scene",
     "Sensitivities",

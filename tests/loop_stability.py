@@ -16,6 +16,7 @@ from fmu_host import extracted, fmu_file
 from loops import CRANE
 
 import servocore as sc
+from crane_fmu.slave.calls import carried
 from crane_fmu.slave.feedback import Feedback, feedbacks
 from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
 
@@ -29,7 +30,7 @@ _NO_LIMITS = [1e9] * 3
 def laws() -> dict[str, Feedback]:
     """Return the feedback that the FMU carries by input time."""
     (text,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{FEEDBACK_FILE}")
-    return feedbacks(text.read_text(), text.with_suffix(".so"))
+    return feedbacks(carried(text.read_text(), text.with_suffix(".so")))
 
 
 def _plant_step() -> Callable[..., np.ndarray]:

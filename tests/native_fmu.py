@@ -20,7 +20,7 @@ from outside import timed
 from scipy.interpolate import BPoly
 
 import servocore as sc
-from crane_fmu.build.native import feedback_of, tension_of
+from crane_fmu.build.native import estimates_of, feedback_of, tension_of
 from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
@@ -102,13 +102,15 @@ def joined(name: str, steps: int) -> sc.Scene:
 @cache
 def exported(name: str) -> Any:
     """Return what is exported of a scene: ``cars`` its inverse model, ``cars plant``, ``cars trajectory``, and of the
-    rotary crane ``rotary_crane loop`` the inverse model with feedback."""
+    rotary crane ``rotary_crane loop`` the inverse model with feedback
+    and estimated derivatives."""
     scene, _, what = name.partition(" ")
     if what == "plant":
         return plant_model(scene_called(scene), None, CRANE_PLANT if scene == "rotary_crane" else None)
     if what == "trajectory":
         return trajectory_model(scene_called(scene), None, sc.TrajectoryWishes(path_of(scene)))
-    return inverse_model(scene_called(scene), None, feedback_of(scene_called(scene)) if what == "loop" else None)
+    own = scene_called(scene)
+    return inverse_model(own, None, feedback_of(own), estimates_of(own)) if what == "loop" else inverse_model(own)
 
 
 CRANE_PLANT = sc.PlantWishes(

@@ -104,7 +104,7 @@ HOSTILE = ["cars", "mass_on_car plant", "rotary_crane trajectory"]
 if FULL:
     HOSTILE += ["rotary_crane", "mass_on_car", "elastic_hoist", "crossing", "wind", "limited", "rotary_crane plant",
                 "rotary_crane loop"]  # fmt: skip
-LONG = {"rotary_crane plant": 100_000}  # of the steps of the long run: brakes hold it
+LONG = {"rotary_crane plant": 100_000, "rotary_crane loop": 30_000}  # steps of the long run: held, and estimating
 
 
 def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], folder: Path, *amount: int) -> None:

@@ -246,6 +246,57 @@ def test_the_feedback_is_that_of_python(input_time):
     assert np.abs(native - python).max() < 1e-9 * np.abs(python).max()
 
 
+# Estimated derivatives -----------------------------------------------------------------------------------------------
+
+CONNECTED = {"snap": 1, "jerk": 2, "acceleration": 3, "velocity": 4, "position": 5}
+
+
+def driven(host: Native, jets: np.ndarray, h: float, input_time: int, connected: str) -> np.ndarray:
+    """Return the outputs of all steps."""
+    path, found = [each for each in host.inputs if each.startswith("load.")], []
+    host.set(input_time=input_time, connected=CONNECTED[connected])
+    host.fmu.setupExperiment(startTime=0.0)
+    host.fmu.enterInitializationMode()
+    host.numbers_set(path, jets[0].ravel())
+    host.fmu.exitInitializationMode()
+    for k, jet in enumerate(jets[1:] if input_time == END else jets[:-1]):
+        host.numbers_set(path, jet.ravel())
+        assert host.step(k * h, h) == OK, host.messages
+        found.append(host.get(*DRIVES, "phi", "s", "l"))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("connected", "input_time", "h", "rounding"),
+    [("position", START, 0.1, 0.0), ("position", END, 0.01, 1e-6), ("velocity", END, 0.1, 0.0),
+     ("acceleration", START, 0.01, 1e-4), ("jerk", START, 0.1, 0.0)],
+)  # fmt: skip
+def test_what_is_not_connected_is_estimated_as_in_python(connected, input_time, h, rounding):
+    jets, found = CRANE.reference.jet(np.arange(200) * h, 4), []
+    if rounding:
+        jets = np.round(jets / rounding) * rounding
+    for make in (partial(Native, "python", 2, fmu_file()), partial(Native, "rotary_crane loop", 2)):
+        with make() as host:
+            found.append(driven(host, jets, h, input_time, connected))
+    python, native = found
+    with Native("rotary_crane loop", 2) as host:
+        everything = driven(host, jets, h, input_time, "snap")
+    assert np.abs(native - everything).max() > 1e-9 * np.abs(everything).max()
+    assert np.abs(native - python).max() < 1e-12 * np.abs(python).max()
+
+
+def test_a_start_in_motion_is_told_once_and_known_after_some_samples():
+    h = 0.01
+    jets = CRANE.reference.jet(8.0 + np.arange(12) * h, 4)
+    with Native("rotary_crane loop", 2) as host:
+        found = driven(host, jets, h, END, "position")
+        (said,) = host.messages
+    assert "the load starts in motion: derivatives above the load's position are known after 7 samples" in said
+    wanted = CRANE.closed_form(jets[1:], CRANE.parameter_values())["M_b"]
+    assert np.abs(found[:5, 0] - wanted[:5]).max() > 0.5 * np.abs(wanted).max()
+    assert np.abs(found[6:, 0] - wanted[6:]).max() < 0.01 * np.abs(wanted).max()
+
+
 def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning():
     with Native("rotary_crane loop", 2) as host:
         host.start()
@@ -300,17 +351,24 @@ PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration"
 
 
 @cache
-def native_system():
-    build_ssp(scratch() / "native system", wishes=Wishes(native=True, targets="host"))
-    return scratch() / "native system" / "Crane.ssp"
+def systems(connected: str):
+    """Return the system in Python and the native one whose inverse models are told no more than a derivative."""
+    parts, wishes = {}, {"parameters": {"connected": connected}} if connected != "snap" else {}
+    for native in (False, True):
+        folder = scratch() / f"{connected} {native}"
+        if native or wishes:
+            build_ssp(folder, wishes=Wishes(native=native, targets="host" if native else None, **wishes))
+        parts[native] = folder / "Crane.ssp" if native or wishes else system()
+    return parts.values()
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
 @pytest.mark.parametrize("settings", [{}, {"crane.feedback": 0.0}, PUSHED], ids=["feedback", "feedforward", "pushed"])
 @pytest.mark.parametrize("h", [0.1, 0.01])
-def test_the_native_system_goes_where_the_one_in_python_goes(h, settings):
+@pytest.mark.parametrize("connected", ["snap", "velocity", "position"])
+def test_the_native_system_goes_where_the_one_in_python_goes(connected, h, settings):
     found = []
-    for file in (system(), native_system()):
+    for file in systems(connected):
         values = [SimpleNamespace(name=name, value=value) for name, value in settings.items()]
         with forgotten_modules(), warnings.catch_warnings():
             warnings.simplefilter("ignore", ResourceWarning)
@@ -324,8 +382,9 @@ def test_the_native_system_goes_where_the_one_in_python_goes(h, settings):
 @pytest.mark.skipif(not FULL, reason="make native")
 @pytest.mark.parametrize("h", [0.1, 0.01])
 @pytest.mark.parametrize("package", MASTERS)
-def test_other_masters_take_the_native_system_where_the_one_in_python_goes(package, h):
-    python, native = (places(package, file, round(15.0 / h), h) for file in (system(), native_system()))
+@pytest.mark.parametrize("connected", ["snap", "position"])
+def test_other_masters_take_the_native_system_where_the_one_in_python_goes(connected, package, h):
+    python, native = (places(package, file, round(15.0 / h), h) for file in systems(connected))
     assert np.abs(native - python).max() < 1e-9
 
 

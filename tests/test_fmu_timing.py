@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import servocore as sc
-from crane_fmu.slave.estimate import amplification, contradiction, estimated, first_sample, with_sample
+from crane_fmu.build.estimates import amplification, estimate_functions
+from crane_fmu.slave.estimate import contradiction, estimation
 from crane_fmu.slave.interface import ORDERS
 
 CRANE = sc.scenes.rotary_crane()
@@ -99,13 +102,23 @@ def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(co
     assert error("F", 0.01, connected) < 0.6 * error("F", 0.02, connected)
 
 
+@cache
+def estimator():
+    return estimation(estimate_functions(8))
+
+
 def estimates(times, path, order):
     """Return the estimated derivatives above one of a path of scalars or vectors at the last of some times."""
-    samples = first_sample(np.broadcast_to(path(times[0]), 3))
+
+    def told(time):
+        jet = np.zeros((5, 3))
+        jet[order] = path(time)
+        return jet.ravel()
+
+    (memory,) = estimator().begin(told(times[0]), order)
     for before, now in pairwise(times):
-        samples = with_sample(samples, np.broadcast_to(path(now), 3), now - before, order)
-        found, samples = estimated(samples, order)
-    return found
+        memory, found, _, known = estimator().follow(memory, told(now), now - before, 1.0, order)
+    return SimpleNamespace(rows=found.reshape(5, 3)[order + 1 :], is_known=known.item() == 1.0)
 
 
 @pytest.mark.parametrize("connected", ORDERS[:-1])

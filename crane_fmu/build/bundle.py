@@ -17,6 +17,7 @@ from pathlib import Path
 
 import servocore as sc
 from crane_fmu.build.compiled_step import compiled_feedback, compiled_steps
+from crane_fmu.build.estimates import estimate_functions
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions, feedback_text
 from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, Kind, Starts
 from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, PLANT_FILE, Interface, program_file
@@ -112,10 +113,11 @@ def collect(
     programs = [program_file(*route) for route in kind.to_machine_code]
     libraries = compiled_steps({name: files[name] for name in programs}, tell)
     if kind.has_feedback:
-        tell("compiling the feedback")
+        tell("compiling feedback and estimation")
         law = feedback_functions(sc.scenes.rotary_crane().model(LAW_MODEL))
-        files[FEEDBACK_FILE] = feedback_text(law)
-        libraries |= compiled_feedback(law, tell)
+        carried = law | estimate_functions(len(table.of("output")))
+        files[FEEDBACK_FILE] = feedback_text(carried)
+        libraries |= compiled_feedback(carried, tell)
     return Content(files, table, kind, libraries, path)
 
 

@@ -16,14 +16,14 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, shared_library
-from crane_fmu.slave.interface import FEEDBACK_FILE, INPUT_TIMES
+from crane_fmu.slave.interface import COMPILED, FEEDBACK_FILE
 from crane_fmu.slave.quick import usual_step
 
 _OPTIONS = "-O1 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
 
 
 def compiled_feedback(functions: Mapping[str, ca.Function], notice: Callable[[str], None]) -> dict[str, bytes]:
-    """Return a shared library with the feedback by its name in the bundle; empty where it cannot be made.
+    """Return a shared library with feedback and estimation by its name in the bundle; empty where it cannot be made.
 
     Parameters
     ----------
@@ -32,8 +32,8 @@ def compiled_feedback(functions: Mapping[str, ca.Function], notice: Callable[[st
     notice : callable
         Called with a sentence when the library is left out.
     """
-    laws = [functions[f"feedback_{time}"] for time in INPUT_TIMES]
-    return _libraries({FEEDBACK_FILE: lambda: laws}, notice)
+    chosen = [functions[name] for name in COMPILED]
+    return _libraries({FEEDBACK_FILE: lambda: chosen}, notice)
 
 
 def compiled_steps(programs: Mapping[str, str], notice: Callable[[str], None]) -> dict[str, bytes]:

@@ -71,7 +71,7 @@ _TERMS = 4  # of the matrix exponential's series: 1e-3 where a pendulum turns 1 
 
 
 def feedback_text(functions: Mapping[str, ca.Function]) -> str:
-    """Return the feedback for both input times as a text that an FMU carries; what they share is in it once."""
+    """Return functions as a text that an FMU carries; what they share is in it once."""
     packer = ca.StringSerializer()
     packer.pack(list(functions.values()))
     return json.dumps({"format": FEEDBACK_FORMAT, "names": list(functions), "functions": packer.encode()})

@@ -10,9 +10,11 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.bundle import Progress
+from crane_fmu.build.estimates import estimate_functions
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
 from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Starts
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN
+from crane_fmu.slave.estimate import in_motion, too_rough
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN, ORDERS
 
 _COORDINATES = "generalized"  # of the plant: without constraints
 _DISTANCE = 0.5  # m, from the path
@@ -69,7 +71,8 @@ def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path
     targets = wishes.targets
     tell("the trajectory")
     sc.export_trajectory(crane, files[0], line, fmi=2, targets=targets, tell=tell)
-    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, tell=tell)
+    estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
+    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, estimates=estimates, tell=tell)
     sc.export_plant(crane, files[2], plant, fmi=2, model=_COORDINATES, targets=targets, tell=tell)
     return files
 
@@ -84,6 +87,18 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         " all measured values connected; feedback = 0 does without",
         largest_turn=LARGEST_TURN,
         distance=_DISTANCE,
+    )
+
+
+def estimates_of(crane: sc.Scene, connected: str = ORDERS[-1]) -> sc.SampledEstimates:
+    """Return the estimation of what is not connected, also of the same functions; `connected` is the start value."""
+    outputs = len(crane.model().inputs) + len(crane.model().observables)
+    orders = range(len(ORDERS) - 1)
+    return sc.SampledEstimates(
+        functions=estimate_functions(outputs),
+        unknown=tuple(in_motion(each) for each in orders),
+        rough=tuple(too_rough(each) for each in orders),
+        start=ORDERS.index(connected),
     )
 
 

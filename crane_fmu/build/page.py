@@ -9,8 +9,8 @@ from pathlib import Path
 from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
+from crane_fmu.build.estimates import amplification
 from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Kind
-from crane_fmu.slave.estimate import amplification
 from crane_fmu.slave.interface import ORDERS, Causality, Variable
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")

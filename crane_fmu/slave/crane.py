@@ -12,16 +12,9 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once, required
+from crane_fmu.slave.calls import carried
 from crane_fmu.slave.checks import internal_steps, require_finite
-from crane_fmu.slave.estimate import (
-    SAMPLES,
-    Estimate,
-    Samples,
-    contradiction,
-    estimated,
-    first_sample,
-    with_sample,
-)
+from crane_fmu.slave.estimate import Estimation, contradiction, estimation, in_motion, too_rough
 from crane_fmu.slave.feedback import Feedback, fastest_pendulum, feedbacks
 from crane_fmu.slave.interface import (
     CRANE_PARAMETERS,
@@ -32,7 +25,7 @@ from crane_fmu.slave.interface import (
     ORDERS,
     program_file,
 )
-from crane_fmu.slave.motion import SHORTEST_STEP, Snapshot, advance, begin, told
+from crane_fmu.slave.motion import Snapshot, advance, begin, told
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
 from crane_fmu.slave.quick import QuickStep, quick_step
 from crane_fmu.slave.state import PlainState
@@ -40,11 +33,9 @@ from servocore import InvalidReference, InvalidSetting, Program
 
 _INPUTS = ROWS * DIMENSION
 _NOTHING_TOLD = [0.0] * _INPUTS
-_ACTUATORS, _S = 3, 4  # the first outputs are the actuators', the fifth is s
+_ACTUATORS = 3  # the first outputs are theirs
 _SETTING_NAMES = ("internal_step", "feedback", "feedback_distance", "limit.M_b", "limit.F", "limit.M_w")
 _SETTINGS = len(_SETTING_NAMES)
-_DOUBT = 0.05  # of the peak of M_b: a larger error of what is estimated is told
-_SLIGHT_TORQUE = 0.002  # of the load's weight times s: peaks below count as that much
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +50,8 @@ class CraneState(PlainState):
         Inputs of the crane: those of the motion, with feedback, within limits.
     heard : sequence of float
         The path's inputs of the last step, empty before the first.
-    samples : Samples or None
-        For the estimation of derivatives; None where nothing is estimated.
+    samples : ndarray or None
+        Memory of the estimation of derivatives; None where nothing is estimated.
     peak : float
         Largest |M_b| since derivatives are known, in N.m.
     memory : ndarray or None
@@ -76,7 +67,7 @@ class CraneState(PlainState):
     motion: Snapshot
     forces: Array
     heard: Sequence[float] = ()
-    samples: Samples | None = None
+    samples: Array | None = None
     peak: float = 0.0
     memory: Array | None = None
     is_far: bool = False
@@ -99,7 +90,7 @@ class CraneState(PlainState):
             motion=Snapshot.from_plain(plain["motion"]),
             forces=np.array(plain["forces"], dtype=float),
             heard=[float(each) for each in plain["heard"]],
-            samples=None if plain["samples"] is None else Samples.from_plain(plain["samples"]),
+            samples=None if plain["samples"] is None else np.array(plain["samples"], dtype=float),
             peak=float(plain["peak"]),
             memory=None if plain["memory"] is None else np.array(plain["memory"], dtype=float),
             is_far=bool(plain["is_far"]),
@@ -131,6 +122,7 @@ class Slave(TableSlave):
         self._program: Program | None = None
         self._quick: QuickStep | None = None
         self._law: Feedback | None = None
+        self._estimation: Estimation | None = None
         self._at_end = False
         self._order = ROWS - 1
         self._channels: list[int] = []
@@ -149,14 +141,15 @@ class Slave(TableSlave):
         self._channels = [names.index(self._interface.variables[k].name) for k in self._outputs]
         self._numbers = self._references(*program.parameters, *_SETTING_NAMES)
         text = self._folder / FEEDBACK_FILE
-        laws = load_once(text, partial(feedbacks, library=text.with_suffix(".so")))
+        laws, self._estimation = load_once(text, partial(_laws, library=text.with_suffix(".so")))
         self._law = laws[self._setting("input_time")]
         self._at_end, self._order, self._parameters = at_end, order, None
         self._program, self._quick = program, quick
 
     def _begin(self, time: float) -> CraneState:
         program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
-        samples = first_sample(self._highest(heard)) if self._order < ROWS - 1 else None
+        begin_estimates = required(self._estimation).begin
+        samples = begin_estimates(heard, self._order)[0] if self._order < ROWS - 1 else None
         settings = self._required_parameters()
         motion = begin(program, self._connected(heard), settings.p, time)
         return CraneState(motion, self._limited(motion, settings), samples=samples)
@@ -165,7 +158,8 @@ class Slave(TableSlave):
         program, motion = required(self._program), state.motion
         sizes = motion.state.size, motion.jet.shape, motion.values.size, state.forces.shape
         right = (program.state_size, (ROWS, DIMENSION), len(program.channels), (_ACTUATORS,))
-        estimates = (state.samples is not None) == (self._order < ROWS - 1)
+        none, samples = self._order == ROWS - 1, state.samples
+        estimates = none if samples is None else not none and samples.size == required(self._estimation).size
         return estimates and sizes == right and (state.memory is None or state.memory.size == required(self._law).size)
 
     # --- steps ----------------------------------------------------------------------------------------------------
@@ -178,19 +172,18 @@ class Slave(TableSlave):
         if not now.heard and heard == _NOTHING_TOLD:  # some masters pass connected values on after the first step only
             heard = motion.jet.ravel().tolist()
         said, is_odd = self._contradicted(now, heard, time)
-        jet, samples, estimate = heard, now.samples, None
+        jet, samples, doubt = heard, now.samples, None
         if samples is not None:
-            samples, estimate = self._estimated(samples, heard, h)
-            full = self._connected(heard)
-            full[self._order + 1 :] = estimate.rows
-            jet = full.ravel().tolist()
+            follow = required(self._estimation).follow
+            samples, estimate, error, known = follow(samples, heard, h, float(self._at_end), self._order)
+            jet, doubt = estimate.tolist(), error.item() if known.item() else math.inf
         count = internal_steps(settings.internal_step, h)
         quick = self._quick if count == 1 else None
         usual = quick(motion, jet, 0.0 if self._at_end else h, h, settings.p) if quick else None
         after = usual or self._unusual_step(motion, program, _matrix(jet), h, count, settings.p)
         forces, peak = self._limited(after, settings), now.peak
-        if estimate is not None:
-            peak, said = self._doubted(estimate, after, peak, said, time)
+        if doubt is not None:
+            peak, said = self._doubted(doubt, after, peak, said, time)
         memory, is_far = None, now.is_far
         if settings.share > 0.0 and any(self._reals[self._measured]):
             forces, memory, is_far, said = self._with_feedback(now, after, jet, h, settings, forces, said)
@@ -201,35 +194,17 @@ class Slave(TableSlave):
         )  # fmt: skip
         return state
 
-    def _estimated(self, samples: Samples, heard: Sequence[float], h: float) -> tuple[Samples, Estimate]:
-        """Return samples and derivatives with what is told for this step."""
-        elapsed = samples.age + h if self._at_end else samples.age
-        if h >= SHORTEST_STEP:
-            samples, elapsed = with_sample(samples, self._highest(heard), elapsed, self._order), 0.0
-        estimate, samples = estimated(samples, self._order)
-        return replace(samples, age=elapsed if self._at_end else elapsed + h), estimate
-
     def _doubted(
-        self, estimate: Estimate, after: Snapshot, peak: float, said: tuple[str, ...], time: float
+        self, error: float, after: Snapshot, peak: float, said: tuple[str, ...], time: float
     ) -> tuple[float, tuple[str, ...]]:
         """Return the peak of M_b, and tell once when what is estimated does not determine it well."""
-        above = f"derivatives above the load's {ORDERS[self._order]}"
-        if not estimate.is_known:
-            return peak, self._told(
-                said, "motion", time, f"the load starts in motion: {above} are known after {SAMPLES - self._order}"
-                " samples; until then M_b, F and M_w are not those of the path"
-            )  # fmt: skip
-        own = self._required_parameters().own
-        values = after.values[self._channels]
-        s, drop = values.item(_S), -after.jet.item(2) / (own.item(5) + after.jet.item(8))
-        peak = max(peak, abs(values.item(0)))
-        wrong = (own.item(0) / s + own.item(1) * s) * abs(drop) * estimate.snap_error
-        if wrong > _DOUBT * max(peak, _SLIGHT_TORQUE * own.item(2) * own.item(5) * s):
-            said = self._told(
-                said, "samples", time, f"{above} are estimated to {estimate.snap_error:.2g} m/s4 of snap only, worth"
-                f" {wrong:.2g} N.m of M_b, whose peak so far is {peak:.2g} N.m: the samples are too rough, or too far"
-                " apart; connect further derivatives, or lay a smooth path through the samples first"
-            )  # fmt: skip
+        if math.isinf(error):
+            return peak, self._told(said, "motion", time, in_motion(self._order))
+        own, values = self._required_parameters().own, after.values[self._channels]
+        worth = required(self._estimation).worth
+        peak, wrong, least = worth(error, after.jet.ravel(), values, own, peak)[0].tolist()
+        if wrong > least:
+            said = self._told(said, "samples", time, too_rough(self._order) % (error, wrong, peak))
         return peak, said
 
     def _unusual_step(self, now: Snapshot, program: Program, jet: Array, h: float, count: int, p: Array) -> Snapshot:
@@ -313,9 +288,6 @@ class Slave(TableSlave):
 
     # --- what the variables say ----------------------------------------------------------------------------------
 
-    def _highest(self, heard: Sequence[float]) -> tuple[float, ...]:
-        return tuple(heard[DIMENSION * self._order : DIMENSION * (self._order + 1)])
-
     def _connected(self, heard: Sequence[float]) -> Array:
         """Return the inputs as a jet without what is not connected."""
         jet = _matrix(heard)
@@ -338,6 +310,12 @@ def _with_quick_step(text: str, library: Path) -> tuple[Program, QuickStep | Non
     """Return a saved program with its quick step: both are made once in a process, for all instances."""
     program = Program.from_json(text)
     return program, quick_step(program, library)
+
+
+def _laws(text: str, library: Path) -> tuple[dict[str, Feedback], Estimation]:
+    """Return feedback by input time, and estimation."""
+    functions = carried(text, library)
+    return feedbacks(functions), estimation(functions)
 
 
 def _matrix(jet: Sequence[float]) -> Array:

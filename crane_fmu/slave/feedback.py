@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import math
-import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
-from crane_fmu.slave.interface import FEEDBACK_FORMAT, INPUT_TIMES
+from crane_fmu.slave.calls import Call, called
+from crane_fmu.slave.interface import INPUT_TIMES
 from crane_fmu.slave.paths import Array
-from servocore import InvalidSetting
-
-Call = Callable[..., list[Array]]
 
 
 @dataclass(frozen=True)
@@ -38,56 +32,13 @@ class Feedback:
     size: int
 
 
-def feedbacks(text: str, library: Path) -> dict[str, Feedback]:
-    """Return the feedback by input time.
-
-    Parameters
-    ----------
-    text : str
-        What the FMU carries.
-    library : Path
-        File with the same as machine code; without it, or where the system cannot load it, CasADi interprets the text.
-    """
-    plain = json.loads(text)
-    if plain.get("format") != FEEDBACK_FORMAT:
-        raise InvalidSetting("the FMU's feedback has another format than this slave reads")
-    functions = dict(zip(plain["names"], ca.StringDeserializer(plain["functions"]).unpack(), strict=True))
+def feedbacks(functions: Mapping[str, ca.Function]) -> dict[str, Feedback]:
+    """Return the feedback by input time."""
     found = {}
     for time in INPUT_TIMES:
         begin, follow = (functions[f"{name}_{time}"] for name in ("begin", "feedback"))
-        found[time] = Feedback(_call(begin), _call(_loaded(follow, library)), follow.numel_in(0))
+        found[time] = Feedback(called(begin), called(follow), follow.numel_in(0))
     return found
-
-
-def _loaded(function: ca.Function, library: Path) -> ca.Function:
-    if not (sys.platform == "linux" and library.is_file()):
-        return function
-    try:
-        compiled = ca.external(function.name(), str(library))
-    except Exception:  # made for another system: what CasADi raises is not documented
-        return function
-    sizes = [[each.numel_in(k) for k in range(each.n_in())] for each in (compiled, function)]
-    return compiled if sizes[0] == sizes[1] else function
-
-
-def _call(function: ca.Function) -> Call:
-    """Return a function of arrays, evaluated in arrays that are allocated once."""
-    buffer, evaluate = function.buffer()
-    arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
-    results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-    for k, each in enumerate(arguments):
-        buffer.set_arg(k, each.data)
-    for k, each in enumerate(results):
-        buffer.set_res(k, each.data)
-
-    def call(*given: Array | Sequence[float] | float) -> list[Array]:
-        for place, value in zip(arguments, given, strict=True):
-            place[:] = value
-        evaluate()
-        return [each.copy() for each in results]
-
-    call.keeps = buffer, function  # type: ignore[attr-defined]  # they must live as long
-    return call
 
 
 def fastest_pendulum(p: Sequence[float] | Array, length: float, lift: float) -> float:

@@ -51,11 +51,17 @@ FROM_FILE = "file"
 INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
 """Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
 
+SHORTEST_STEP = 1e-6
+"""Below this many seconds inputs from second differences drown in round-off: exact values are taken instead."""
+
 LARGEST_TURN = 1.0
 """Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
 
-FEEDBACK_FILE, FEEDBACK_FORMAT = "feedback.json", "servocore feedback 2"
-"""The file with the functions of the feedback, and how it begins."""
+FEEDBACK_FILE, FEEDBACK_FORMAT = "feedback.json", "servocore feedback 3"
+"""The file with the functions of feedback and estimation, and how it begins."""
+
+COMPILED = (*(f"feedback_{time}" for time in INPUT_TIMES), "estimate")
+"""Those of them that an FMU carries as machine code too: what a step needs."""
 
 
 def program_file(model: str, formulation: str) -> str:

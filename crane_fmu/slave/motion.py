@@ -13,15 +13,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crane_fmu.slave.interface import SHORTEST_STEP
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, taylor
 from crane_fmu.slave.state import PlainState
 from servocore import InconsistentStart, IntegrationFailed, Program
 
 JITTER = 1e-6
 """Relative change of the step up to which it counts as the same: hosts compute it from rounded times."""
-
-SHORTEST_STEP = 1e-6
-"""Below this many seconds inputs from second differences drown in round-off: exact values are taken instead."""
 
 _FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history of it
 

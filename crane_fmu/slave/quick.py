@@ -16,8 +16,8 @@ from struct import Struct
 import casadi as ca
 import numpy as np
 
-from crane_fmu.slave.interface import DIMENSION
-from crane_fmu.slave.motion import JITTER, SHORTEST_STEP, Snapshot
+from crane_fmu.slave.interface import DIMENSION, SHORTEST_STEP
+from crane_fmu.slave.motion import JITTER, Snapshot
 from crane_fmu.slave.paths import ROWS, Array, continued
 from servocore import Program
 

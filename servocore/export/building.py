@@ -16,6 +16,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
+from servocore.export.estimates import SampledEstimates
 from servocore.export.evaluated import Matrix, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
 from servocore.export.inverse_model import InverseModel, Mathematics
@@ -52,7 +53,12 @@ TERMINALS = {
 _ROUND_OFF = 1e-9  # of a limit on what moves: beyond it by less is on it
 
 
-def inverse_model(scene: Scene, model: str | None = None, feedback: SampledFeedback | None = None) -> InverseModel:
+def inverse_model(
+    scene: Scene,
+    model: str | None = None,
+    feedback: SampledFeedback | None = None,
+    estimates: SampledEstimates | None = None,
+) -> InverseModel:
     """Analyse and compile a scene for export.
 
     Parameters
@@ -63,6 +69,8 @@ def inverse_model(scene: Scene, model: str | None = None, feedback: SampledFeedb
         Model of the scene; its smallest when not given.
     feedback : SampledFeedback, optional
         For scenes without internal dynamics.
+    estimates : SampledEstimates, optional
+        Of derivatives of the path that are not connected; for the same scenes.
 
     Raises
     ------
@@ -85,8 +93,9 @@ def inverse_model(scene: Scene, model: str | None = None, feedback: SampledFeedb
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
     variables = tuple(_variables(problem, compiled, scene.tracked, home, feedback))
-    if feedback is not None and compiled.state_size:
-        raise InvalidModel(f"{scene.name} cannot have a feedback: its inputs are stepped, not found at every instant")
+    if (feedback or estimates) and compiled.state_size:
+        what = "a feedback" if feedback else "estimated derivatives"
+        raise InvalidModel(f"{scene.name} cannot have {what}: its inputs are stepped, not found at every instant")
     return InverseModel(
         identifier=identifier,
         title=scene.name,
@@ -95,14 +104,18 @@ def inverse_model(scene: Scene, model: str | None = None, feedback: SampledFeedb
         f" {', '.join(each.name for each in system.inputs)} that make {', '.join(each.name for each in system.outputs)}"
         " follow a path",
         kernel="inverse",
-        own=_own(compiled, len(system.outputs), feedback),
-        functions={**compiled.functions, **(feedback.functions(identifier) if feedback else {})},
+        own=_own(compiled, len(system.outputs), feedback) | {"estimates": estimates.own() if estimates else None},
+        functions={
+            **compiled.functions,
+            **(feedback.functions(identifier) if feedback else {}),
+            **(estimates.renamed(identifier) if estimates else {}),
+        },
         variables=variables,
-        choices=(INPUT_TIME,),
+        choices=(INPUT_TIME, *((estimates.choice,) if estimates else ())),
         outputs=compiled.outputs,
         limits=compiled.limits,
         depends=_with_measured(compiled, feedback),
-        differentiable=feedback is None,
+        differentiable=not (feedback or estimates),
         terminals=TERMINALS,
         mathematics=compiled,
         components=len(system.outputs),

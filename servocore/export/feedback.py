@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from servocore.export.generated import renamed
 from servocore.export.variables import INPUT_TIME
 from servocore.model.quantity import Quantity
 
@@ -49,7 +50,7 @@ class SampledFeedback:
         """Return all functions by name, called as in C."""
         names = [f"{each}_{time}" for time, _ in INPUT_TIME.items for each in ("begin", "feedback")]
         found = {**{name: self.laws[name] for name in names}, "judge": self.judge}
-        return {name: _renamed(each, f"{identifier}_{name}") for name, each in found.items()}
+        return {name: renamed(each, f"{identifier}_{name}") for name, each in found.items()}
 
     def own(self) -> dict[str, object]:
         """Return what the kernel needs to know."""
@@ -61,8 +62,3 @@ class SampledFeedback:
             "largest_turn": self.largest_turn,
             "not_measured": self.not_measured,
         }
-
-
-def _renamed(function: ca.Function, name: str) -> ca.Function:
-    arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
-    return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])

@@ -10,6 +10,7 @@ from pathlib import Path
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
 from servocore.export.description import build_description, fmi2_description, fmi3_description, terminals
+from servocore.export.estimates import SampledEstimates
 from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
 from servocore.export.page import documentation
@@ -34,6 +35,7 @@ def export_fmu(
     model: str | None = None,
     targets: str | None = None,
     feedback: SampledFeedback | None = None,
+    estimates: SampledEstimates | None = None,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -53,6 +55,8 @@ def export_fmu(
         all where the package ziglang is installed, else this machine's own.
     feedback : SampledFeedback, optional
         A law that corrects the inputs by what is measured.
+    estimates : SampledEstimates, optional
+        What estimates derivatives of the path that are not connected.
     tell : callable
         Told what is being done.
 
@@ -77,7 +81,7 @@ def export_fmu(
     require_scene(scene, "export_fmu")
     require_built(path, targets, fmi)
     tell("analysing")
-    return written(inverse_model(scene, model, feedback), path, fmi, targets, tell)
+    return written(inverse_model(scene, model, feedback, estimates), path, fmi, targets, tell)
 
 
 def export_plant(

@@ -20,6 +20,12 @@ def c_source(name: str, functions: Iterable[ca.Function]) -> tuple[str, str]:
     return header, source
 
 
+def renamed(function: ca.Function, name: str) -> ca.Function:
+    """Return a function by another name, with results that have all their numbers."""
+    arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]
+    return ca.Function(name, arguments, [ca.densify(each) for each in function.call(arguments)])
+
+
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
     """Return how much working memory the largest of some functions takes, by kind."""
     sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}

@@ -160,7 +160,7 @@ static void one_call(fmi2Component c)
     case 2: fmi2GetReal(c, &reference, 1, &found); break;
     case 3: {
         const fmi2ValueReference choice = NUMBERS + chance(N_CHOICES);
-        const fmi2Integer when = (fmi2Integer)chance(4);
+        const fmi2Integer when = (fmi2Integer)chance(7);
         fmi2SetInteger(c, &choice, 1, &when);
         break;
     }
@@ -210,6 +210,13 @@ int main(int count, char **words)
         for (uint32_t i = 0; i < many; i++) fmi2FreeInstance(instances[i]);
     }
     c = fmi2Instantiate("long", fmi2CoSimulation, INSTANTIATION_TOKEN, "", &callbacks, fmi2False, fmi2False);
+#if HAS_ESTIMATES
+    {
+        const fmi2ValueReference connected = NUMBERS + CONNECTED;
+        const fmi2Integer position = ORDERS;
+        fmi2SetInteger(c, &connected, 1, &position);
+    }
+#endif
     fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
     fmi2EnterInitializationMode(c);
     fmi2ExitInitializationMode(c);

@@ -28,6 +28,10 @@
 #define FIRST_INTERNAL (FIRST_PARAMETER + N_PARAMETERS + N_SETTINGS)
 #define N_NUMBERS (FIRST_INTERNAL + N_INTERNAL)
 
+#ifndef N_KEPT
+#define N_KEPT 0                  /* numbers that only some kernels keep beside a moment: too many to be copied with it */
+#endif
+
 #if N_INPUTS > 0
 #define AT_START_OF_STEP(state) ((state)->choices[INPUT_TIME] == AT_START)
 #else
@@ -51,6 +55,7 @@ typedef struct {
     double parameters[AT_LEAST_1(N_PARAMETERS + N_SETTINGS)];
     double step;                  /* the last one, in s */
     double stop;                  /* end of the experiment, in s */
+    double kept[AT_LEAST_1(N_KEPT)];
     Moment now, before;
 } State;
 
@@ -61,6 +66,8 @@ struct Instance {
     State state;
     double told_inputs[AT_LEAST_1(N_INPUTS)]; /* those of the step that is being taken */
     Moment work;                  /* where steps are taken, so that one that fails leaves no trace */
+    double to_keep[AT_LEAST_1(N_KEPT)];
+    int keeps;                    /* whether a step has written them */
     Work scratch;
     const double *arguments[SCRATCH_ARGUMENTS];
     double *results[SCRATCH_RESULTS];
@@ -234,6 +241,14 @@ static void keep_turning(Moment *moment, const Moment *before)
         }
 }
 
+/* Make what has been worked out the present. */
+static void accept(Instance *instance)
+{
+    instance->state.now = instance->work;
+    if (instance->keeps) memcpy(instance->state.kept, instance->to_keep, sizeof instance->to_keep);
+    instance->keeps = 0;
+}
+
 /* Compute outputs from the inputs as they are, where that is still to be done: before the first step. */
 static Outcome refresh(Instance *instance)
 {
@@ -244,9 +259,11 @@ static Outcome refresh(Instance *instance)
     if (outcome != GOOD) return outcome;
     memset(&instance->work, 0, sizeof instance->work);
     instance->work.time = state->now.time;
+    instance->keeps = 0;
     outcome = first_moment(instance);
     if (outcome != GOOD) return outcome;
-    state->now = state->before = instance->work;
+    state->before = instance->work;
+    accept(instance);
     memcpy(state->heard, state->inputs, sizeof state->heard);
     state->due = 0;
     return GOOD;
@@ -272,13 +289,14 @@ static Outcome do_step(Instance *instance, double time, double h)
         outcome = require_finite_inputs(instance, AT_START_OF_STEP(state) ? time : time + h);
     if (outcome != GOOD) return outcome;
     instance->work = state->now;
+    instance->keeps = 0;
     take_inputs(instance);
     outcome = move(instance, time, h);
     if (outcome > WARNING) return outcome;
     remark = remark_step(instance, time);
     if (outcome == WARNING) remark = WARNING;
     state->before = state->now;
-    state->now = instance->work;
+    accept(instance);
     memcpy(state->earlier, state->heard, sizeof state->earlier);
     memcpy(state->heard, instance->told_inputs, sizeof state->heard);
     state->step = h;

@@ -19,6 +19,9 @@ typedef struct {
     double memory[N_MEMORY];      /* of the feedback */
     int64_t remembers, is_far;    /* whether it has a memory, or is left out because the plant is far from its path */
 #endif
+#if HAS_ESTIMATES
+    double peak;                  /* of what the error of estimates is compared with */
+#endif
 } Moment;
 
 typedef struct {
@@ -26,6 +29,10 @@ typedef struct {
     double next[AT_LEAST_1(N_STATE)], state_seed[AT_LEAST_1(N_STATE)], next_seed[AT_LEAST_1(N_STATE)];
 #if HAS_FEEDBACK
     double memory[N_MEMORY], drives[N_DRIVES];
+#endif
+#if HAS_ESTIMATES
+    double told[N_PATH];          /* with what is estimated */
+    double error, known, worth[3];
 #endif
 } Work;
 
@@ -37,6 +44,11 @@ typedef struct {
 
 /* Where the moves of the internal states stand among the parameters. */
 #define STARTS(parameters) ((parameters) + N_PARAMETERS + (N_SETTINGS > 0))
+
+static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
+{
+    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
+}
 
 /* Outputs and state at an instant from the path alone. Returns 0 where the equations are not solved. */
 static int solve_instant(Instance *instance, Moment *moment)
@@ -119,19 +131,108 @@ static Outcome checked_moment(const Instance *instance, const Moment *moment, in
     return require_branch(instance, moment, time);
 }
 
-/* Tell once if the path moves where all its derivatives say that it rests. */
-static Outcome remark_step(Instance *instance, double time)
+/* Estimated derivatives ----------------------------------------------------------------------------------------------- */
+
+#if HAS_ESTIMATES
+#define ALL_CONNECTED 1 /* item of connected; the next ones are one derivative less each */
+#define ORDERS_TOLD(state) (ORDERS + ALL_CONNECTED - (size_t)(state)->choices[CONNECTED])
+
+/* Remember the first sample, and leave out of the path what is not connected. */
+static void begin_samples(Instance *instance, double *path)
+{
+    const size_t told = ORDERS_TOLD(&instance->state);
+    const double order = (double)told - 1.0;
+    if (told == ORDERS) return;
+    memset(path + COMPONENTS * told, 0, (N_PATH - COMPONENTS * told) * sizeof *path);
+    instance->arguments[0] = path;
+    instance->arguments[1] = &order;
+    instance->results[0] = instance->to_keep;
+    call(instance, MATHEMATICS(first_samples));
+    instance->keeps = 1;
+}
+
+/* The path as it is told, with estimates of what is not connected. */
+static const double *completed(Instance *instance, double h)
+{
+    const State *state = &instance->state;
+    const double order = (double)ORDERS_TOLD(state) - 1.0, at_end = state->choices[INPUT_TIME] == AT_END;
+    Work *scratch = &instance->scratch;
+    scratch->worth[1] = scratch->worth[2] = 0.0;
+    scratch->known = 1.0;
+    if (state->choices[CONNECTED] == ALL_CONNECTED) return instance->told_inputs;
+    instance->arguments[0] = state->kept;
+    instance->arguments[1] = instance->told_inputs;
+    instance->arguments[2] = &h;
+    instance->arguments[3] = &at_end;
+    instance->arguments[4] = &order;
+    instance->results[0] = instance->to_keep;
+    instance->results[1] = scratch->told;
+    instance->results[2] = &scratch->error;
+    instance->results[3] = &scratch->known;
+    call(instance, MATHEMATICS(estimate));
+    instance->keeps = 1;
+    return scratch->told;
+}
+
+/* Compare the error of what is estimated with what it is worth in the outputs that follow from the path. */
+static void judge_estimates(Instance *instance)
+{
+    Moment *work = &instance->work;
+    Work *scratch = &instance->scratch;
+    if (!instance->keeps || !(scratch->known > 0.0)) return;
+    instance->arguments[0] = &scratch->error;
+    instance->arguments[1] = work->path;
+    instance->arguments[2] = work->outputs;
+    instance->arguments[3] = instance->state.parameters;
+    instance->arguments[4] = &work->peak;
+    instance->results[0] = scratch->worth;
+    call(instance, MATHEMATICS(worth));
+    work->peak = scratch->worth[0];
+}
+
+/* Tell once that there are too few samples, and once that they are too rough. */
+static Outcome remark_estimates(Instance *instance, double time)
 {
     State *state = &instance->state;
+    const Work *scratch = &instance->scratch;
+    const size_t order = ORDERS_TOLD(state) - 1;
+    if (!(scratch->known > 0.0) && !(state->warned >> 4 & 1)) {
+        state->warned |= 1 << 4;
+        return say(instance, WARNING, UNKNOWN[order], time);
+    }
+    if (scratch->worth[1] > scratch->worth[2] && !(state->warned >> 5 & 1)) {
+        state->warned |= 1 << 5;
+        return say(instance, WARNING, ROUGH[order], time, scratch->error, scratch->worth[1], scratch->worth[0]);
+    }
+    return GOOD;
+}
+#else
+#define ORDERS_TOLD(state) ((size_t)ORDERS)
+#endif
+
+/* Tell once if the path moves where all its derivatives say that it rests. */
+static Outcome remark_path(Instance *instance, double time)
+{
+    State *state = &instance->state;
+    const size_t told = COMPONENTS * ORDERS_TOLD(state);
     int moved = 0;
-    if (state->warned & 1 || state->steps == 0) return GOOD;
+    if (state->warned & 1 || state->steps == 0 || told == COMPONENTS) return GOOD;
     for (size_t k = 0; k < COMPONENTS; k++) moved |= instance->told_inputs[k] != state->heard[k];
     if (!moved) return GOOD;
-    for (size_t k = COMPONENTS; k < N_PATH; k++)
+    for (size_t k = COMPONENTS; k < told; k++)
         if (instance->told_inputs[k] != 0.0 || state->heard[k] != 0.0) return GOOD;
     state->warned |= 1;
     return say(instance, WARNING, "at t = %.6g s the path moves, but all its derivatives are zero (%s and further):"
                " they have to be connected too", time, VARIABLES[COMPONENTS].name);
+}
+
+static Outcome remark_step(Instance *instance, double time)
+{
+    const Outcome outcome = remark_path(instance, time);
+#if HAS_ESTIMATES
+    if (remark_estimates(instance, time) != GOOD) return WARNING;
+#endif
+    return outcome;
 }
 
 /* Feedback -------------------------------------------------------------------------------------------------------------- */
@@ -148,11 +249,6 @@ static void within_limits(const Instance *instance, double *outputs)
     for (size_t k = 0; k < N_DRIVES; k++) outputs[k] = fmin(fmax(outputs[k], -most[k]), most[k]);
 }
 
-static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
-{
-    return function(instance->arguments, instance->results, instance->integers, instance->numbers, 0);
-}
-
 /* Say why there is no feedback in this step, once; the outputs are the feedforward then. */
 static Outcome left_out(Instance *instance, int topic, const char *format, double time, double value, double limit)
 {
@@ -165,12 +261,12 @@ static Outcome left_out(Instance *instance, int topic, const char *format, doubl
 }
 
 /* Replace the drives' outputs of a step by those with feedback on what is measured. */
-static Outcome with_feedback(Instance *instance, double time, double h)
+static Outcome with_feedback(Instance *instance, const double *told, double time, double h)
 {
     const State *state = &instance->state;
     const double *p = state->parameters, *measured = state->inputs + N_PATH;
     const int at_end = state->choices[INPUT_TIME] == AT_END;
-    const double *before = at_end ? state->now.path : instance->told_inputs;
+    const double *before = at_end ? state->now.path : told;
     Moment *work = &instance->work;
     Work *scratch = &instance->scratch;
     double feedforward[N_DRIVES], judged[3] = {0.0, NAN, NAN}, *found = scratch->drives;
@@ -206,7 +302,7 @@ static Outcome with_feedback(Instance *instance, double time, double h)
         call(instance, at_end ? MATHEMATICS(begin_end) : MATHEMATICS(begin_start));
     }
     instance->arguments[0] = work->memory;
-    instance->arguments[1] = instance->told_inputs;
+    instance->arguments[1] = told;
     instance->arguments[2] = before;
     instance->arguments[3] = measured;
     instance->arguments[4] = state->now.outputs; /* the drives' come first */
@@ -242,6 +338,9 @@ static Outcome first_moment(Instance *instance)
     Moment *work = &instance->work;
     Outcome outcome;
     memcpy(work->path, instance->state.inputs, sizeof work->path);
+#if HAS_ESTIMATES
+    begin_samples(instance, work->path);
+#endif
     outcome = checked_moment(instance, work, solve_instant(instance, work), work->time);
     if (outcome == GOOD) within_limits(instance, work->outputs);
     return outcome;
@@ -286,16 +385,24 @@ static Outcome move(Instance *instance, double time, double h)
     const State *state = &instance->state;
     Moment *work = &instance->work;
     Outcome outcome;
+#if HAS_ESTIMATES
+    const double *told = completed(instance, h);
+#else
+    const double *told = instance->told_inputs;
+#endif
     if (state->choices[INPUT_TIME] == AT_START)
-        continued(instance->told_inputs, h, work->path);
+        continued(told, h, work->path);
     else
-        memcpy(work->path, instance->told_inputs, sizeof work->path);
+        memcpy(work->path, told, sizeof work->path);
     work->time = time + h;
     outcome = checked_moment(instance, work, solve_instant(instance, work), time + h);
     if (outcome != GOOD) return outcome;
     keep_turning(work, &state->now);
+#if HAS_ESTIMATES
+    judge_estimates(instance);
+#endif
 #if HAS_FEEDBACK
-    return with_feedback(instance, time, h);
+    return with_feedback(instance, told, time, h);
 #else
     return GOOD;
 #endif
