@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects pictures clean
+.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects pictures docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -88,12 +88,17 @@ jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (som
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
 
+docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples (two minutes)
+	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b html docs build/docs
+	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b doctest -d build/docs/.doctrees docs build/doctest
+	@echo "The site is build/docs/index.html."
+
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
 	$(BIN)/python docs/draw_icon.py
 
 clean:  ## remove everything that was made but .venv
-	rm -rf build dist "$(OUT)" .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks *.fmu
+	rm -rf build dist docs/gallery docs/api/generated docs/sg_execution_times.rst "$(OUT)" .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks *.fmu
 	find servocore crane_fmu tests benchmarks docs examples -name __pycache__ -prune -exec rm -rf {} +
 
 # The environment. It is made once and brought up to date when pyproject.toml changes.

@@ -2,7 +2,8 @@
 
 >>> import servocore as sc
 >>> solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
->>> solution["M_b"], solution.unit("M_b")
+>>> solution["M_b"].shape, solution.unit("M_b")
+((201,), 'N.m')
 """
 
 from servocore import scenes

@@ -180,8 +180,9 @@ class Problem:
 
     Examples
     --------
-    >>> problem = Problem.of(crane)
-    >>> problem.signature.index, problem.dae(Projected()).index
+    >>> import servocore as sc
+    >>> problem = sc.Problem.of(sc.scenes.rotary_crane())
+    >>> problem.signature.index, problem.dae(sc.Projected()).index
     (5, 3)
     """
 

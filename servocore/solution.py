@@ -24,9 +24,9 @@ class Statistics:
     worst_residual : float
         Largest residual of any equation, scaled by the step size to the level of accelerations.
     servo_violation, servo_rate_violation : float
-        Largest |c| in the unit of the outputs, and largest |dc/dt|.
+        Largest ``|c|`` in the unit of the outputs, and largest ``|dc/dt|``.
     constraint_violation, constraint_rate_violation : float
-        Largest |g| and |dg/dt|.
+        Largest ``|g|`` and ``|dg/dt|``.
     rejected : int
         Steps that error control took back.
     error_estimate : float or None

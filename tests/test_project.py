@@ -150,6 +150,21 @@ def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name):
     assert f"`{name}`" in (DOCS / "scenes.md").read_text(encoding="utf-8")
 
 
+def test_every_public_name_has_its_place_in_the_api_reference():
+    pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.rst"))
+    listed = re.findall(r"^(?:   |\.\. autodata:: )(?:servocore\.)?(?:scenes\.)?(\w+)$", pages, re.MULTILINE)
+    assert set(sc.__all__).union(sc.scenes.REGISTRY) - set(listed) == {"scenes"}
+    assert [name for name in set(listed) if listed.count(name) > 1] == []
+
+
+def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site():
+    stories = sorted((ROOT / "examples").glob("story_*.py"))
+    assert len(stories) >= 8
+    for story in stories:
+        title, line = story.read_text(encoding="utf-8").splitlines()[1:3]
+        assert line == "=" * len(title), f"{story.name}: the title is not underlined"
+
+
 # Pages ---------------------------------------------------------------------------------------------------------------
 
 
@@ -187,6 +202,7 @@ def test_links_of_a_page_lead_somewhere(page):
 def test_the_index_names_every_page():
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name != "index.md"]
+    pages = [page for page in pages if not page.startswith("site/")]  # nothing of their own: what only the site shows
     assert [page for page in pages if f"({page})" not in index] == []
 
 

@@ -76,7 +76,9 @@ def export_fmu(
 
     Examples
     --------
-    >>> export_fmu(crane, "crane.fmu", fmi=2, targets="host")
+    >>> import servocore as sc
+    >>> sc.export_fmu(sc.scenes.rotary_crane(), "crane.fmu", fmi=2, targets="host").name
+    'crane.fmu'
     """
     require_scene(scene, "export_fmu")
     require_built(path, targets, fmi)

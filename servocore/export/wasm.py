@@ -66,7 +66,9 @@ def export_wasm(scene: Scene, path: str | Path, *, model: str | None = None) -> 
 
     Examples
     --------
-    >>> export_wasm(crane, "crane.wasm")
+    >>> import servocore as sc
+    >>> sc.export_wasm(sc.scenes.rotary_crane(), "crane.wasm").name
+    'crane.wasm'
     """
     file = require_module(path)
     write_together({file: wasm_module(scene, model), loader_beside(file): (SHARED / LOADER).read_bytes()})

@@ -70,7 +70,12 @@ class Potential(ca.SX):
     --------
     A spring of stiffness c and free length l0 between two points a and b:
 
-    >>> Potential(weight, [(lambda x: c / 2 * (ca.sqrt(x) - l0) ** 2, ca.sumsqr(b - a))])
+    >>> import casadi as ca
+    >>> import servocore as sc
+    >>> a, b, c, l0 = ca.SX.sym("a", 3), ca.SX.sym("b", 3), 100.0, 0.5
+    >>> spring = sc.Potential(0.0, [(lambda x: c / 2 * (ca.sqrt(x) - l0) ** 2, ca.sumsqr(b - a))])
+    >>> len(spring.stored)
+    1
     """
 
     def __init__(self, quadratic: ca.SX | float, stored: Sequence[tuple[Energy, ca.SX]] = ()) -> None:

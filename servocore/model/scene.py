@@ -165,7 +165,11 @@ class Scene:
 
         Examples
         --------
-        >>> crane.with_effects("friction", "flexible bridge").with_parameters(bridge_frequency=2.0)
+        >>> import servocore as sc
+        >>> crane = sc.scenes.rotary_crane().with_effects("friction", "flexible bridge")
+        >>> crane = crane.with_parameters(bridge_frequency=2.0)
+        >>> sc.analyse(crane).index
+        7
         """
         effects = self.effects.with_(names, (without,) if isinstance(without, str) else without)
         changed = replace(
@@ -193,7 +197,11 @@ class Scene:
 
         Examples
         --------
-        >>> crane.with_limits(F=60, M_w=(-104, -92), swing="5 deg", **{"s.rate": 1.2, "F.rate": 200})
+        >>> import servocore as sc
+        >>> crane = sc.scenes.rotary_crane()
+        >>> crane = crane.with_limits(F=60, M_w=(-104, -92), swing="5 deg", **{"s.rate": 1.2, "F.rate": 200})
+        >>> sc.solve(crane, step=0.1).margins["F"].left > 0
+        True
         """
         model = self.model()
         given = tuple(limit_named(model, name, each) for name, each in bounds.items() if each is not None)

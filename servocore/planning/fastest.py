@@ -83,8 +83,12 @@ def fastest(
 
     Examples
     --------
-    >>> path, report = sc.fastest(crane, [(5, 0, -5), (-2, 2, -2)], {"M_b": 1000, "F": 60, "swing": "5 deg"})
-    >>> sc.solve(crane.with_reference(path))
+    >>> import servocore as sc
+    >>> crane, limits = sc.scenes.rotary_crane(), {"M_b": 1000, "F": 60, "swing": "5 deg"}
+    >>> path, report = sc.fastest(crane, [(5, 0, -5), (-2, 2, -2)], limits, smooth=False)
+    >>> report.duration < 20.0
+    True
+    >>> solution = sc.solve(crane.with_reference(path).with_limits(**limits))
     """
     require_scene(scene, "fastest")
     if not (isinstance(intervals, int) and intervals >= 4 and intervals % 2 == 0):

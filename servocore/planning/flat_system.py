@@ -55,9 +55,14 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
 
     Examples
     --------
+    >>> import control
+    >>> import servocore as sc
     >>> crane = sc.to_control(sc.scenes.rotary_crane())
     >>> start, end = (crane.reverse([[x, 0, 0, 0, 0] for x in r]) for r in ((5, 0, -5), (-2, 2, -2)))
     >>> plan = control.flatsys.point_to_point(crane, [0, 20], *start, *end, basis=control.flatsys.PolyFamily(10))
+    >>> states, inputs = plan.eval([0.0, 10.0, 20.0])
+    >>> inputs.shape
+    (3, 3)
     """
     flatsys = _flatsys()
     require_scene(scene, "to_control")

@@ -104,8 +104,10 @@ def sensitivities(
 
     Examples
     --------
-    >>> found = sc.sensitivities(crane, wrt=("load_mass",))
-    >>> found["F", "load_mass"]
+    >>> import servocore as sc
+    >>> found = sc.sensitivities(sc.scenes.rotary_crane(), wrt=("load_mass",))
+    >>> found["F", "load_mass"].shape == found.t.shape
+    True
     """
     require_scene(scene, "sensitivities")
     problem = Problem.of(scene, model)

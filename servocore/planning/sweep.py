@@ -103,8 +103,12 @@ def sweep(
 
     Examples
     --------
-    >>> found = sc.sweep(crane, {"load_mass": np.linspace(50, 150, 100), "duration": np.linspace(10, 30, 50)})
-    >>> found.peak_M_b.sel(load_mass=100, method="nearest").plot()
+    >>> import numpy as np
+    >>> import servocore as sc
+    >>> crane = sc.scenes.rotary_crane()
+    >>> found = sc.sweep(crane, {"load_mass": np.linspace(50, 150, 11), "duration": np.linspace(10, 30, 5)})
+    >>> found.peak_M_b.sel(load_mass=100).dims
+    ('duration',)
     """
     swept = settled(scene, parameters, references, limits, instants, inputs, model)
     if executor is not None and distributed is not None:

@@ -37,7 +37,7 @@ def through(
     """Smooth path through waypoints, from rest to rest.
 
     The spline of degree 2 k + 1, k = `rest_order`, with knots at the waypoints: C^(2 k) between start and end,
-    where derivatives 1 to k vanish; of all such curves, it has the least integral of |gamma^(k + 1)|^2. Between
+    where derivatives 1 to k vanish; of all such curves, it has the least integral of ``|gamma^(k + 1)|^2``. Between
     two waypoints alone it is `rest_to_rest` with a polynomial of that degree, `DEGREE9` for k = 4. Before the
     start and after the end it rests. It does not stop at inner waypoints, and may swing out where neighbouring
     legs differ much in speed: choose times accordingly.

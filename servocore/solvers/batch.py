@@ -52,7 +52,9 @@ class Batch:
 
     Examples
     --------
-    >>> batch = Batch(crane, ("M_b", "F", "l"))
+    >>> import numpy as np
+    >>> import servocore as sc
+    >>> batch = sc.Batch(sc.scenes.rotary_crane(), ("M_b", "F", "l"))
     >>> values = batch(np.linspace(0.0, 20.0, 201), parameters={"load_mass": np.linspace(50.0, 150.0, 1000)})
     >>> values.shape
     (1000, 201, 3)

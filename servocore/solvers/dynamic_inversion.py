@@ -65,8 +65,11 @@ class DynamicInversion:
 
     Examples
     --------
-    >>> inputs = DynamicInversion(arm, tolerance=1e-6)
-    >>> table = inputs(np.linspace(0.0, 2.0, 201))
+    >>> import numpy as np
+    >>> import servocore as sc
+    >>> inputs = sc.DynamicInversion(sc.scenes.passive_joint_arm(), tolerance=1e-6)
+    >>> inputs(np.linspace(0.0, 2.0, 201)).shape
+    (201, 1)
     """
 
     def __init__(

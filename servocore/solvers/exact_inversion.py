@@ -210,9 +210,12 @@ class ExactInversion:
 
     Examples
     --------
-    >>> inputs = ExactInversion(crane)
+    >>> import numpy as np
+    >>> import servocore as sc
+    >>> inputs = sc.ExactInversion(sc.scenes.rotary_crane())
     >>> M_b, F, M_w = inputs(3.2)
-    >>> table = inputs(np.linspace(0.0, 20.0, 201))
+    >>> inputs(np.linspace(0.0, 20.0, 201)).shape
+    (201, 3)
     """
 
     def __init__(self, scene: Scene, model: str | None = None, *, native: bool | None = None) -> None:

@@ -64,7 +64,7 @@ class Program:
     step : casadi.Function
         (state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual).
     observe : casadi.Function
-        (state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): the latter |c|, |c'|, |g|, |g'|.
+        (state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): the latter ``|c|, |c'|, |g|, |g'|``.
     margins : casadi.Function
         (gamma (m, `start_order` + 1), p) -> how far each limit of the scene is, positive where it is kept.
     guess_residual : casadi.Function

@@ -39,7 +39,9 @@ class Stepper:
 
     Examples
     --------
-    >>> stepper = Stepper(crane, Projected(), BackwardEuler(), step=0.01)
+    >>> import servocore as sc
+    >>> crane = sc.scenes.rotary_crane()
+    >>> stepper = sc.Stepper(crane, sc.Projected(), sc.BackwardEuler(), step=0.01)
     >>> state, report = stepper.start(crane.reference.jet(0.0, stepper.start_order))
     >>> state, report = stepper.advance(state, crane.reference.jet(0.01, stepper.start_order))
     """
