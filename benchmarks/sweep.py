@@ -83,8 +83,8 @@ def in_memory(pool: Executor, call: Callable[[Rows], Times], loads: np.ndarray, 
 def swept_into_a_store(varied: dict[str, np.ndarray]) -> Times:
     """Sweep the cases into a store."""
     with tempfile.TemporaryDirectory() as folder:
-        kept = {"limits": LIMITS, "instants": INSTANTS, "native": True}
-        return timed(lambda: sc.sweep(sc.scenes.rotary_crane(), varied, store=Path(folder) / "s.zarr", **kept))
+        crane, store = sc.scenes.rotary_crane(), Path(folder) / "s.zarr"
+        return timed(lambda: sc.sweep(crane, varied, limits=LIMITS, instants=INSTANTS, native=True, store=store))
 
 
 def main() -> None:

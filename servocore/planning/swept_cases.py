@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TypeVar
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,8 @@ from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
 from servocore.problem import Problem
 from servocore.solvers.batch import compile_reading
 from servocore.stepping.observation import observed
+
+_Expression = TypeVar("_Expression", ca.SX, ca.MX)
 
 SWING = "swing"
 """The observable whose peak is told beside those of the inputs, where a model has it."""
@@ -113,7 +116,10 @@ def _in_time(function: ca.Function) -> ca.Function:
 
     Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
     """
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    return _stretched(function, ca.SX) if function.is_a("SXFunction") else _stretched(function, ca.MX)
+
+
+def _stretched(function: ca.Function, kind: type[_Expression]) -> ca.Function:
     gamma, given = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
     rate, powers = 1.0 / given[0], [kind(1.0)]
     for _ in range(gamma.size2() - 1):
