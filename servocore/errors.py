@@ -50,6 +50,7 @@ _EXTRAS = {
     "jinja2": "fmu",
     "markdown_it": "fmu",
     "matplotlib": "report",
+    "pandas": "sweep",
     "pythonfmu": "fmu",
     "xarray": "sweep",
     "zarr": "sweep",

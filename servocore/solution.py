@@ -6,11 +6,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from servocore.files import csv_text, write_together
 from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array
+from servocore.presentation import Curve, data_frame, dataset, figure_of, html_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)
@@ -126,7 +130,7 @@ class Margin:
 NOTHING_KNOWN = ErrorEstimate({}, {}, "nobody compared these values with better ones")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """Trajectories by name.
 
@@ -193,6 +197,87 @@ class Solution:
         if name not in self.names:
             raise KeyError(f"{name}; there are {', '.join(self.names)}")
         return self.names.index(name)
+
+    def __repr__(self) -> str:
+        return f"<Solution of {self._told}: {', '.join(self.names)}>"
+
+    def _repr_html_(self) -> str:
+        known = self.statistics.branch
+        return html_table(self.t, self._curves(None), (f"Solution of {self._told}", self.advice, known))
+
+    @property
+    def _told(self) -> str:
+        return f"{self.route}, {len(self.t)} instants from {self.t[0]:g} s to {self.t[-1]:g} s"
+
+    def _curves(self, names: Sequence[str] | None) -> list[Curve]:
+        chosen = [self._index(name) for name in (self.names if names is None else names)]
+        return [Curve(c.name, c.unit, c.description, self.values[:, k]) for k in chosen for c in [self.channels[k]]]
+
+    def plot(self, names: Sequence[str] | None = None) -> Figure:
+        """Plot trajectories over time, a panel each, angles in degrees.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Which; all of them when not given.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Made by pyplot, so that ``matplotlib.pyplot.show()`` shows it.
+
+        Raises
+        ------
+        KeyError
+            If there is no trajectory of a name.
+        InvalidSetting
+            If matplotlib is missing; the extra ``report`` brings it.
+        """
+        return figure_of(self.t, self._curves(names), self.route)
+
+    def to_pandas(self, names: Sequence[str] | None = None) -> Any:
+        """Return trajectories as a pandas DataFrame over the time in s; units are in ``attrs["units"]``.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Which; all of them when not given.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One row an instant.
+
+        Raises
+        ------
+        KeyError
+            If there is no trajectory of a name.
+        InvalidSetting
+            If pandas is missing; the extra ``sweep`` brings it.
+        """
+        return data_frame(self.t, self._curves(names), {"route": self.route})
+
+    def to_xarray(self, names: Sequence[str] | None = None) -> Any:
+        """Return trajectories as an xarray Dataset over ``time``, units as attributes.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Which; all of them when not given.
+
+        Returns
+        -------
+        xarray.Dataset
+            One variable a trajectory, with ``units`` and ``long_name``.
+
+        Raises
+        ------
+        KeyError
+            If there is no trajectory of a name.
+        InvalidSetting
+            If xarray is missing; the extra ``sweep`` brings it.
+        """
+        return dataset(self.t, self._curves(names), {"route": self.route})
 
     def to_csv(self, path: str | Path, names: Sequence[str] | None = None) -> None:
         """Write time and trajectories as CSV in full double precision; all of them unless `names` are given."""
