@@ -52,9 +52,10 @@ native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py
 
-check: $(INSTALLED)  ## lint, format, types, direction of the imports: all of them, then fail if one did
+check: $(INSTALLED)  ## lint, format, types, direction of the imports, public docstrings: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
 	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(BIN)/lint-imports; \
+	run $(BIN)/python tests/docstrings.py; \
 	exit $$status
 
 format: $(INSTALLED)  ## apply the formatter and the linter's safe corrections

@@ -132,12 +132,28 @@ class Dae:
             What stands in the place of the unknowns.
         reference : casadi.SX
             What stands in the place of gamma, shape (m, reference_order + 1).
+
+        Returns
+        -------
+        casadi.SX
+            Of the shape of `expression`.
         """
         old = ca.vertcat(self.x, self.z, ca.vec(self.gamma[:, : reference.size2()]))
         return ca.substitute(expression, old, ca.vertcat(x, z, ca.vec(reference)))
 
     def reference_symbols(self, nodes: int) -> tuple[ca.SX, list[ca.SX]]:
-        """Make symbols of the reference at the nodes of a step; returns all of them and one block a node."""
+        """Make symbols of the reference at the nodes of a step; returns all of them and one block a node.
+
+        Parameters
+        ----------
+        nodes : int
+            How many.
+
+        Returns
+        -------
+        tuple of (casadi.SX, list of casadi.SX)
+            Shape (m, orders * nodes), and a block of shape (m, orders) for each node.
+        """
         orders = self.reference_order + 1
         reference = ca.SX.sym("gamma_at", self.gamma.size1(), orders * nodes)
         return reference, ca.horzsplit(reference, orders)
@@ -147,6 +163,16 @@ class Dae:
 
         An error e of the positions shows as e/h in velocities and e/h^2 in multipliers and inputs. On a form of index
         one or less nothing is divided by h, and nothing needs scaling.
+
+        Parameters
+        ----------
+        h : casadi.SX, scalar
+            Step in s.
+
+        Returns
+        -------
+        tuple of casadi.SX
+            One entry an unknown, and one an equation.
         """
         if self.index <= 1:
             return ca.SX([each.nominal for each in self.unknowns]), ca.SX.ones(len(self.equations))

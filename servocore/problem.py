@@ -210,6 +210,11 @@ class Problem:
         start : mapping of str to float, optional
             Initial values of the states of the internal dynamics.
 
+        Returns
+        -------
+        Problem
+            Resolved once for the same model and settings.
+
         Raises
         ------
         InvalidModel

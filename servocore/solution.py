@@ -190,7 +190,18 @@ class Solution:
         return column
 
     def unit(self, name: str) -> str:
-        """Return the unit of a trajectory; raises KeyError if there is none of that name."""
+        """Return the unit of a trajectory; raises KeyError if there is none of that name.
+
+        Parameters
+        ----------
+        name : str
+            Of an input, an observable, an output or a coordinate.
+
+        Returns
+        -------
+        str
+            Such as ``N.m``.
+        """
         return self.channels[self._index(name)].unit
 
     def _index(self, name: str) -> int:
@@ -280,6 +291,14 @@ class Solution:
         return dataset(self.t, self._curves(names), {"route": self.route})
 
     def to_csv(self, path: str | Path, names: Sequence[str] | None = None) -> None:
-        """Write time and trajectories as CSV in full double precision; all of them unless `names` are given."""
+        """Write time and trajectories as CSV in full double precision; all of them unless `names` are given.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file.
+        names : sequence of str, optional
+            Trajectories to write.
+        """
         names = self.names if names is None else names
         write_together({Path(path): csv_text(["time", *names], [self.t, *[self[name] for name in names]])})

@@ -93,7 +93,18 @@ def _check(archive: bytes, kind: Kind, starts: Starts) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command ``python build_fmu.py``; returns its exit code."""
+    """Run the command ``python build_fmu.py``; returns its exit code.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        Of the command line; those of the process when not given.
+
+    Returns
+    -------
+    int
+        0, or 2 for bad input.
+    """
     parser = argparse.ArgumentParser(prog="build_fmu.py", description=f"Build {ROTARY_CRANE.file_name} and check it.")
     parser.add_argument(
         "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"

@@ -68,7 +68,13 @@ class Wishes:
     targets: str | None = None
 
     def reference(self) -> sc.Reference | None:
-        """Return the path in the table, or None without one; raises `InvalidSetting` for wishes that exclude others."""
+        """Return the path in the table, or None without one; raises `InvalidSetting` for wishes that exclude others.
+
+        Returns
+        -------
+        Reference or None
+            In m and s.
+        """
         if self.profile is not None:
             chosen(PROFILES, self.profile, "profile")
         if self.path is None:

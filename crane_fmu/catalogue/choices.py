@@ -31,7 +31,22 @@ Choice = TypeVar("Choice")
 
 
 def chosen(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
-    """Look a name up; raises `InvalidSetting` with the names there are."""
+    """Look a name up; raises `InvalidSetting` with the names there are.
+
+    Parameters
+    ----------
+    table : mapping of str to Choice
+        What there is to choose from.
+    name : str
+        What was asked for.
+    kind : str
+        What messages call such a thing.
+
+    Returns
+    -------
+    Choice
+        Its entry.
+    """
     if name not in table:
         raise sc.InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
     return table[name]

@@ -67,14 +67,36 @@ class Kind:
         return f"{self.name}.fmu"
 
     def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
-        """Return the runs of the check for an FMU with other start values: with a path of its own only as it is."""
+        """Return the runs of the check for an FMU with other start values: with a path of its own only as it is.
+
+        Parameters
+        ----------
+        starts : mapping
+            Start values by the name of the variable.
+
+        Returns
+        -------
+        tuple of dict
+            Start values of each run.
+        """
         if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
             return ({},)
         hold = at_rest(starts)["M_w"]
         return tuple(run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 
     def rest(self, starts: Starts) -> dict[str, float]:
-        """Return what outputs have to be at the end of each run."""
+        """Return what outputs have to be at the end of each run.
+
+        Parameters
+        ----------
+        starts : mapping
+            Start values by the name of the variable.
+
+        Returns
+        -------
+        dict of str to float
+            By the name of the output, in its unit.
+        """
         if self is LOAD_TRAJECTORY and starts:
             return {}
         values = at_rest(starts)
@@ -85,7 +107,18 @@ _LOAD = components("load.position")
 
 
 def at_rest(starts: Starts) -> dict[str, float]:
-    """Return what a crane's outputs are while its load hangs where it starts."""
+    """Return what a crane's outputs are while its load hangs where it starts.
+
+    Parameters
+    ----------
+    starts : mapping
+        Start values by the name of the variable.
+
+    Returns
+    -------
+    dict of str to float
+        By the name of the output, in its unit.
+    """
     defaults = {each.name: each.start for each in variables.crane_plant().variables if each.causality == "parameter"}
     known = {name: float(starts.get(name, defaults[name] or 0.0)) for name in (*CRANE_PARAMETERS, *_START)}
     place = [known[name] for name in _START]

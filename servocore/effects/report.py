@@ -109,7 +109,13 @@ class EffectsReport:
         return tuple(each for each in added if each not in covered), tuple(without)
 
     def smallest(self) -> Scene:
-        """Return the scene with the smallest model that keeps the tolerance."""
+        """Return the scene with the smallest model that keeps the tolerance.
+
+        Returns
+        -------
+        Scene
+            The scene of the study with fewer effects, or as it is.
+        """
         added, without = self.arguments
         return self.scene.with_effects(*added, without=without) if added or without else self.scene
 
@@ -129,7 +135,13 @@ class EffectsReport:
         )
 
     def cells(self) -> list[tuple[str, ...]]:
-        """Return the rows as texts, in the order of `HEADINGS`."""
+        """Return the rows as texts, in the order of `HEADINGS`.
+
+        Returns
+        -------
+        list of tuple of str
+            One tuple a row.
+        """
         return [self._cells(each) for each in self.rows]
 
     def _cells(self, row: EffectRow) -> tuple[str, ...]:
@@ -164,7 +176,18 @@ class EffectsReport:
         return "\n".join([self.scene.name, *lines, *self.remarks])
 
     def markdown(self, title: str = "") -> str:
-        """Return the table and the remarks as a piece of Markdown."""
+        """Return the table and the remarks as a piece of Markdown.
+
+        Parameters
+        ----------
+        title : str, optional
+            A heading above the table; none when not given.
+
+        Returns
+        -------
+        str
+            Markdown.
+        """
         table = [HEADINGS, ("---",) * len(HEADINGS), *self.cells()]
         lines = ["| " + " | ".join(row) + " |" for row in table]
         return "\n".join(

@@ -72,6 +72,7 @@ def effects(
     Returns
     -------
     EffectsReport
+        One row an effect, largest error first.
 
     Raises
     ------

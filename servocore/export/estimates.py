@@ -46,10 +46,27 @@ class SampledEstimates:
         return Choice("connected", text, items, len(names) - self.start)
 
     def renamed(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, called as in C."""
+        """Return all functions by name, called as in C.
+
+        Parameters
+        ----------
+        identifier : str
+            What names in C begin with.
+
+        Returns
+        -------
+        dict of str to casadi.Function
+            With dense arguments and results.
+        """
         return {name: renamed(self.functions[name], f"{identifier}_{name}") for name in _NAMES}
 
     def own(self) -> dict[str, object]:
-        """Return what the kernel needs to know."""
+        """Return what the kernel needs to know.
+
+        Returns
+        -------
+        dict of str to object
+            By name, for the templates of the sources.
+        """
         memory = self.functions["estimate"].numel_in(0)
         return {"memory": memory, "unknown": self.unknown, "rough": self.rough}

@@ -47,13 +47,30 @@ class SampledFeedback:
         return sum(size or 1 for _, size in self.measured)
 
     def functions(self, identifier: str) -> dict[str, ca.Function]:
-        """Return all functions by name, called as in C."""
+        """Return all functions by name, called as in C.
+
+        Parameters
+        ----------
+        identifier : str
+            What names in C begin with.
+
+        Returns
+        -------
+        dict of str to casadi.Function
+            With dense arguments and results.
+        """
         names = [f"{each}_{time}" for time, _ in INPUT_TIME.items for each in ("begin", "feedback")]
         found = {**{name: self.laws[name] for name in names}, "judge": self.judge}
         return {name: renamed(each, f"{identifier}_{name}") for name, each in found.items()}
 
     def own(self) -> dict[str, object]:
-        """Return what the kernel needs to know."""
+        """Return what the kernel needs to know.
+
+        Returns
+        -------
+        dict of str to object
+            Values for the templates of the sources.
+        """
         law = self.laws["feedback_start"]
         return {
             "measured": self.numbers,

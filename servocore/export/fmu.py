@@ -106,10 +106,14 @@ def export_plant(
         The file.
     wishes : PlantWishes, optional
         In what the plant differs from the scene's model.
-    fmi, targets, tell
+    fmi : int, optional
         As of `export_fmu`.
     model : str, optional
         Model of the scene; when not given the first without constraints, or its smallest.
+    targets : str, optional
+        As of `export_fmu`.
+    tell : callable, optional
+        As of `export_fmu`.
 
     Returns
     -------
@@ -149,10 +153,14 @@ def export_trajectory(
         The file.
     wishes : TrajectoryWishes, optional
         What shall be played in place of it.
-    fmi, targets, tell
+    fmi : int, optional
         As of `export_fmu`.
     model : str, optional
         Model of the scene, which says how many derivatives there are; its smallest when not given.
+    targets : str, optional
+        As of `export_fmu`.
+    tell : callable, optional
+        As of `export_fmu`.
 
     Returns
     -------

@@ -23,7 +23,18 @@ class Formulation(Protocol):
     def __hash__(self) -> int: ...
 
     def dae(self, system: MechanicalSystem) -> Dae:
-        """Return the problem in the form (20)."""
+        """Return the problem in the form (20).
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            With its servo outputs and inputs.
+
+        Returns
+        -------
+        Dae
+            In the system's own symbols.
+        """
 
 
 def mechanical_unknowns(system: MechanicalSystem) -> tuple[ca.SX, ca.SX, tuple[Unknown, ...]]:

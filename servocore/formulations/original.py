@@ -18,6 +18,11 @@ class Original:
 
     A backward Euler step divides position errors by h^4 to get the inputs, so small steps destroy them. The form
     is kept to show that, and for systems of lower index.
+
+    Attributes
+    ----------
+    name : str
+        What solutions and messages call it.
     """
 
     name: str = "original"

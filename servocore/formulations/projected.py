@@ -21,6 +21,11 @@ class Projected:
     The momentum equation is split by D^T and C M^-1; the second part, with the servo constraint differentiated
     twice in place of the accelerations, is algebraic. Needs inertia in the servo constrained directions; elsewhere
     M may be singular.
+
+    Attributes
+    ----------
+    name : str
+        What solutions and messages call it.
     """
 
     name: str = "projected"

@@ -23,6 +23,8 @@ class Reduced:
 
     Parameters
     ----------
+    name : str
+        What solutions and messages call it.
     states : tuple of (str, int), optional
         States of the internal dynamics, each a variable and the order of its derivative: ("q.s", 0), ("q.s", 1). Chosen
         by pivoting when not given, and chosen again by `solve` where they become a bad choice during a run.
@@ -32,7 +34,18 @@ class Reduced:
     states: tuple[tuple[str, int], ...] = ()
 
     def array(self, system: MechanicalSystem) -> DerivativeArray:
-        """Return the derivative array with these states, or with those that suit the system's home."""
+        """Return the derivative array with these states, or with those that suit the system's home.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            Whose equations are differentiated.
+
+        Returns
+        -------
+        DerivativeArray
+            Found once for a system.
+        """
         array = derivative_array(system)
         if not self.states:
             return array

@@ -20,6 +20,11 @@ class BackwardEuler:
     acceleration.
 
     The state holds the unknowns at the last two instants: the older one serves to extrapolate the first guess.
+
+    Attributes
+    ----------
+    name : str
+        What solutions and messages call it.
     """
 
     name: str = "backward-euler"

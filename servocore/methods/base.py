@@ -50,7 +50,20 @@ class Start:
 
     @classmethod
     def of(cls, dae: Dae, instants: int = 1) -> Start:
-        """Make the symbols of values at 0, -1, ..., 1 - `instants` steps."""
+        """Make the symbols of values at 0, -1, ..., 1 - `instants` steps.
+
+        Parameters
+        ----------
+        dae : Dae
+            Whose unknowns they are.
+        instants : int
+            How many.
+
+        Returns
+        -------
+        Start
+            One column an instant.
+        """
         size_x, size = dae.x.numel(), len(dae.unknowns)
         history, rates = ca.SX.sym("history", size, instants), ca.SX.sym("rates", size_x)
         return cls(tuple(-float(k) for k in range(instants)), history, rates)
@@ -126,10 +139,32 @@ class Method(Protocol):
     def __hash__(self) -> int: ...
 
     def orders(self, index: int) -> Orders:
-        """Return the orders of convergence on a form of the given index."""
+        """Return the orders of convergence on a form of the given index.
+
+        Parameters
+        ----------
+        index : int
+            Differentiation index of the form.
+
+        Returns
+        -------
+        Orders
+            Of positions, velocities and forces.
+        """
 
     def discretise(self, dae: Dae) -> Discretisation:
-        """Return the equations of one step."""
+        """Return the equations of one step.
+
+        Parameters
+        ----------
+        dae : Dae
+            The form.
+
+        Returns
+        -------
+        Discretisation
+            With the symbols of one step.
+        """
 
 
 def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:

@@ -36,6 +36,11 @@ class BDF:
     needs a history: positions come from the exact inversion before the initial time, on the reference continued
     backwards. On forms of index two and more their velocities are formed by the scheme's own difference formula:
     exact velocities would meet differenced ones with a jump of the order of their error, and cost the inputs an order.
+
+    Parameters
+    ----------
+    order : int
+        Order k of the method, 1 to 6.
     """
 
     order: int = 2

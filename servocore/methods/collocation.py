@@ -100,6 +100,11 @@ class RadauIIA(_Collocation):
     Stiffly accurate and L-stable: order 2 s - 1 on forms of index one. On projected forms (index 3) velocities have
     order s and multipliers and inputs s - 1, at least one (Hairer, Lubich & Roche 1989). Every further index costs two
     or more stages one order: on index 5 two stages diverge, three do not converge.
+
+    Parameters
+    ----------
+    stages : int
+        Number s of stages.
     """
 
     family = "radau"
@@ -130,6 +135,11 @@ class Gauss(_Collocation):
     Order 2 s on ordinary differential equations, symplectic, not stiffly accurate: on projected forms nothing damps
     an error of the inputs from step to step, and with an even number of stages the
     inputs lose four orders: with two their error grows like 1/h^2. Kept to show that; not a route to results.
+
+    Parameters
+    ----------
+    stages : int
+        Number s of stages.
     """
 
     family = "gauss"

@@ -22,6 +22,11 @@ class GeneralizedAlpha:
     with the equations and constraints at the new instant. `rho` is the spectral radius at infinite frequency: 1 damps
     nothing, 0 everything at once. Second order; on projected forms errors of the inputs decay like rho^n.
     A start in motion leaves such an error of first order: the method's own acceleration is not quite v_dot.
+
+    Parameters
+    ----------
+    rho : float
+        Spectral radius at infinite frequency, 0 to 1.
     """
 
     rho: float = 0.8

@@ -18,6 +18,11 @@ class Trapezoidal:
 
     Order two on forms of index one. On projected forms an error of the velocities alternates undamped from step to
     step, and the inputs with it: whatever disturbs the start stays. Kept to show that; not a route to results.
+
+    Attributes
+    ----------
+    name : str
+        What solutions and messages call it.
     """
 
     name: str = "trapezoidal"

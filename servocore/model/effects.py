@@ -98,6 +98,18 @@ class Effects:
     def with_(self, names: Iterable[str], without: Iterable[str] = ()) -> Effects:
         """Return the effects of the scene that has some, and lacks others.
 
+        Parameters
+        ----------
+        names : iterable of str
+            Effects to add.
+        without : iterable of str
+            Effects to leave out.
+
+        Returns
+        -------
+        Effects
+            New effects; these stay as they are.
+
         Raises
         ------
         InvalidModel

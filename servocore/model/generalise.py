@@ -44,6 +44,11 @@ def generalise(
     name : str, optional
         Of the new system.
 
+    Returns
+    -------
+    MechanicalSystem
+        Without holonomic constraints.
+
     Raises
     ------
     InvalidModel

@@ -67,6 +67,11 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     texts : iterable of str
         One a parameter.
 
+    Returns
+    -------
+    dict of str to tuple of float
+        Lower and upper factor by the name of the parameter.
+
     Raises
     ------
     InvalidSetting

@@ -80,7 +80,23 @@ class Limit:
         return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
 
     def on(self, system: MechanicalSystem) -> ca.SX:
-        """Return the expression for a system."""
+        """Return the expression for a system.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            A model of the scene.
+
+        Returns
+        -------
+        casadi.SX, scalar
+            What is bounded, in the unit of the limit.
+
+        Raises
+        ------
+        InvalidModel
+            If the expression is no number.
+        """
         evaluate: Callable[..., ca.SX] = self.expression
         given = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
         whose = f"{system.name}: the limit of {self.quantity}" if self.quantity else f"{system.name}: a limit"

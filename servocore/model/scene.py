@@ -39,6 +39,8 @@ class Scene:
         The path to follow.
     closed_form : callable, optional
         Exact answer by name for reference jets with `closed_form_order` derivatives.
+    closed_form_order : int
+        How many derivatives of the path that answer takes.
     independent_solution : callable, optional
         For scenes with internal dynamics, which no formula of the jets answers: their own differential equation,
         derived by hand and integrated to near round-off by SciPy.
@@ -105,6 +107,16 @@ class Scene:
     def model(self, name: str | None = None) -> MechanicalSystem:
         """Return the model called `name`, or the default one, the same object every time.
 
+        Parameters
+        ----------
+        name : str, optional
+            One of `models`.
+
+        Returns
+        -------
+        MechanicalSystem
+            Built when it is asked for the first time.
+
         Raises
         ------
         InvalidModel
@@ -127,13 +139,30 @@ class Scene:
         return found
 
     def with_reference(self, reference: Reference) -> Scene:
-        """Return the scene with another path; raises `InvalidReference` if its dimension does not fit."""
+        """Return the scene with another path; raises `InvalidReference` if its dimension does not fit.
+
+        Parameters
+        ----------
+        reference : Reference
+            With as many components as the scene has outputs.
+
+        Returns
+        -------
+        Scene
+            A new scene; this one stays as it is.
+        """
         changed = replace(self, reference=reference)
         changed.require_path(changed.model())
         return changed
 
     def require_path(self, system: MechanicalSystem) -> None:
-        """Raise `InvalidReference` if the reference has not one component for each output of a model."""
+        """Raise `InvalidReference` if the reference has not one component for each output of a model.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            One of the scene's models.
+        """
         outputs = [each.name for each in system.outputs]
         if self.reference.dimension != len(outputs):
             raise InvalidReference(
@@ -142,7 +171,18 @@ class Scene:
             )
 
     def with_parameters(self, **values: float) -> Scene:
-        """Return the scene with other parameter values; raises `InvalidModel` for bad names or values."""
+        """Return the scene with other parameter values; raises `InvalidModel` for bad names or values.
+
+        Parameters
+        ----------
+        **values : float
+            By the name of a parameter, in its unit.
+
+        Returns
+        -------
+        Scene
+            A new scene; this one stays as it is.
+        """
         merged = {**self.parameters, **values}
         self.model().parameters.values(merged)
         return replace(self, parameters=merged)
@@ -157,6 +197,11 @@ class Scene:
             parameters of the scene.
         without : sequence of str
             Effects that the scene has and that are left out.
+
+        Returns
+        -------
+        Scene
+            A new scene; this one stays as it is.
 
         Raises
         ------
@@ -190,6 +235,11 @@ class Scene:
             the largest magnitude, an upper bound for what is never negative; a pair is a lower and an upper one, either
             of them None for none. A text has its unit, ``5 deg``. None removes the limit.
 
+        Returns
+        -------
+        Scene
+            A new scene; this one stays as it is.
+
         Raises
         ------
         InvalidSetting
@@ -212,12 +262,29 @@ class Scene:
         return replace(self, limits=(*(each for each in self.limits if each not in replaced), *given))
 
     def parameter_values(self) -> dict[str, float]:
-        """All parameters by name."""
+        """All parameters by name.
+
+        Returns
+        -------
+        dict of str to float
+            In the units of the parameters.
+        """
         parameters = self.model().parameters
         return dict(zip(parameters.names, map(float, parameters.values(self.parameters)), strict=True))
 
     def exact(self, t: Array) -> dict[str, Array]:
-        """Evaluate the exact answer at the times `t`; raises `InvalidModel` if the scene has none."""
+        """Evaluate the exact answer at the times `t`; raises `InvalidModel` if the scene has none.
+
+        Parameters
+        ----------
+        t : ndarray, shape (N,)
+            Times in s.
+
+        Returns
+        -------
+        dict of str to ndarray, shape (N,)
+            Inputs, and what else the answer gives, by name and in their units.
+        """
         if self.independent_solution is not None:
             return self.independent_solution(t, self.reference, self.parameter_values())
         if self.closed_form is None:

@@ -56,7 +56,18 @@ class Parameter:
             raise InvalidModel(f"parameter {self.name} has no value between {self.lower} and {self.upper} {self.unit}")
 
     def check(self, value: float) -> float:
-        """Return `value` as a float, or raise `InvalidModel` if it is not a number within the bounds."""
+        """Return `value` as a float, or raise `InvalidModel` if it is not a number within the bounds.
+
+        Parameters
+        ----------
+        value : float
+            In the unit of the parameter.
+
+        Returns
+        -------
+        float
+            The same value.
+        """
         try:
             number = float(value)
         except (TypeError, ValueError):
@@ -130,6 +141,11 @@ def symbols(names: Iterable[str]) -> ca.SX:
 class Coordinates:
     """The coordinates q of a system and their velocities v, as symbols that can be asked for by name.
 
+    Parameters
+    ----------
+    *quantities : Quantity
+        Name and unit of each coordinate.
+
     Attributes
     ----------
     q, v : casadi.SX
@@ -157,7 +173,18 @@ class Coordinates:
         return tuple(quantity.magnitude for quantity in self.quantities)
 
     def scaled(self, magnitudes: Sequence[float]) -> Coordinates:
-        """Return the same symbols with these nominal values."""
+        """Return the same symbols with these nominal values.
+
+        Parameters
+        ----------
+        magnitudes : sequence of float
+            One a coordinate, in its unit.
+
+        Returns
+        -------
+        Coordinates
+            New coordinates; these stay as they are.
+        """
         found = copy.copy(self)
         pairs = zip(self.quantities, magnitudes, strict=True)
         object.__setattr__(found, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
@@ -167,7 +194,18 @@ class Coordinates:
         return len(self.quantities)
 
     def index(self, name: str) -> int:
-        """Position of the coordinate called `name`; raises `InvalidModel` if there is none."""
+        """Position of the coordinate called `name`; raises `InvalidModel` if there is none.
+
+        Parameters
+        ----------
+        name : str
+            Of a coordinate.
+
+        Returns
+        -------
+        int
+            Counted from zero.
+        """
         if name not in self.names:
             raise InvalidModel(f"no coordinate is called {name}; there are {', '.join(self.names)}")
         return self.names.index(name)
@@ -176,13 +214,29 @@ class Coordinates:
         return self.q[self.index(name)]
 
     def velocity(self, name: str) -> ca.SX:
-        """Return the symbol of the velocity of the coordinate called `name`."""
+        """Return the symbol of the velocity of the coordinate called `name`.
+
+        Parameters
+        ----------
+        name : str
+            Of a coordinate.
+
+        Returns
+        -------
+        casadi.SX, scalar
+            Its entry of `v`.
+        """
         return self.v[self.index(name)]
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters:
     """The parameters p of a system, as symbols that can be asked for by name.
+
+    Parameters
+    ----------
+    *declared : Parameter
+        Name, unit, default and bounds of each.
 
     Attributes
     ----------
@@ -214,6 +268,16 @@ class Parameters:
 
     def values(self, changed: Mapping[str, float] | None = None) -> npt.NDArray[np.float64]:
         """Return the vector p: the defaults, with the values in `changed` in their place.
+
+        Parameters
+        ----------
+        changed : mapping of str to float, optional
+            Values by name, in the units of the parameters.
+
+        Returns
+        -------
+        ndarray, shape (parameters,)
+            In the order of `declared`.
 
         Raises
         ------

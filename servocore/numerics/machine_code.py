@@ -40,6 +40,11 @@ _SECONDS = 600.0
 def c_compiler() -> list[str]:
     """Return the command of the C compiler: the variable CC, or the first of `COMPILERS` on the path.
 
+    Returns
+    -------
+    list of str
+        Program and arguments.
+
     Raises
     ------
     InvalidSetting

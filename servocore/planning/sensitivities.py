@@ -64,7 +64,13 @@ class Sensitivities:
         return found
 
     def table(self) -> str:
-        """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass."""
+        """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass.
+
+        Returns
+        -------
+        str
+            With a row of headings; times in s.
+        """
         names = [f"{each.name}/{parameter}" for each in self.quantities for parameter in self.parameters]
         return csv_text(["time", *names], [self.t, self.values.reshape(len(self.t), -1)])
 
@@ -92,6 +98,7 @@ def sensitivities(
     Returns
     -------
     Sensitivities
+        Derivatives at the instants.
 
     Raises
     ------

@@ -39,12 +39,34 @@ class Sphere:
             raise InvalidSetting(f"the radius of a sphere must be positive, not {self.radius:g} m")
 
     def row(self, place: ca.SX) -> ca.SX:
-        """Return an expression that is below one outside."""
+        """Return an expression that is below one outside.
+
+        Parameters
+        ----------
+        place : casadi.SX, shape (m,)
+            A place, in m.
+
+        Returns
+        -------
+        casadi.SX
+            A number without unit.
+        """
         away = (place - ca.DM(self.centre)) / self.radius
         return 2.0 - ca.sqrt(ca.sumsqr(away) + _TIP**2)
 
     def distance(self, places: Array) -> Array:
-        """Return how far places (..., m) are outside, in m; negative within."""
+        """Return how far places (..., m) are outside, in m; negative within.
+
+        Parameters
+        ----------
+        places : ndarray, shape (..., m)
+            In m.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            In m.
+        """
         return np.asarray(np.linalg.norm(places - np.array(self.centre), axis=-1) - self.radius)
 
 
@@ -66,13 +88,35 @@ class Box:
             raise InvalidSetting(f"a box needs a positive half size along each axis, not {self.half}")
 
     def row(self, place: ca.SX) -> ca.SX:
-        """Return an expression that is below one outside a smooth body around the box, which is a little larger."""
+        """Return an expression that is below one outside a smooth body around the box, which is a little larger.
+
+        Parameters
+        ----------
+        place : casadi.SX, shape (m,)
+            A place, in m.
+
+        Returns
+        -------
+        casadi.SX
+            A number without unit.
+        """
         sizes = np.array(self.half) * len(self.half) ** (1.0 / _POWER)
         away = (place - ca.DM(self.centre)) / ca.DM(sizes)
         return 2.0 - (ca.sum1(away**_POWER) + _TIP**_POWER) ** (1.0 / _POWER)
 
     def distance(self, places: Array) -> Array:
-        """Return how far places (..., m) are outside, in m; negative within."""
+        """Return how far places (..., m) are outside, in m; negative within.
+
+        Parameters
+        ----------
+        places : ndarray, shape (..., m)
+            In m.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            In m.
+        """
         over = np.abs(places - np.array(self.centre)) - np.array(self.half)
         outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
         return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
@@ -116,6 +160,11 @@ class Space:
         dimension : int
             How many coordinates a centre has.
 
+        Returns
+        -------
+        Space
+            With the parts that a plan keeps clear by default.
+
         Raises
         ------
         InvalidSetting
@@ -124,7 +173,15 @@ class Space:
         return cls(tuple(_body(each, dimension) for each in texts))
 
     def require(self, system: MechanicalSystem, tracked: str) -> None:
-        """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies."""
+        """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
+
+        Parameters
+        ----------
+        system : MechanicalSystem
+            Whose parts are to stay clear.
+        tracked : str
+            The part that follows the path, such as ``load``.
+        """
         dimension = len(system.outputs)
         for each in self.keep_out:
             if len(each.centre) != dimension:
@@ -134,7 +191,20 @@ class Space:
             raise InvalidSetting(f"{system.name} has no rope or bridge that is known: plan with parts=('load',)")
 
     def rows(self, gamma: ca.SX, parameters: Parameters) -> ca.SX:
-        """Return expressions of the path's derivatives that are below one where everything is clear."""
+        """Return expressions of the path's derivatives that are below one where everything is clear.
+
+        Parameters
+        ----------
+        gamma : casadi.SX, shape (m, orders)
+            The path and its derivatives.
+        parameters : Parameters
+            Of the model, with its gravity.
+
+        Returns
+        -------
+        casadi.SX, shape (rows,)
+            Numbers without unit.
+        """
         if not self.keep_out:
             return ca.SX(0, 1)
         gravity = parameters["gravity"] if "gravity" in parameters.names else ca.SX(0)
@@ -143,7 +213,20 @@ class Space:
         return ca.vertcat(*[body.row(ca.vertcat(*place)) for body in self.keep_out for place in places])
 
     def clearance(self, jets: Array, gravity: float) -> float:
-        """Return the least distance of anything from a body along jets (N, orders, m), in m; infinite without any."""
+        """Return the least distance of anything from a body along jets (N, orders, m), in m; infinite without any.
+
+        Parameters
+        ----------
+        jets : ndarray, shape (N, orders, m)
+            The path and its derivatives.
+        gravity : float
+            In m/s2.
+
+        Returns
+        -------
+        float
+            In m.
+        """
         columns = jets[:, 0].T, jets[:, 2].T
         places = self._places(*columns, gravity, _CHECKED)
         found = [float(body.distance(np.stack(place, axis=-1)).min()) for body in self.keep_out for place in places]

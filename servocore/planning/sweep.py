@@ -97,7 +97,7 @@ def sweep(
 
     Raises
     ------
-    ServocoreError
+    InvalidSetting, ServocoreError
         If something that varies is no parameter or outside its bounds, a limit is not known, a store is there already
         or is of other settings, or xarray or zarr is not installed.
 

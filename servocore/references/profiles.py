@@ -51,7 +51,18 @@ class Profile(ABC):
         return 0.0
 
     def junctions(self, duration: float) -> tuple[float, ...]:  # noqa: ARG002 - one piece has none
-        """Return the times since the start, in s, where analytic pieces meet."""
+        """Return the times since the start, in s, where analytic pieces meet.
+
+        Parameters
+        ----------
+        duration : float
+            Of the motion, in s.
+
+        Returns
+        -------
+        tuple of float
+            In rising order; empty for one piece.
+        """
         return ()
 
     def jet(self, elapsed: FloatArray, remaining: FloatArray, duration: float, order: int) -> FloatArray:
@@ -76,11 +87,39 @@ class Profile(ABC):
 
     @abstractmethod
     def numbers(self, duration: float, order: int) -> list[float]:
-        """Return what `law` takes of the duration: the same number of numbers for any."""
+        """Return what `law` takes of the duration: the same number of numbers for any.
+
+        Parameters
+        ----------
+        duration : float
+            Of the motion, in s.
+        order : int
+            Highest derivative that `law` will give.
+
+        Returns
+        -------
+        list of float
+            As many for each duration.
+        """
 
     @abstractmethod
     def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
-        """Evaluate as `jet` says, with arrays or with expressions of CasADi: the same operations in the same order."""
+        """Evaluate as `jet` says, with arrays or with expressions of CasADi: the same operations in the same order.
+
+        Parameters
+        ----------
+        elapsed, remaining : ndarray or casadi.SX
+            Times since the start and until the end, in s.
+        numbers : sequence
+            From `numbers`.
+        order : int
+            Highest derivative.
+
+        Returns
+        -------
+        list
+            s, s', ..., s^(order), each of the shape of `elapsed`.
+        """
 
 
 @dataclass(frozen=True)

@@ -177,6 +177,11 @@ def cars(count: int = 2) -> Scene:
     count : int
         Number n of cars, 2 to `MOST_MASSES`.
 
+    Returns
+    -------
+    Scene
+        With its models and its path.
+
     Raises
     ------
     InvalidModel

@@ -116,6 +116,11 @@ def elastic_bar(count: int = 3) -> Scene:
     count : int
         Number N of masses, 2 to `servocore.scenes.cars.MOST_MASSES`.
 
+    Returns
+    -------
+    Scene
+        With its models and its path.
+
     Raises
     ------
     InvalidModel

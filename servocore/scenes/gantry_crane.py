@@ -115,7 +115,13 @@ EFFECTS = effects_of(CRANE, BRIDGE.name, TROLLEY.name)
 
 
 def gantry_crane() -> Scene:
-    """Return the gantry crane with its default manoeuvre, (0, 0, -5) m to (6, 3, -2) m in 6 s."""
+    """Return the gantry crane with its default manoeuvre, (0, 0, -5) m to (6, 3, -2) m in 6 s.
+
+    Returns
+    -------
+    Scene
+        With its models and its path.
+    """
     return Scene(
         name="gantry_crane",
         models={"points": points, "generalized": generalized},

@@ -180,7 +180,13 @@ def _second_order(
 
 
 def mass_on_car() -> Scene:
-    """Return the mass on a car with its default manoeuvre: the mass moves from 0 m to 2 m in 4 s."""
+    """Return the mass on a car with its default manoeuvre: the mass moves from 0 m to 2 m in 4 s.
+
+    Returns
+    -------
+    Scene
+        With its models and its path.
+    """
     return Scene(
         name="mass_on_car",
         models={"generalized": generalized, "points": points},

@@ -76,7 +76,13 @@ EFFECTS = effects_of(CRANE, TROLLEY.name)
 
 
 def overhead_crane() -> Scene:
-    """Return the overhead crane with its default manoeuvre, (0, -4) m to (5, -1) m in 3 s."""
+    """Return the overhead crane with its default manoeuvre, (0, -4) m to (5, -1) m in 3 s.
+
+    Returns
+    -------
+    Scene
+        With its models and its path.
+    """
     return Scene(
         name="overhead_crane",
         models={"points": points, "generalized": generalized},

@@ -201,6 +201,11 @@ def passive_joint_arm(tip: bool = False) -> Scene:
     ----------
     tip : bool
         Track the tip of link 2, y_2 = 1 m: of non-minimum phase. Otherwise y_2 = 0.4 m: minimum phase.
+
+    Returns
+    -------
+    Scene
+        With its models and its path.
     """
     return Scene(
         name="passive_joint_arm",

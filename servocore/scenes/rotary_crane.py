@@ -260,6 +260,11 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene
         Whether rotations about the axis shall leave every constraint as it is, also where it does not vanish: what
         `EnergyMomentum` needs. The nine coordinates are the same.
 
+    Returns
+    -------
+    Scene
+        With its models and its path.
+
     Raises
     ------
     InvalidSetting

@@ -59,7 +59,18 @@ class Adaptive:
             )
 
     def allowed(self, peaks: Array) -> Array:
-        """Return the error that is accepted of inputs with these peaks."""
+        """Return the error that is accepted of inputs with these peaks.
+
+        Parameters
+        ----------
+        peaks : ndarray, shape (inputs,)
+            Largest magnitude of each input so far, in its unit.
+
+        Returns
+        -------
+        ndarray, shape (inputs,)
+            In the same units.
+        """
         return self.atol + self.rtol * peaks
 
 

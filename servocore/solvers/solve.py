@@ -87,6 +87,7 @@ def solve(
     Returns
     -------
     Solution
+        Inputs, observables, outputs and coordinates at the instants, and how the run went.
 
     Raises
     ------

@@ -31,6 +31,11 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     system : MechanicalSystem
         Any; its constraints are differentiated twice and stabilised.
 
+    Returns
+    -------
+    Plant
+        Its state is (q, v).
+
     Raises
     ------
     InvalidModel

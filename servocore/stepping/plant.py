@@ -58,29 +58,114 @@ class Plant:
         object.__setattr__(self, "_calls", {name: Call(getattr(self, name)) for name in _FUNCTIONS})
 
     def advance(self, state: Array, u: Array, u_dot: Array, d: Array, p: Array, h: float) -> Array:
-        """Return the state after one step; not finite where the equations have no solution."""
+        """Return the state after one step; not finite where the equations have no solution.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2 n,)
+            (q, v) before the step.
+        u, u_dot : ndarray, shape (m,)
+            Inputs at the beginning of the step, in their units, and their slope over it, per s.
+        d : ndarray, shape (m,)
+            Forces of a disturbance along the servo outputs.
+        p : ndarray
+            Parameters.
+        h : float
+            Step in s.
+
+        Returns
+        -------
+        ndarray, shape (2 n,)
+            (q, v) after the step.
+        """
         return self._calls["step"](state, u, u_dot, d, p, h)[0]
 
     def advance_held(self, state: Array, d: Array, p: Array, h: float) -> Array:
-        """Return the state after one step with the inputs held."""
+        """Return the state after one step with the inputs held.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2 n,)
+            (q, v) before the step.
+        d : ndarray, shape (m,)
+            Forces of a disturbance along the servo outputs.
+        p : ndarray
+            Parameters.
+        h : float
+            Step in s.
+
+        Returns
+        -------
+        ndarray, shape (2 n,)
+            (q, v) after the step.
+        """
         return self._calls["held_step"](state, d, p, h)[0]
 
     def values(self, state: Array, u: Array | None, d: Array, p: Array) -> dict[str, float]:
-        """Return the values of the channels by name; `u` is None where the inputs are held."""
+        """Return the values of the channels by name; `u` is None where the inputs are held.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2 n,)
+            (q, v).
+        u : ndarray, shape (m,), or None
+            Inputs in their units.
+        d : ndarray, shape (m,)
+            Forces of a disturbance along the servo outputs.
+        p : ndarray
+            Parameters.
+
+        Returns
+        -------
+        dict of str to float
+            In the units of `channels`.
+        """
         found = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
         return dict(zip((each.name for each in self.channels), map(float, found[0]), strict=True))
 
     def linearised(self, state: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the Jacobians of the rate by state, inputs and disturbance, and of the servo output by state."""
+        """Return the Jacobians of the rate by state, inputs and disturbance, and of the servo output by state.
+
+        Parameters
+        ----------
+        state : ndarray, shape (2 n,)
+            (q, v).
+        u : ndarray, shape (m,)
+            Inputs in their units.
+        p : ndarray
+            Parameters.
+
+        Returns
+        -------
+        tuple of ndarray
+            Of shapes (2 n, 2 n), (2 n, m), (2 n, m) and (m, 2 n).
+        """
         n = len(state)
         by_state, by_input, by_disturbance, output = self._calls["linearise"](state, u, p)
         return by_state.reshape(n, n), by_input.reshape(n, -1), by_disturbance.reshape(n, -1), output.reshape(-1, n)
 
     def to_json(self) -> str:
-        """Serialise, with the functions in CasADi's own format."""
+        """Serialise, with the functions in CasADi's own format.
+
+        Returns
+        -------
+        str
+            What `from_json` reads.
+        """
         return to_json(self, _FORMAT)
 
     @classmethod
     def from_json(cls, text: str) -> Plant:
-        """Undo `to_json`; raises `ServocoreError` if the text is not a plant."""
+        """Undo `to_json`; raises `ServocoreError` if the text is not a plant.
+
+        Parameters
+        ----------
+        text : str
+            From `to_json`.
+
+        Returns
+        -------
+        Plant
+            The same plant.
+        """
         return from_json(cls, text, _FORMAT, {"channels": Quantity})

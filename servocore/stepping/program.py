@@ -73,8 +73,22 @@ class Program:
         (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
     between : casadi.Function
         (state, fraction, h) -> the state with its own instant moved to a fraction of the last step.
+    index : int
+        Differentiation index of the form.
     smaller_steps_help : bool
         False for forms without a step, and where errors grow from step to step, more so the smaller the step.
+    order, start_order : int
+        Highest derivative of the reference that a step takes, and that start and observation take.
+    nodes : tuple of float
+        Where a step takes the reference, in steps from its beginning.
+    start_instants : tuple of float
+        Where the start takes the reference, in steps from the initial time.
+    channels : tuple of Quantity
+        What is observed.
+    parameters, equations : tuple of str
+        Names of the entries of p, and of the equations of a step.
+    limits : tuple of LimitText
+        What messages say of each limit of the scene.
     """
 
     name: str
@@ -117,35 +131,118 @@ class Program:
             One jet serves for all of them while the step is not known.
         h : float
             Step size in s; 0 while it is not known.
+
+        Returns
+        -------
+        tuple of (ndarray, StepReport)
+            The state, shape (state_size,), and how the start went.
         """
         jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
         used = jets[:, : self.start_order + 1]
         return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
 
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
-        """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m)."""
+        """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m).
+
+        Parameters
+        ----------
+        state : ndarray, shape (state_size,)
+            Before the step.
+        gamma : ndarray, shape (nodes, orders, m)
+            Reference jets at the nodes of the step.
+        h : float
+            Step in s.
+        p : ndarray
+            Parameters.
+
+        Returns
+        -------
+        tuple of (ndarray, StepReport)
+            The state after the step, and how it went.
+        """
         return _outcome(*self._calls["step"](state, self._at_nodes(gamma), h, p))
 
     def rescaled(self, state: Array, ratio: float) -> Array:
-        """Make a state ready for steps of another size; for forms of index one and less."""
+        """Make a state ready for steps of another size; for forms of index one and less.
+
+        Parameters
+        ----------
+        state : ndarray, shape (state_size,)
+            After a step of the old size.
+        ratio : float
+            New size divided by the old one.
+
+        Returns
+        -------
+        ndarray, shape (state_size,)
+            The state from which to go on.
+        """
         return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
-        """Move a state's own instant to a fraction of its last step, for `values` there: dense output."""
+        """Move a state's own instant to a fraction of its last step, for `values` there: dense output.
+
+        Parameters
+        ----------
+        state : ndarray, shape (state_size,)
+            After a step.
+        fraction : float
+            0 at the beginning of that step, 1 at its end.
+        h : float
+            Its size in s.
+
+        Returns
+        -------
+        ndarray, shape (state_size,)
+            A state for `values` alone.
+        """
         return self._calls["between"](state, fraction, h)[0]
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
-        """Observed values in the order of `channels`, for a reference jet of shape (orders, m)."""
+        """Observed values in the order of `channels`, for a reference jet of shape (orders, m).
+
+        Parameters
+        ----------
+        state : ndarray, shape (state_size,)
+            After a step.
+        gamma : ndarray, shape (orders, m)
+            Reference jet at the state's own instant.
+        p : ndarray
+            Parameters.
+
+        Returns
+        -------
+        ndarray, shape (channels,)
+            In the units of `channels`.
+        """
         return self._calls["observe"](state, gamma[: self.start_order + 1].T, p)[0]
 
     def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
-        """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene."""
+        """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene.
+
+        Parameters
+        ----------
+        gamma : ndarray, shape (orders, m)
+            Reference jet.
+        p : ndarray
+            Parameters.
+        time : float
+            Of the jet, in s, for the message.
+        """
         if self.limits:
             (margins,) = self._calls["margins"](gamma[: self.start_order + 1].T, p)
             require_margins(self.limits, margins, time)
 
     def require_branch(self, values: Array, time: float) -> None:
-        """Raise `IntegrationFailed` if observed values belong to another branch of the equations."""
+        """Raise `IntegrationFailed` if observed values belong to another branch of the equations.
+
+        Parameters
+        ----------
+        values : ndarray, shape (channels,)
+            From `values`.
+        time : float
+            Of the values, in s, for the message.
+        """
         for channel, value in zip(self.channels, values, strict=True):
             if channel.positive and not value > 0.0:
                 helps = channel.unit != "N" and self.smaller_steps_help
@@ -156,7 +253,24 @@ class Program:
                 )
 
     def worst_equation(self, state: Array, gamma: Array, h: float, p: Array) -> str:
-        """Name the equation that the first guess of a step violates most."""
+        """Name the equation that the first guess of a step violates most.
+
+        Parameters
+        ----------
+        state : ndarray, shape (state_size,)
+            Before the step.
+        gamma : ndarray, shape (nodes, orders, m)
+            Reference jets at the nodes of the step.
+        h : float
+            Step in s.
+        p : ndarray
+            Parameters.
+
+        Returns
+        -------
+        str
+            Name of the equation.
+        """
         # A form without a step is given more derivatives of the path than its equations hold.
         orders = self.guess_residual.size2_in(1) // len(self.nodes)
         (residual,) = self._calls["guess_residual"](state, self._at_nodes(gamma[:, :orders]), h, p)
@@ -168,14 +282,31 @@ class Program:
         return used.reshape(-1, used.shape[2]).T
 
     def to_json(self) -> str:
-        """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code."""
+        """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code.
+
+        Returns
+        -------
+        str
+            What `from_json` reads.
+        """
         if self.step.class_name() == "External":
             raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
         return to_json(self, _FORMAT)
 
     @classmethod
     def from_json(cls, text: str) -> Program:
-        """Undo `to_json`; raises `ServocoreError` if the text is not a program."""
+        """Undo `to_json`; raises `ServocoreError` if the text is not a program.
+
+        Parameters
+        ----------
+        text : str
+            From `to_json`.
+
+        Returns
+        -------
+        Program
+            The same program.
+        """
         return from_json(cls, text, _FORMAT, {"channels": Quantity, "limits": LimitText})
 
 

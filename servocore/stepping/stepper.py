@@ -104,6 +104,11 @@ class Stepper:
         reference_jet : ndarray, shape (start_order + 1, m), or (instants, start_order + 1, m)
             Reference at the initial time; for a method with several `start_instants`, at each of them. With the
             first form such a method starts from exact values instead, and its first inputs are less accurate.
+
+        Returns
+        -------
+        tuple of (ndarray, StepReport)
+            The state at the initial time, and how it was found.
         """
         jets = self._jets(reference_jet, len(self.start_instants), self.start_order)
         return self.program.begin(jets, self.parameters, self.step if jets.ndim == 3 else 0.0)
@@ -117,6 +122,18 @@ class Stepper:
             From `start` or from the previous step; it is not changed.
         reference_jet : ndarray, shape (orders, m), or (nodes, orders, m) for a method with several nodes
             Reference at the new instant (at the nodes of the step).
+
+        Returns
+        -------
+        tuple of (ndarray, StepReport)
+            The state at the new instant, and how the step went.
+
+        Raises
+        ------
+        InvalidSetting
+            If the state is none of this stepper's.
+        InvalidReference
+            If the jet has too few derivatives, or another shape.
         """
         jets = self._jets(reference_jet, len(self.nodes), self.program.order)
         if np.shape(state) != (self.program.state_size,):
@@ -149,6 +166,11 @@ class Stepper:
         fraction : float
             Of the last step: 0 at its beginning, 1 at its end. In between the method's own polynomial is evaluated,
             through the stages of `RadauIIA`, through the history of `BDF`. Exact inversions answer by another step.
+
+        Returns
+        -------
+        dict of str to float
+            In the units of the scene's model.
         """
         if fraction != 1.0:
             state = self.program.moved(state, fraction, self.step)
