@@ -24,6 +24,8 @@ from servocore.cli.effects import EXAMPLES as EFFECTS_EXAMPLES
 from servocore.cli.effects import show_effects
 from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
 from servocore.cli.export import export_scene
+from servocore.cli.feedforward import EXAMPLES as FEEDFORWARD_EXAMPLES
+from servocore.cli.feedforward import feed_forward
 from servocore.cli.level import Level
 from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
@@ -49,9 +51,8 @@ app = typer.Typer(
     cls=SentenceGroup,
     help="""Servo constraint problems: the inputs that make a mechanical system's output follow a path.
 
-These commands look at the scenes that come with the library, plan their fastest
-motions, and export them for other tools. Inputs are computed from Python
-(servocore.solvers.solve), for the rotary crane also by the command crane-fmu.""",
+These commands look at scenes, those of the library and your own, compute their
+inputs along a path, plan their fastest motions, and export them for other tools.""",
     **SETTINGS,
 )
 
@@ -211,6 +212,7 @@ def _as_typed(scene: str | None, every: bool, parameters: Path | None, instants:
     return shlex.join([*words, "--markdown", str(markdown)])
 
 
+app.command("feedforward", cls=PointsCommand, epilog=FEEDFORWARD_EXAMPLES)(feed_forward)
 app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
 app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_command(sweep))

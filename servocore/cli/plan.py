@@ -20,6 +20,7 @@ from servocore.files import PICTURES, csv_text, require_picture, require_places
 from servocore.model.limit_files import factors_of_texts, limits_given
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
+from servocore.model.system import MechanicalSystem
 from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
 from servocore.references.base import Reference
@@ -192,10 +193,11 @@ def _way(
     if start is None or end is None:
         raise InvalidSetting("no way is given: use --from and --to, or --reference")
     given = [("--from", start), *(("--by", each) for each in between), ("--to", end)]
-    return np.array([_point(option, text, names) for option, text in given])
+    return np.array([point(option, text, names) for option, text in given])
 
 
-def _point(option: str, text: str, names: Sequence[str]) -> list[float]:
+def point(option: str, text: str, names: Sequence[str]) -> list[float]:
+    """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
     try:
         found = [float(each) for each in text.replace(",", " ").split()]
     except ValueError:
@@ -207,7 +209,10 @@ def _point(option: str, text: str, names: Sequence[str]) -> list[float]:
 
 def _table(scene: Scene, solution: Solution, model: str | None) -> str:
     """Return time, inputs, what the model reports and the outputs as a CSV file."""
-    system = scene.model(model)
-    named = [*system.inputs, *system.observables, *system.outputs]
-    names = list(dict.fromkeys(each.name for each in named if each.name in solution))
+    names = column_names(scene.model(model))
     return csv_text(["time", *names], [solution.t, *[solution[name] for name in names]])
+
+
+def column_names(system: MechanicalSystem) -> list[str]:
+    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
+    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))

@@ -149,6 +149,11 @@ def waypoints_from_csv(
     return through(table.derivatives[:, 0], table.t, rest_order=rest_order)
 
 
+def rows_of(path: str | PathLike[str], columns: Sequence[str] = COLUMNS) -> int:
+    """Return how many rows a file for `from_csv` has; raises `InvalidReference` if it is not such a table."""
+    return len(_read(path, columns, len(PREFIXES)).t)
+
+
 def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
     _need_rows(table, fewest_samples(rest_order))
     try:

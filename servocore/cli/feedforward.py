@@ -1,0 +1,218 @@
+"""The command ``servocore feedforward``: the inputs of any scene along a path, as a table."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from servocore.cli.choice import chosen
+from servocore.cli.console import PatientProgress, deliver
+from servocore.cli.options import LimitsFile, Model, Parameters, SceneName
+from servocore.cli.plan import End, LimitTexts, Output, Start, column_names, point
+from servocore.errors import InvalidSetting, LimitBroken
+from servocore.files import csv_text, require_places
+from servocore.model.limit_files import limits_given
+from servocore.model.scene import Scene
+from servocore.model.system import MechanicalSystem
+from servocore.planning.durations import shortest_duration
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.csv_file import from_csv, rows_of, waypoints_from_csv
+from servocore.references.profiles import DEGREE9, DEGREE13, Profile, polynomial, three_phase
+from servocore.references.rest_to_rest import rest_to_rest
+from servocore.references.splines import fewest_samples
+from servocore.solution import Solution
+from servocore.solvers.solve import solve
+
+EXAMPLES = """[bold]Examples[/bold]
+
+[cyan]servocore feedforward overhead_crane --from 0 -4 --to 5 -4 --duration 6 -o inputs.csv[/cyan]
+
+[cyan]servocore feedforward rotary_crane --waypoints cycle.csv --limit F=60 --columns M_b,F,swing[/cyan]
+"""
+
+PROFILES: dict[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, "three-phase": three_phase()}
+_MOST_ROWS = 1e7
+_REST = 1e-9  # of the largest speed, acceleration, ...: what is smaller is round-off of a path at rest
+
+Duration = Annotated[float | None, typer.Option("--duration", metavar="T", help="Time of the motion (s).")]
+ProfileName = Annotated[
+    str | None,
+    typer.Option("--profile", metavar="NAME", help=f"Time law of a line: {', '.join(PROFILES)}. Default: what the"
+                 " scene needs."),
+]  # fmt: skip
+Samples = Annotated[
+    Path | None,
+    typer.Option("--reference", metavar="FILE.csv", help="A path, sampled: its header is time and the outputs' names,"
+                 " optionally followed by their derivatives, as vx,vy,vz."),
+]  # fmt: skip
+Tolerance = Annotated[
+    float | None,
+    typer.Option("--tolerance", metavar="METRES", help="How far the path may stay away from rounded or noisy samples."),
+]
+Waypoints = Annotated[
+    Path | None,
+    typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
+                 " rest."),
+]  # fmt: skip
+Step = Annotated[
+    float | None, typer.Option("--step", metavar="H", help="Time between rows (s); divides the duration."
+                               " Default: duration/200.")
+]  # fmt: skip
+Columns = Annotated[
+    str | None,
+    typer.Option("--columns", metavar="NAMES", help="What the table holds after the time, divided by commas: inputs,"
+                 " observables, outputs, coordinates. Default: all but other coordinates."),
+]  # fmt: skip
+
+
+def feed_forward(
+    scene: SceneName,
+    reference: Samples = None,
+    tolerance: Tolerance = None,
+    waypoints: Waypoints = None,
+    start: Start = None,
+    end: End = None,
+    duration: Duration = None,
+    profile: ProfileName = None,
+    parameters: Parameters = None,
+    model: Model = None,
+    step: Step = None,
+    limit: LimitTexts = None,
+    limits: LimitsFile = None,
+    columns: Columns = None,
+    output: Output = None,
+) -> None:
+    """Compute the inputs that make a scene's outputs follow a path, as a table.
+
+    The path is a file of samples (--reference) or of waypoints (--waypoints), a
+    line from rest to rest (--from, --to, --duration), or else the scene's own.
+    The inputs are those of the route that the analysis recommends. Peaks, rest,
+    and how far the inputs are from right are told on the error stream.
+    """
+    subject = chosen(scene, parameters)
+    require_places({"--output": output}, [parameters, limits, reference, waypoints])
+    line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile}
+    path = _path(subject, model, {"--reference": reference, "--waypoints": waypoints}, tolerance, line)
+    bounded = subject.with_limits(**limits_given(limit, limits))
+    moved = bounded if path is None else bounded.with_reference(path)
+    system = subject.model(model)
+    names = _chosen_columns(columns, system)
+    if step is not None and step > 0.0 and moved.reference.duration / step > _MOST_ROWS:
+        raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
+    with PatientProgress("computing the inputs") as progress:
+        solution = _solved(moved, step, model, progress)
+        told = summary(solution, system, moved.reference)
+    deliver(csv_text(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})
+    print(*told, sep="\n", file=sys.stderr)
+
+
+def _solved(scene: Scene, step: float | None, model: str | None, progress: PatientProgress) -> Solution:
+    try:
+        return solve(scene, step=step, model=model, progress=progress)
+    except LimitBroken as error:
+        try:
+            shortest = shortest_duration(scene, model)
+        except LimitBroken:
+            raise LimitBroken(f"{error}; no duration helps: a limit is broken even at rest on that path") from None
+        raise LimitBroken(f"{error}; the same law keeps all limits if it takes {shortest:.10g} s or more") from None
+
+
+def _path(
+    scene: Scene,
+    model: str | None,
+    files: dict[str, Path | None],
+    tolerance: float | None,
+    line: dict[str, str | float | None],
+) -> Reference | None:
+    """Return the path that options describe, None where they describe none; raises `InvalidSetting` for two."""
+    given = [name for name, value in {**files, **line}.items() if value is not None]
+    from_files = [name for name in given if name in files]
+    if tolerance is not None and from_files != ["--reference"]:
+        raise InvalidSetting("--tolerance belongs to --reference")
+    if not given:
+        return None
+    if from_files and len(given) > 1:
+        raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
+    names = [each.name for each in scene.model(model).outputs]
+    rest_order = Problem.of(scene, model).array.reference_order
+    if from_files:
+        file = files[from_files[0]]
+        assert file is not None
+        return _of_file(file, from_files[0], names, tolerance, rest_order)
+    missing = [name for name in ("--from", "--to", "--duration") if name not in given]
+    if missing:
+        raise InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
+    return _line(line, names, rest_order)
+
+
+def _of_file(file: Path, option: str, names: Sequence[str], tolerance: float | None, rest_order: int) -> Reference:
+    if option == "--waypoints":
+        return waypoints_from_csv(file, names, rest_order=rest_order)
+    rows, fewest = rows_of(file, names), fewest_samples(rest_order)
+    if rows < fewest and tolerance is None:
+        print(
+            f"{file}: its {rows} rows are taken as waypoints, for samples of a path are {fewest} or more",
+            file=sys.stderr,
+        )
+        return waypoints_from_csv(file, names, rest_order=rest_order)
+    return from_csv(file, tolerance, names, rest_order=rest_order)
+
+
+def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order: int) -> Reference:
+    first, last = (point(option, str(line[option]), names) for option in ("--from", "--to"))
+    name, duration = line["--profile"], line["--duration"]
+    assert isinstance(duration, float)
+    if name is None:
+        smooth: list[Profile] = [each for each in (DEGREE9, DEGREE13) if each.smoothness >= rest_order]
+        law = smooth[0] if smooth else polynomial(2 * rest_order + 1)
+    elif name in PROFILES:
+        law = PROFILES[str(name)]
+    else:
+        raise InvalidSetting(f"there is no profile {name!r}; there are {', '.join(PROFILES)}")
+    return rest_to_rest(first, last, duration, profile=law)
+
+
+def _chosen_columns(wanted: str | None, system: MechanicalSystem) -> list[str]:
+    if wanted is None:
+        return column_names(system)
+    known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
+    names = [each.strip() for each in wanted.split(",")]
+    for each in names:
+        if each not in known:
+            raise InvalidSetting(f"--columns: there is no {each!r}; there are {', '.join(known)}")
+    return names
+
+
+def summary(solution: Solution, system: MechanicalSystem, path: Reference) -> list[str]:
+    """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
+    lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
+    for name in [each.name for each in system.inputs] + (["swing"] if "swing" in solution else []):
+        k = int(np.abs(solution[name]).argmax())
+        value, unit = float(solution[name][k]), solution.unit(name)
+        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
+        lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
+    lines.append(f"  ends: {_rest(path)}")
+    if solution.fit_error is not None:
+        lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
+    error = solution.error
+    if error.largest is not None:
+        lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
+    return lines
+
+
+def _rest(path: Reference) -> str:
+    """Say at which ends a path rests, and what moves at the others."""
+    t = np.linspace(path.start_time, path.end_time, 101)
+    speeds = np.linalg.norm(path.jet(t, 1)[:, 1], axis=-1)
+    ends = [(end, speed) for end, speed in (("start", speeds[0]), ("end", speeds[-1])) if speed > _REST * speeds.max()]
+    if not ends:
+        return "at rest at start and end"
+    moving = " and ".join(f"with {speed:.3g} (SI units) at the {end}" for end, speed in ends)
+    return f"the path moves {moving}, so that the inputs jump there"

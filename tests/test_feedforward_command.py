@@ -1,0 +1,89 @@
+"""`servocore feedforward`: the inputs of any scene from the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_lines import CommandLine
+
+import servocore as sc
+from servocore.cli.commands import NAME, app
+from servocore.scenes import REGISTRY
+
+servocore_command = CommandLine(app, NAME)
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+def table(text: str) -> tuple[list[str], np.ndarray]:
+    header, *rows = text.splitlines()
+    return header.split(","), np.array([[float(cell) for cell in row.split(",")] for row in rows])
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_scene_has_its_inputs_along_a_file_of_its_own(name, tmp_path):
+    scene = REGISTRY[name]()
+    outputs = [each.name for each in scene.model().outputs]
+    file = tmp_path / "path.csv"
+    file.write_text(sc.csv_of(scene.reference, outputs, each=40), encoding="utf-8")
+    done = servocore_command("feedforward", name, "--reference", file, "-o", tmp_path / "inputs.csv")
+    assert done.exit_code == 0, done.stderr
+    names, values = table((tmp_path / "inputs.csv").read_text(encoding="utf-8"))
+    path = sc.from_csv(file, columns=outputs, rest_order=sc.Problem.of(scene).array.reference_order)
+    expected = sc.solve(scene.with_reference(path))
+    assert names[0] == "time"
+    for column, each in zip(values.T[1:], names[1:], strict=True):
+        assert (column == expected[each]).all()
+    assert "at rest at start and end" in done.stderr
+    assert "largest" in done.stderr
+
+
+def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene():
+    done = servocore_command("feedforward", "cars", "--from", "0", "--to", "2", "--duration", "5", "--step", "0.5")
+    names, values = table(done.stdout)
+    scene = REGISTRY["cars"]().with_reference(sc.rest_to_rest((0.0,), (2.0,), 5.0))
+    np.testing.assert_allclose(values[:, names.index("u")], sc.solve(scene, step=0.5)["u"], rtol=0, atol=1e-12)
+
+
+def test_few_rows_are_waypoints_and_that_is_said():
+    file = EXAMPLES / "working_cycle_waypoints.csv"
+    done = servocore_command("feedforward", "rotary_crane", "--reference", file)
+    asked = servocore_command("feedforward", "rotary_crane", "--waypoints", file)
+    assert "its 7 rows are taken as waypoints" in done.stderr
+    assert done.stdout == asked.stdout
+
+
+def test_columns_are_chosen_by_name():
+    done = servocore_command("feedforward", "overhead_crane", "--columns", "F,swing")
+    assert done.stdout.startswith("time,F,swing\n")
+
+
+def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path):
+    options = ("--from", "0", "-4", "--to", "5", "-4", "--limit", "F=100")
+    refused = servocore_command(
+        "feedforward", "overhead_crane", *options, "--duration", "3", "-o", tmp_path / "inputs.csv"
+    )
+    assert refused.exit_code == 2
+    assert not list(tmp_path.iterdir())
+    shortest = refused.stderr.rpartition("takes ")[2].partition(" s or more")[0]
+    kept = servocore_command("feedforward", "overhead_crane", *options, "--duration", shortest)
+    assert kept.exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--from", "0", "--to", "1"), "a straight line also needs --duration"),
+        (("--from", "0", "--to", "1", "2", "--duration", "3"), "--to 1 2: it needs 1 numbers, y"),
+        (("--duration", "3", "--reference", "x.csv"), "either by --reference or by --duration, not by both"),
+        (("--tolerance", "1"), "--tolerance belongs to --reference"),
+        (("--columns", "u,nothing"), "there is no 'nothing'; there are u, y"),
+        (("--from", "0", "--to", "1", "--duration", "3", "--profile", "x"), "there is no profile 'x'"),
+        (("--step", "1e-9"), "a step of 1e-09 s makes more than 1e+07 rows"),
+        (("--step", "0"), "step"),
+        (("--reference", "missing.csv"), "missing.csv cannot be read"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_sentence(options, sentence):
+    servocore_command.assert_refused(servocore_command("feedforward", "mass_on_car", *options), sentence)
