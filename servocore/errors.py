@@ -51,6 +51,7 @@ _EXTRAS = {
     "markdown_it": "fmu",
     "matplotlib": "report",
     "pandas": "sweep",
+    "pyarrow": "sweep",
     "pythonfmu": "fmu",
     "xarray": "sweep",
     "zarr": "sweep",

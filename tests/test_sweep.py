@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import subprocess
 import sys
 import time
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -18,6 +20,8 @@ from outside.systems import elbow_arm, vtol
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.planning.grid import Grid, drawn
+from servocore.planning.sweep_store import Zarr
+from servocore.planning.sweep_tables import Parquet
 
 pytest.importorskip("xarray")
 pytest.importorskip("zarr")
@@ -122,19 +126,35 @@ def test_a_case_that_fails_is_a_row_with_its_sentence():
     assert np.isfinite(found.peak_M_b[1])
 
 
+@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
 @pytest.mark.parametrize("chunk", [1, 5, 21])
-def test_a_store_holds_what_memory_does(tmp_path, chunk):
+def test_a_store_holds_what_memory_does(tmp_path, chunk, name):
     kept = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31)
-    stored = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31, store=tmp_path / "s.zarr", chunk=chunk)
+    stored = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31, store=tmp_path / name, chunk=chunk)
     assert stored.drop_attrs().load().identical(kept.drop_attrs())
+
+
+def test_a_folder_of_tables_has_a_row_a_case_with_units_and_settings(tmp_path):
+    pandas, parquet = pytest.importorskip("pandas"), pytest.importorskip("pyarrow.parquet")
+    varied = {"load_mass": MASSES, "duration": [1.0, *DURATIONS]}
+    found = sc.sweep(CRANE, varied, limits=LIMITS, store=tmp_path / "s.parquet", chunk=5)
+    table = pandas.read_parquet(tmp_path / "s.parquet").set_index(["load_mass", "duration"])
+    assert len(table) == found.failure.size
+    for name in found:
+        np.testing.assert_array_equal(table.to_xarray()[name], found[name])
+    assert (table.failure[:, 1.0] != "").all()
+    schema = parquet.read_schema(tmp_path / "s.parquet" / "part-000000.parquet")
+    assert schema.field("peak_M_b").metadata[b"units"] == b"N.m"
+    assert b'"scene": "rotary_crane"' in schema.metadata[b"settings"]
 
 
 class Interrupted(Exception):
     pass
 
 
-def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path):
-    store, seen = tmp_path / "s.zarr", []
+@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path, name):
+    store, seen = tmp_path / name, []
 
     def stop(done, _):
         if done >= 9:
@@ -182,6 +202,20 @@ def test_processes_compute_the_same_digits():
     assert found.identical(sc.sweep(CRANE, VARIED, limits=LIMITS))
 
 
+def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(tmp_path):
+    store = tmp_path / "s.zarr"
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+
+        def kill(*_):
+            for each in list(pool._processes.values()):
+                each.kill()
+
+        with pytest.raises(sc.InvalidSetting, match="the executor gave up: BrokenProcessPool"):
+            sc.sweep(CRANE, VARIED, executor=pool, store=store, chunk=1, progress=kill)
+    found = sc.sweep(CRANE, VARIED, store=store, chunk=1, resume=True)
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
 def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path):
     distributed = pytest.importorskip("distributed")
     cluster = distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50)
@@ -226,8 +260,9 @@ def test_what_is_wrong_is_named_before_anything_is_computed(change, said, tmp_pa
     assert not store.exists()
 
 
-def test_a_store_of_another_sweep_is_not_resumed(tmp_path):
-    store = tmp_path / "s.zarr"
+@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
+def test_a_store_of_another_sweep_is_not_resumed(tmp_path, name):
+    store = tmp_path / name
     sc.sweep(CRANE, VARIED, store=store)
     with pytest.raises(sc.InvalidSetting, match="is there already"):
         sc.sweep(CRANE, VARIED, store=store)
@@ -235,7 +270,38 @@ def test_a_store_of_another_sweep_is_not_resumed(tmp_path):
         sc.sweep(CRANE, VARIED, store=store, instants=101, resume=True)
     (tmp_path / "folder").mkdir()
     with pytest.raises(sc.InvalidSetting, match="no store of a sweep"):
-        sc.sweep(CRANE, VARIED, store=tmp_path / "folder", resume=True)
+        sc.sweep(CRANE, VARIED, store=(tmp_path / "folder").rename(tmp_path / f"other_{name}"), resume=True)
+
+
+def test_a_store_of_other_equations_under_the_same_name_is_not_resumed(tmp_path):
+    masses, store = {"load_mass": MASSES}, tmp_path / "s.zarr"
+    sc.sweep(CRANE, masses, store=store)
+    system = CRANE.model()
+    heavier = replace(system, mass=2.0 * system.mass)
+    with pytest.raises(sc.InvalidSetting, match="another sweep, whose function differ"):
+        sc.sweep(replace(CRANE, models={"points": lambda: heavier}), masses, store=store, resume=True)
+
+
+@pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
+def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(tmp_path, monkeypatch, name):
+    store, puts = tmp_path / name, []
+
+    def full(self, number, block, found):
+        puts.append(number)
+        if len(puts) > 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        original(self, number, block, found)
+
+    kind = Parquet if name.endswith("parquet") else Zarr
+    original = kind.put
+    with monkeypatch.context() as limited:
+        limited.setattr(kind, "put", full)
+        with pytest.raises(sc.InvalidSetting, match="No space left on device; a resumed sweep goes on"):
+            sc.sweep(CRANE, VARIED, store=store, chunk=3)
+    done = []
+    found = sc.sweep(CRANE, VARIED, store=store, chunk=3, resume=True, progress=lambda *_: done.append(1))
+    assert len(done) == 4
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
 @given(
@@ -281,6 +347,9 @@ def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path, monkeypatc
     assert (tmp_path / "study" / "sweep.png").read_bytes().startswith(b"\x89PNG")
     line.assert_refused(line(*words, "-o", "study"), "is there already: resume it")
     assert line(*words, "-o", "study", "--resume").exit_code == 0
+    assert line(*words, "-o", "study", "--parquet").exit_code == 0
+    assert len(list((tmp_path / "study" / "sweep.parquet").glob("part-*"))) == 1
+    assert "sweep.parquet" in (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ EXAMPLES = """[bold]Examples[/bold]
 """
 
 _RANGE = re.compile(r"([^=]+)=([^:]+):([^:]+)(?::([^:]+))?")
-_STORE, _PAGE, _FIGURE = "sweep.zarr", "index.html", "sweep.png"
+_STORE, _TABLES, _PAGE, _FIGURE = "sweep.zarr", "sweep.parquet", "index.html", "sweep.png"
 
 Varied = Annotated[
     list[str] | None,
@@ -52,6 +52,7 @@ LimitTexts = Annotated[
     list[str] | None, typer.Option("--limit", metavar="NAME=VALUE", help="Tell the margin of F=60, swing=5deg, ...")
 ]
 Instants = Annotated[int, typer.Option("--instants", metavar="N", help="At how many instants a case is looked at.")]
+Tables = Annotated[bool, typer.Option("--parquet", help=f"Write a folder of tables, {_TABLES}, instead.")]
 Inputs = Annotated[bool, typer.Option("--inputs", help="Keep the inputs over time too.")]
 
 
@@ -73,6 +74,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         inputs: Inputs = False,
         scheduler: Scheduler = None,
         resume: Resume = False,
+        parquet: Tables = False,
     ) -> None:
         """Compute peaks, margins and swing of many cases of a scene.
 
@@ -88,15 +90,16 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         varied = _varied(vary or (), sample, seed)
         if output.exists() and not output.is_dir():
             raise InvalidSetting(f"cannot write into {output}: it is a file")
+        store = output / (_TABLES if parquet else _STORE)
         with _client(scheduler) as client, _SweepProgress() as progress:
             found = sweep(
-                subject, varied, limits=bounds, store=output / _STORE, resume=resume, instants=instants, inputs=inputs,
+                subject, varied, limits=bounds, store=store, resume=resume, instants=instants, inputs=inputs,
                 model=model, distributed=client, progress=progress,
             )  # fmt: skip
-        page, figure = sweep_page(found, subject.name)
+        page, figure = sweep_page(found, subject.name, store.name)
         write_together({output / _PAGE: page, output / _FIGURE: figure})
         failed = int((found.failure.to_numpy() != "").sum())
-        print(f"{output / _STORE}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
+        print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
 
     return sweep_scene
 

@@ -23,19 +23,19 @@ td + td, th + th {{ text-align: right; }} .wide {{ overflow-x: auto; }}</style><
 <img alt="{alt}" src="data:image/png;base64,{picture}">
 <div class="wide"><table><tr><th>quantity</th><th>unit</th><th>least</th><th>median</th><th>largest</th></tr>
 {rows}</table></div>
-{failures}<p>Open the numbers with <code>xarray.open_zarr("sweep.zarr")</code>.</p></body></html>
+{failures}<p>Open the numbers with <code>{opening}</code>.</p></body></html>
 """
 _SENTENCES = 10
 
 
-def sweep_page(found: Any, title: str) -> tuple[str, bytes]:
+def sweep_page(found: Any, title: str, store: str) -> tuple[str, bytes]:
     """Return a page about the dataset of a sweep, and its figure as PNG."""
     first = f"peak_{json.loads(found.attrs['settings'])['quantities'][0]}"
     figure = Figure(figsize=(7.0, 4.4), layout="constrained", dpi=130)
     _draw(figure.subplots(), figure, found, first)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
-    return _page(found, title, first, stream.getvalue()), stream.getvalue()
+    return _page(found, title, first, stream.getvalue(), store), stream.getvalue()
 
 
 def _draw(axes: Axes, figure: Figure, found: Any, name: str) -> None:
@@ -77,7 +77,7 @@ def _titled(found: Any, name: Any) -> str:
     return f"{str(name).replace('_', ' ')} ({unit})" if unit else str(name)
 
 
-def _page(found: Any, title: str, first: str, picture: bytes) -> str:
+def _page(found: Any, title: str, first: str, picture: bytes, store: str) -> str:
     failures = found.failure.to_numpy().ravel()
     told = list(dict.fromkeys(str(each) for each in failures[failures != ""]))
     rows = []
@@ -99,7 +99,9 @@ def _page(found: Any, title: str, first: str, picture: bytes) -> str:
         f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
         for name, (_, values) in settings["varied"].items()
     )
+    opening = f'{"pandas.read_parquet" if store.endswith(".parquet") else "xarray.open_zarr"}("{store}")'
     return _PAGE.format(
         title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()), varied=html.escape(varied),
         alt=f"{first} over what varies", picture=base64.b64encode(picture).decode(), rows="".join(rows), failures=more,
+        opening=html.escape(opening, quote=False),
     )  # fmt: skip

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.calls import Array
 from servocore.planning.grid import DURATION, Slices
+from servocore.planning.pools import pool_of
 from servocore.planning.sweep_store import Memory, Sink, Zarr
+from servocore.planning.sweep_tables import SUFFIX, Parquet
 from servocore.planning.swept import Swept, in_time, settings_of, settled
 from servocore.planning.swept_cases import SWING, Cases, Work, evaluated, work_of
 from servocore.references.base import Reference
@@ -30,7 +33,6 @@ from servocore.solvers.solve import solve
 Progress = Callable[[int, int], None]
 
 # Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
-_CLUSTER = 64  # blocks
 # Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
 _FEWEST, _MOST, _WITH_INPUTS, _BLOCKS, _SLOW = 2048, 32768, 4096, 32, 16
 
@@ -73,7 +75,8 @@ def sweep(
     inputs : bool
         Whether the inputs are kept too, dimension ``instant``.
     store : str or Path, optional
-        A Zarr store that is filled block by block; its content is returned without being read.
+        A Zarr store that is filled block by block, whose content is returned without being read; or, where the name
+        ends so, a folder of Parquet files (``.parquet``), a row a case.
     resume : bool
         Whether a store of the same settings is completed.
     chunk : int, optional
@@ -122,18 +125,31 @@ def sweep(
     work = _work(swept, native)
     fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
     shape = swept.grid.block(chunk or fitting)
-    settings = settings_of(swept)
-    sink: Sink = Memory(swept, settings) if store is None else Zarr.opened(Path(store), swept, settings, shape, resume)
+    settings = {**settings_of(swept), "function": sha256(work.quick.encode()).hexdigest() if work else None}
+    sink = _sink(swept, settings, shape, store, resume)
     if distributed is not None:
-        executor = distributed.get_executor(pure=False)
+        executor = distributed.get_executor()
     todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     for number, block, found in _computed(swept, work, todo, executor):
-        sink.put(number, block, found)
+        try:
+            sink.put(number, block, found)
+        except OSError as error:
+            why = error.strerror or error
+            raise InvalidSetting(f"cannot write {store}: {why}; a resumed sweep goes on after what is there") from error
         done += _count(block)
         if progress is not None:
             progress(done, swept.grid.size)
     return sink.dataset()
+
+
+def _sink(
+    swept: Swept, settings: Mapping[str, Any], shape: Sequence[int], store: str | Path | None, resume: bool
+) -> Sink:
+    if store is None:
+        return Memory(swept, settings)
+    kind = Parquet if Path(store).suffix == SUFFIX else Zarr
+    return kind.opened(Path(store), swept, settings, shape, resume)
 
 
 def _count(block: Slices) -> int:
@@ -165,27 +181,20 @@ def _computed(
             yield number, block, _one_by_one(swept, block)
         return
     with ThreadPoolExecutor(os.cpu_count() or 1) as own:
-        pool, waiting = executor or own, dict[Future[dict[str, Array]], tuple[int, Slices]]()
-        ahead = 2 * _workers(pool) + 2
-        left = iter(todo)
+        pool = pool_of(executor or own)
+        waiting, left = dict[Any, tuple[int, Slices]](), iter(todo)
         try:
             while True:
-                while len(waiting) < ahead and (each := next(left, None)) is not None:
-                    cases = _cases(swept, each[1])
-                    waiting[pool.submit(evaluated, work, cases)] = each
+                while len(waiting) < pool.ahead and (each := next(left, None)) is not None:
+                    waiting[pool.submit(evaluated, work, _cases(swept, each[1]))] = each
                 if not waiting:
                     return
-                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                for future in pool.completed(waiting):
                     number, block = waiting.pop(future)
-                    yield number, block, _with_sentences(swept, block, future.result())
+                    yield number, block, _with_sentences(swept, block, pool.result(future))
         finally:
             for future in waiting:
                 future.cancel()
-
-
-def _workers(pool: Executor) -> int:
-    """Return how many blocks a pool computes at once; where it does not say, as many as a small cluster."""
-    return int(getattr(pool, "_max_workers", _CLUSTER))
 
 
 def _cases(swept: Swept, block: Slices) -> Cases:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,8 +69,13 @@ def variables_of(swept: Swept) -> list[Variable]:
     return [*found, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
 
 
+def units_of(swept: Swept) -> dict[str, str]:
+    """Return the units of all that can vary."""
+    return {each.name: each.unit for each in swept.problem.system.parameters.declared} | {DURATION: "s"}
+
+
 def _coordinates(swept: Swept) -> dict[str, tuple[str, Any, dict[str, str]]]:
-    units = {each.name: each.unit for each in swept.problem.system.parameters.declared} | {DURATION: "s"}
+    units = units_of(swept)
     found: dict[str, tuple[str, Any, dict[str, str]]] = {
         name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in swept.grid.columns.items()
     }
@@ -82,7 +87,7 @@ def _coordinates(swept: Swept) -> dict[str, tuple[str, Any, dict[str, str]]]:
     return found
 
 
-def _placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
+def placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
     """Return the values of a variable for a block, in its shape."""
     values = found[variable.result]
     values = values if variable.column is None else values[..., variable.column]
@@ -124,7 +129,12 @@ class Memory:
     def put(self, _: int, block: Slices, found: Mapping[str, Any]) -> None:
         """Take the results of a block."""
         for each in variables_of(self._swept):
-            self._arrays[each.name][block] = _placed(self._swept, each, found, block)
+            self.take(each, block, placed(self._swept, each, found, block))
+
+    def take(self, variable: Variable, block: Slices, values: Any) -> None:
+        """Take the values of one variable for a block, in whatever shape."""
+        target = self._arrays[variable.name][block]
+        target[...] = values.reshape(target.shape)
 
     def dataset(self) -> Any:
         """Return the dataset."""
@@ -169,16 +179,7 @@ class Zarr:
         if not path.exists():
             _made(path, swept, held)
             return cls(path, swept)
-        try:
-            group = _zarr().open_group(path, mode="r")
-            stored = json.loads(group.attrs[_SETTINGS])
-        except (KeyError, ValueError, OSError) as error:
-            raise InvalidSetting(f"cannot write {path}: it is there already, and is no store of a sweep") from error
-        if not resume:
-            raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
-        other = sorted(name for name in {*held, *stored} if held.get(name) != stored.get(name))
-        if other:
-            raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
+        require_settings(path, held, lambda: _zarr().open_group(path, mode="r").attrs[_SETTINGS], resume)
         return cls(path, swept)
 
     def has(self, number: int) -> bool:
@@ -190,13 +191,26 @@ class Zarr:
         with _quiet():
             for each in variables_of(self._swept):
                 if each.result != "failure" or found["failure"].any():  # a store has empty sentences by itself
-                    self._arrays[each.name][block] = _placed(self._swept, each, found, block)
+                    self._arrays[each.name][block] = placed(self._swept, each, found, block)
         self._done[number] = 1
 
     def dataset(self) -> Any:
         """Return the dataset, of which nothing is read before it is used."""
         with _quiet():  # without chunks of Dask, whose import takes seconds
             return self._xarray.open_zarr(self._path, consolidated=False, chunks=None).drop_vars(DONE)
+
+
+def require_settings(path: Path, settings: Mapping[str, Any], read: Callable[[], str], resume: bool) -> None:
+    """Raise `InvalidSetting` unless what is there already is a store of these settings, and to be resumed."""
+    try:
+        stored = json.loads(read())
+    except (KeyError, ValueError, OSError) as error:
+        raise InvalidSetting(f"cannot write {path}: it is there already, and is no store of a sweep") from error
+    if not resume:
+        raise InvalidSetting(f"{path} is there already: resume it, or choose another place")
+    other = sorted(name for name in {*settings, *stored} if settings.get(name) != stored.get(name))
+    if other:
+        raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
 
 
 def _made(path: Path, swept: Swept, settings: Mapping[str, Any]) -> None:

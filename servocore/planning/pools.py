@@ -1,0 +1,104 @@
+"""What computes blocks of a sweep: an executor of this machine, or the workers of a Dask cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from dataclasses import dataclass
+from typing import Any
+
+from servocore.errors import InvalidSetting
+
+_UNKNOWN = 64  # workers, where an executor does not tell
+
+
+@dataclass(frozen=True)
+class Pool:
+    """An executor.
+
+    Attributes
+    ----------
+    executor : concurrent.futures.Executor
+        Which computes.
+    """
+
+    executor: Executor
+
+    @property
+    def ahead(self) -> int:
+        """How many calls are under way at once, so that no worker waits for the next."""
+        return 2 * int(getattr(self.executor, "_max_workers", _UNKNOWN)) + 2
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """Have something computed.
+
+        Raises
+        ------
+        InvalidSetting
+            If the executor does not work any more.
+        """
+        try:
+            return self.executor.submit(call, *arguments)
+        except RuntimeError as error:  # broken, or shut down
+            raise _broken(error) from error
+
+    def completed(self, waiting: Collection[Any]) -> Collection[Any]:
+        """Wait for the first of some calls, and return which are complete."""
+        return wait(waiting, return_when=FIRST_COMPLETED).done
+
+    def result(self, future: Any) -> Any:
+        """Return what was computed.
+
+        Raises
+        ------
+        InvalidSetting
+            If the executor has lost the call.
+        """
+        try:
+            return future.result()
+        except BrokenExecutor as error:
+            raise _broken(error) from error
+
+
+@dataclass(frozen=True)
+class _Cluster(Pool):
+    """Workers of Dask, asked for one result after the other.
+
+    Its own executor asks for all at once. Where a worker died with results that nobody had fetched yet, every one of
+    these questions has all of them computed again.
+    """
+
+    client: Any
+
+    @property
+    def ahead(self) -> int:
+        """As many as the workers that are there now can take, and some for those that will join."""
+        return 2 * int(sum(self.client.ncores().values())) + 8
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        asked = getattr(self.executor, "_kwargs", {})  # for certain workers, or resources of theirs
+        return self.client.submit(call, *arguments, **{"pure": False, **asked})
+
+    def completed(self, waiting: Collection[Any]) -> Collection[Any]:
+        from distributed import wait as first_of  # noqa: PLC0415 - an extra
+
+        found: Collection[Any] = first_of(list(waiting), return_when="FIRST_COMPLETED").done
+        return found
+
+    def result(self, future: Any) -> Any:
+        from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
+
+        try:
+            return future.result()
+        except KilledWorker as error:
+            raise _broken(error) from error
+
+
+def pool_of(executor: Executor) -> Pool:
+    """Return what computes in an executor; that of a Dask client stands for its cluster."""
+    client = getattr(executor, "_client", None)
+    return Pool(executor) if client is None else _Cluster(executor, client)
+
+
+def _broken(error: Exception) -> InvalidSetting:
+    return InvalidSetting(f"the executor gave up: {type(error).__name__}: {error}; a sweep with a store can be resumed")
