@@ -41,6 +41,7 @@ from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexi
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 from servocore.scenes.rotary_crane_bodies import PHI, TROLLEY
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
+from servocore.scenes.rotary_crane_rope import OnRope
 
 PARAMETERS = Parameters(
     Parameter("bridge_inertia", 480.0, "kg.m2", 1e-3, 1e9, "J_b, of bridge, trolley and winch at s = 0"),
@@ -247,7 +248,7 @@ CRANE = Crane(
 EFFECTS = effects_of(CRANE, PHI.name, TROLLEY.name)
 
 
-def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene:
+def rotary_crane(*, across_axis: bool = False, invariant: bool = False, rope_elements: int = 0) -> Scene:
     """Return the rotary crane with its default manoeuvre, (5, 0, -5) m to (-2, 2, -2) m in 20 s.
 
     Parameters
@@ -259,6 +260,9 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene
     invariant : bool
         Whether rotations about the axis shall leave every constraint as it is, also where it does not vanish: what
         `EnergyMomentum` needs. The nine coordinates are the same.
+    rope_elements : int
+        How many elements a flexible rope shall have, see `servocore.scenes.rotary_crane_rope`: an invariant plant to
+        be simulated, from `at_rest` on.
 
     Returns
     -------
@@ -268,9 +272,9 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene
     Raises
     ------
     InvalidSetting
-        If both are asked for.
+        If the trolley may pass through the axis of an invariant model.
     """
-    if across_axis and invariant:
+    if across_axis and (invariant or rope_elements):
         raise InvalidSetting("the rotary crane is written for the crossing of its axis, or invariant, not both")
     crane = Scene(
         name="rotary_crane",
@@ -281,6 +285,9 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False) -> Scene
         tracked="load",
         effects=EFFECTS,
     )
+    if rope_elements:
+        plant = OnRope(INVARIANT_MODELS["points"], rope_elements)
+        return replace(crane, models={"rope": plant}, effects=NO_EFFECTS, closed_form=None, limits=())
     if not across_axis:
         return replace(crane, models=INVARIANT_MODELS, effects=NO_EFFECTS) if invariant else crane
     limits = (*LIMITS[:-1], replace(LIMITS[-1], at_instants_only=True))

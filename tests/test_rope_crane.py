@@ -1,0 +1,141 @@
+"""The crane on a flexible rope: against Bessel's functions, the path of a rope without mass, and ropes of lumps."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.optimize
+import scipy.special
+
+import servocore as sc
+from servocore.scenes.rotary_crane_rope import at_rest
+
+PATH = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 3.0, sc.DEGREE9)
+"""Fast hoisting: three metres in three seconds, while the load goes round the mast."""
+HEAVY = {"rope_mass": 5.0, "rope_stiffness": 1e9}
+
+
+def crane(elements, **parameters):
+    return sc.scenes.rotary_crane(rope_elements=elements).with_reference(PATH).with_parameters(**parameters)
+
+
+@pytest.fixture(scope="module")
+def inputs():
+    """Exact ones of the crane on a stiff rope without mass."""
+    return sc.solve(sc.scenes.rotary_crane().with_reference(PATH), step=0.002)
+
+
+def simulated(scene, inputs, step=0.002, end=3.0):
+    t = np.arange(round(end / 0.02) + 1) * 0.02
+    return sc.simulate(scene, inputs, t=t, start=at_rest(scene), method=sc.EnergyMomentum(), step=step)
+
+
+def load(solution):
+    return np.array([solution[axis] for axis in "xyz"])
+
+
+# Swinging about rest --------------------------------------------------------------------------------------------------
+
+
+def frequencies(elements, count, **parameters):
+    """Circular frequencies of swings across the bridge, all drives at rest."""
+    scene = crane(elements, **parameters)
+    system, start = scene.model(), at_rest(scene)
+    q = np.array([start[name] for name in system.coordinates.names])
+    p = np.array([scene.parameter_values()[name] for name in system.parameters.names])
+    rope, potential = system.constraints[-1], ca.SX(system.potential)
+    slopes = [ca.gradient(each, system.q) for each in (potential, rope)]
+    curves = [ca.hessian(each, system.q)[0] for each in (potential, rope)]
+    look = ca.Function("look", [system.q, system.p], [*slopes, *curves, system.mass])
+    force, pull, K, bend, M = (np.asarray(each) for each in look(q, p))
+    z = system.coordinates.names.index("rope.0.z")
+    K = K - float(force[z, 0] / pull[z, 0]) * bend  # the stiff piece bears the first node
+    aside = [k for k, name in enumerate(system.coordinates.names) if name == "y" or name.endswith(".y")]
+    squares = scipy.linalg.eigh(K[np.ix_(aside, aside)], M[np.ix_(aside, aside)], eigvals_only=True)
+    return np.sqrt(squares[:count])
+
+
+def bessel(count, load_mass, line_mass, length, above, gravity=9.81):
+    """The same of a continuous rope with a load, below a straight piece that only weighs on the first node."""
+    shift = load_mass / line_mass
+    tension = gravity * (load_mass + line_mass * length)
+    bears = tension + gravity * line_mass * above / 2
+
+    def gap(omega):
+        places = np.array([shift, shift + length])
+        root = 2 * omega * np.sqrt(places / gravity)
+        inner = omega / np.sqrt(gravity * places)
+        w = np.array([scipy.special.jv(0, root), scipy.special.yv(0, root)])
+        slope = -np.array([scipy.special.jv(1, root), scipy.special.yv(1, root)]) * inner
+        bottom = slope[:, 0] + omega**2 / gravity * w[:, 0]
+        top = tension * slope[:, 1] + bears / above * w[:, 1]
+        return np.linalg.det([bottom, top])
+
+    grid = np.linspace(0.05, 400.0, 40_001)
+    values = np.array([gap(each) for each in grid])
+    signs = np.flatnonzero(np.diff(np.sign(values)))[:count]
+    return np.array([scipy.optimize.brentq(gap, grid[k], grid[k + 1]) for k in signs])
+
+
+def test_the_crane_swings_with_the_frequencies_of_bessels_functions():
+    exact = bessel(3, 100.0, 5.0, 1.5, 3.5)
+    errors = [np.abs(frequencies(elements, 3, **HEAVY) - exact) / exact for elements in (8, 16)]
+    assert errors[-1].max() < 5e-3
+    np.testing.assert_allclose(np.log2(errors[0][1:] / errors[1][1:]), 2.0, atol=0.1)
+
+
+# Hoisting -------------------------------------------------------------------------------------------------------------
+
+
+def test_on_a_rope_without_mass_the_load_follows_its_path(inputs):
+    """With an error of the step alone, which falls with its square."""
+    scene = crane(2, rope_mass=1e-6, rope_stiffness=1e9)
+    errors = [simulated(scene, inputs, step)["tracking_error"].max() for step in (0.004, 0.002)]
+    assert errors[1] < 1e-4
+    assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.2)
+
+
+def test_motions_converge_with_the_square_of_the_number_of_elements(inputs):
+    runs = {elements: load(simulated(crane(elements, **HEAVY), inputs)) for elements in (2, 4, 8, 16)}
+    errors = [np.abs(runs[elements] - runs[16]).max() for elements in (2, 4, 8)]
+    # Against 16 elements instead of infinitely many: (1/N^2 - 1/16^2)
+    expected = np.array([1 / 4, 1 / 16, 1 / 64]) - 1 / 256
+    np.testing.assert_allclose(np.divide(errors, errors[1]), expected / expected[1], rtol=0.2)
+    assert errors[-1] < 1e-3
+
+
+def test_while_hoisting_energy_changes_by_the_work_of_the_inputs(inputs):
+    found = simulated(crane(4, **HEAVY), inputs)
+    change = found["energy"] - found["energy"][0]
+    assert np.ptp(change) > 1000.0
+    assert np.abs(change - found["work"]).max() < 1e-10 * np.abs(found["energy"]).max()
+
+
+def test_ropes_of_lumps_approach_it(inputs):
+    """As many as effects of the crane have, on links without stretch, by error control: other equations throughout."""
+    rope = load(simulated(crane(16, **HEAVY), inputs, end=0.6))
+    errors = []
+    for lumps in (2, 4):
+        scene = sc.scenes.rotary_crane().with_effects(f"heavy rope {lumps}").with_reference(PATH)
+        scene = scene.with_parameters(rope_mass=5.0, rope_piece=1.5)
+        names = scene.model().coordinates.names
+        start = dict.fromkeys(names, 0.0) | {"d_x": 1.0, "p_x": 5.0, "s": 5.0, "l": 5.0, "x": 5.0, "z": -5.0}
+        for k in range(lumps):
+            start |= {f"rope_{k + 1}_x": 5.0, f"rope_{k + 1}_z": -5.0 + 1.5 / lumps * (k + 0.5)}
+        start |= dict.fromkeys((f"{name}_dot" for name in names), 0.0)
+        errors.append(np.abs(load(sc.simulate(scene, inputs, t=np.arange(31) * 0.02, start=start)) - rope).max())
+    assert errors[1] < 1e-3
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("elements", [-1, 1.5, True])
+def test_ropes_of_no_whole_number_of_elements_are_refused(elements):
+    with pytest.raises(sc.InvalidModel, match="rope rope needs a whole number of elements, one at least"):
+        crane(elements).model()
+
+
+def test_the_trolley_of_a_crane_on_a_rope_cannot_pass_its_axis():
+    with pytest.raises(sc.InvalidSetting, match="for the crossing of its axis, or invariant"):
+        sc.scenes.rotary_crane(across_axis=True, rope_elements=2)
