@@ -42,6 +42,7 @@ from servocore.methods import (
     Start,
     Trapezoidal,
 )
+from servocore.model.drawing import Part
 from servocore.model.effects import Effect, Effects
 from servocore.model.generalise import generalise
 from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
@@ -98,6 +99,7 @@ from servocore.stepping.plant import Plant
 from servocore.stepping.program import Program, StepReport
 from servocore.stepping.rotation_update import RotationUpdate
 from servocore.stepping.stepper import Stepper
+from servocore.view.page import LivePart, live_part, view
 
 __version__ = "0.2.0"
 
@@ -129,6 +131,7 @@ __all__ = [
     "InvalidSetting",
     "Limit",
     "LimitBroken",
+    "LivePart",
     "Margin",
     "Original",
     "PlanReport",
@@ -172,6 +175,7 @@ __all__ = [
     "figure_of_eight",
     "from_csv",
     "limits_given",
+    "live_part",
     "periodic",
     "read_limits",
     "read_parameters",
@@ -186,6 +190,7 @@ __all__ = [
     "three_phase",
     "through",
     "to_control",
+    "view",
     "waypoints_from_csv",
 ]
 # Extend: for systems, formulations, methods and routes of one's own.
@@ -203,6 +208,7 @@ __all__ += [
     "Orders",
     "Parameter",
     "Parameters",
+    "Part",
     "Problem",
     "Quantity",
     "Route",

@@ -17,6 +17,7 @@ import numpy as np
 from servocore.dae import Dae
 from servocore.errors import InvalidModel, require_kind
 from servocore.formulations.base import Formulation
+from servocore.model.drawing import Drawing
 from servocore.model.limits import Limit
 from servocore.model.magnitudes import decades_of, scaled_to
 from servocore.model.scene import Scene
@@ -177,6 +178,8 @@ class Problem:
         What messages call the redundant constraints that were left out; empty if there were none.
     start : mapping of str to float
         Initial values of the states of the internal dynamics by name; those of the guess, at rest, when empty.
+    drawing : callable or None
+        What pages draw of it, see `Scene`.
 
     Examples
     --------
@@ -194,6 +197,7 @@ class Problem:
     follow_branch: bool = False
     left_out: str = ""
     start: Mapping[str, float] = field(default_factory=dict)
+    drawing: Drawing | None = None
 
     @classmethod
     def of(
@@ -234,7 +238,9 @@ class Problem:
         reference = scene.reference
         if system.time.numel() and reference.dimension == len(system.outputs):
             reference = Clocked.of(reference)
-        return cls(scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {})
+        return cls(
+            scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {}, scene.drawing
+        )
 
     @property
     def system(self) -> MechanicalSystem:

@@ -156,6 +156,8 @@ class Solution:
         What computes `error`, given this solution; left out of copies in files.
     margins : mapping of str to Margin
         What every limit of the scene that is no limit of the path leaves, by its name; at the instants of the solution.
+    origin : Problem or None
+        What was solved, for those who draw or compute it again; left out of copies in files.
     """
 
     t: Array
@@ -167,6 +169,7 @@ class Solution:
     advice: str = ""
     estimator: Callable[[Solution], ErrorEstimate] | None = field(default=None, repr=False)
     margins: Mapping[str, Margin] = field(default_factory=dict)
+    origin: Any = field(default=None, repr=False)  # a `Problem`, of a room above this one
 
     @cached_property  # it may take longer than the solution did, and is asked for again and again
     def error(self) -> ErrorEstimate:
@@ -174,8 +177,8 @@ class Solution:
         return NOTHING_KNOWN if self.estimator is None else self.estimator(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in self.__dict__.items() if name != "estimator"}
-        return {**kept, "estimator": None}
+        kept = {name: value for name, value in self.__dict__.items() if name not in ("estimator", "origin")}
+        return {**kept, "estimator": None, "origin": None}
 
     @property
     def names(self) -> tuple[str, ...]:

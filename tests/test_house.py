@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-MOST_ENTRIES = {"servocore": 24, "crane_fmu": 12}
+MOST_ENTRIES = {"servocore": 25, "crane_fmu": 12}
 LONGEST_CHAIN = 12
 MOST_MEMOS = 15
 MEMO = re.compile(r"^\s*@(?:functools\.)?(?:lru_cache|cache|cached_property)\b")

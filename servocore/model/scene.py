@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 from servocore.errors import InvalidModel, InvalidReference, described, require_kind
+from servocore.model.drawing import Drawing
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
@@ -57,6 +58,9 @@ class Scene:
         vectors ``load.position``, ``load.velocity``.
     effects : Effects
         What the scene leaves out of the physics, or may leave out, see `with_effects`.
+    drawing : callable, optional
+        Symbols of what a solution reports and of the parameters, by name -> the parts that pages draw, see `Part`;
+        found by the names of coordinates when not given.
     """
 
     name: str
@@ -70,6 +74,7 @@ class Scene:
     follow_branch: bool = False
     tracked: str = ""
     effects: Effects = NO_EFFECTS
+    drawing: Drawing | None = None
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
@@ -90,7 +95,7 @@ class Scene:
         if not listed:
             raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
 
-        for each in ("closed_form", "independent_solution"):
+        for each in ("closed_form", "independent_solution", "drawing"):
             if not (getattr(self, each) is None or callable(getattr(self, each))):
                 raise InvalidModel(f"{self.name}: {each} must be a function, not {described(getattr(self, each))}")
 

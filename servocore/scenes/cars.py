@@ -29,6 +29,7 @@ from typing import Any, ClassVar, TypeAlias
 import casadi as ca
 
 from servocore.errors import InvalidModel
+from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
@@ -113,6 +114,16 @@ class Chain(ABC):
         found = {self.position(i).name: each.value for i, each in enumerate(x, 1)}
         return {self.force.name: force.value, **found, self.output.name: first.value}
 
+    def places(self, v: Mapping[str, Any]) -> list[Any]:
+        """Return where the masses are on their line, in m, from what a solution reports."""
+        return [v[self.position(i).name] for i in range(1, self.count + 1)]
+
+    def drawing(self, v: Mapping[str, Any]) -> list[Part]:
+        """Return springs and masses; what follows the path comes last."""
+        points = [(place, 0, 0) for place in self.places(v)]
+        springs = [Part("spring", pair) for pair in pairwise(points)]
+        return [*springs, *(Part("box", (each,), str(i)) for i, each in reversed(list(enumerate(points, 1))))]
+
     def scene(self, name: str, duration: float) -> Scene:
         """Return the scene in which the first mass moves from 0 m to 1 m in a time (s).
 
@@ -134,6 +145,7 @@ class Chain(ABC):
             reference=rest_to_rest((0.0,), (1.0,), duration, polynomial(4 * self.count + 1)),
             closed_form=self.closed_form,
             closed_form_order=2 * self.count,
+            drawing=self.drawing,
         )
 
 

@@ -68,6 +68,11 @@ class Bar(Chain):
         masses = [values["end_mass"] + piece / 2, *[piece] * (self.count - 2), piece / 2]
         return masses, [stiffness] * pieces, [0.0] * pieces
 
+    def places(self, v: Mapping[str, Any]) -> list[Any]:
+        """Return where the nodes are: displacements count from where they rest."""
+        rest = (v["length"] * i / (self.count - 1) for i in range(self.count))
+        return [x + displacement for x, displacement in zip(rest, super().places(v), strict=True)]
+
 
 def wave_time(parameters: Mapping[str, float]) -> float:
     """Return L/c, the time in s that a wave needs from one end of the bar to the other."""

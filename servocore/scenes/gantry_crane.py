@@ -17,7 +17,9 @@ With a path in the plane y = constant this is the overhead crane, whose trolley 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
+from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter, Parameters
@@ -89,6 +91,17 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     }
 
 
+def drawing(v: Mapping[str, Any]) -> list[Part]:
+    """Return bridge, trolley, rope and load."""
+    trolley, load = (v["s_x"], v["s_y"], 0), (v["x"], v["y"], v["z"])
+    return [
+        Part("rail", ((v["s_x"], 0, 0),), along=1),
+        Part("rope", (trolley, load), colour=hanging_load.TENSION.name),
+        Part("box", (trolley,), "trolley"),
+        Part("body", (load,), "load"),
+    ]
+
+
 LIMITS = hanging_load.limits("trolley")
 
 
@@ -130,4 +143,5 @@ def gantry_crane() -> Scene:
         limits=LIMITS,
         tracked="load",
         effects=EFFECTS,
+        drawing=drawing,
     )

@@ -30,11 +30,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.model.drawing import Part
 from servocore.model.generalise import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -98,6 +100,20 @@ def generalized() -> MechanicalSystem:
         guess=ca.vertcat(base.gamma[0, 0], 0),
         name="mass on car, generalized",
     )
+
+
+def drawing(v: Mapping[str, Any]) -> list[Part]:
+    """Return the car, and the mass on its incline with the spring."""
+    reach, up = 1.5, (ca.cos(v["inclination"]), ca.sin(v["inclination"]))
+    foot, top = ((v["x"] + place * up[0], 0, place * up[1]) for place in (-reach, reach))
+    mass = (v["x"] + v["s"] * up[0], 0, v["s"] * up[1])
+    return [
+        Part("rail", ((0, 0, -reach),)),
+        Part("bar", (foot, top)),
+        Part("spring", (foot, mass)),
+        Part("box", ((v["x"], 0, -reach),), "car"),
+        Part("body", (mass,), "mass"),
+    ]
 
 
 def independent_solution(t: Array, reference: Reference, parameters: Mapping[str, float]) -> dict[str, Array]:
@@ -192,4 +208,5 @@ def mass_on_car() -> Scene:
         models={"generalized": generalized, "points": points},
         reference=rest_to_rest((0.0,), (2.0,), 4.0),
         independent_solution=independent_solution,
+        drawing=drawing,
     )

@@ -14,7 +14,9 @@ Left out: what `EFFECTS` has, but for the winch's inertia; the third dimension (
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
+from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter, Parameters
@@ -50,6 +52,17 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     (s,), (pull,) = found.trolley, found.pull
     force = parameters["trolley_mass"] * s.derivatives()[2] - pull
     return {"F": force, "s": s.value, **found.answer}
+
+
+def drawing(v: Mapping[str, Any]) -> list[Part]:
+    """Return rail, trolley, rope and load."""
+    trolley, load = (v["s"], 0, 0), (v["x"], 0, v["z"])
+    return [
+        Part("rail", ((0, 0, 0),)),
+        Part("rope", (trolley, load), colour=hanging_load.TENSION.name),
+        Part("box", (trolley,), "trolley"),
+        Part("body", (load,), "load"),
+    ]
 
 
 LIMITS = hanging_load.limits("girder")
@@ -91,4 +104,5 @@ def overhead_crane() -> Scene:
         limits=LIMITS,
         tracked="load",
         effects=EFFECTS,
+        drawing=drawing,
     )

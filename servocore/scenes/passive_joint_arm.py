@@ -33,10 +33,12 @@ the second case, the solution that stays bounded for all times; it moves before 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from servocore.model.drawing import Part
 from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
@@ -134,6 +136,21 @@ def generalized() -> MechanicalSystem:
     )
 
 
+def drawing(v: Mapping[str, Any]) -> list[Part]:
+    """Return both links, seen from above."""
+    first, second = v["first_length"], 1.5 * v["second_centre"] + 0.5 * v["tracked_distance"]
+    pivot, turn = (0, 0, 0), v["a"] + v["b"]
+    joint = (first * ca.cos(v["a"]), 0, first * ca.sin(v["a"]))
+    tip = (joint[0] + second * ca.cos(turn), 0, joint[2] + second * ca.sin(turn))
+    return [
+        Part("bar", (pivot, joint)),
+        Part("bar", (joint, tip)),
+        Part("pin", (pivot,)),
+        Part("pin", (joint,)),
+        Part("body", ((v["point_x"], 0, v["point_y"]),), "tracked point"),
+    ]
+
+
 def independent_solution(t: Array, reference: Reference, parameters: Mapping[str, float]) -> dict[str, Array]:
     """Torque and motion by the equation of joint 2 alone: the solution that stays bounded for all times.
 
@@ -213,5 +230,6 @@ def passive_joint_arm(tip: bool = False) -> Scene:
         reference=rest_to_rest((0.0,), (np.pi / 2,), 2.0),
         independent_solution=independent_solution,
         limits=LIMITS,
+        drawing=drawing,
         parameters={"tracked_distance": TIP} if tip else {},
     )

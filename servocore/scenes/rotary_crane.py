@@ -20,11 +20,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidSetting
+from servocore.model.drawing import Part
 from servocore.model.effects import NO_EFFECTS
 from servocore.model.generalise import generalise
 from servocore.model.limits import Limit
@@ -203,6 +205,19 @@ LIMITS = (
 )
 
 
+def drawing(v: Mapping[str, Any]) -> list[Part]:
+    """Return bridge, trolley, rope and load."""
+    axis, trolley = (0, 0, 0), (v["s"] * ca.cos(v["phi"]), v["s"] * ca.sin(v["phi"]), 0)
+    load = (v["x"], v["y"], v["z"])
+    return [
+        Part("post", (axis,)),
+        Part("bridge", (axis, trolley)),
+        Part("rope", (trolley, load), colour=TENSION.name),
+        Part("box", (trolley,), "trolley"),
+        Part("body", (load,), "load"),
+    ]
+
+
 def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
     """Evaluate the closed form along a path that may cross the slewing axis: s changes sign, phi does not jump.
 
@@ -284,6 +299,7 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False, rope_ele
         limits=LIMITS,
         tracked="load",
         effects=EFFECTS,
+        drawing=drawing,
     )
     if rope_elements:
         plant = OnRope(INVARIANT_MODELS["points"], rope_elements)

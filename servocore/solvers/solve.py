@@ -121,7 +121,7 @@ def solve(
     if checked:
         solution = _looked_at(problem, route, solution)
     estimator = solution.estimator or partial(_estimated, problem, route)
-    return replace(solution, advice=advice, estimator=estimator)
+    return replace(solution, advice=advice, estimator=estimator, origin=problem)
 
 
 def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:

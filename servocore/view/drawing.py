@@ -1,0 +1,164 @@
+"""What a page draws of a system: the drawing of its scene, or bodies and points read from its coordinates."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from servocore.errors import InvalidModel
+from servocore.model.drawing import Drawing, Part, Point
+from servocore.model.quantity import Quantity
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.components import filled
+from servocore.numerics.expressions import as_expression
+from servocore.view.javascript import written
+
+_AXES = "xyz"
+_NAMED = re.compile(r"(?:(?P<of>.+)[._])?(?P<axis>[xyz])(?:_(?P<number>\w+))?")
+_MOST_POINTS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Parts of a page's picture.
+
+    Attributes
+    ----------
+    parts : list of dict
+        Kind, name, places among the points, index of the quantity that colours it, axis.
+    points : int
+        How many points there are.
+    source : str
+        (values of what is reported, parameters) -> their coordinates, as JavaScript.
+    tracked : int or None
+        The point that follows the path.
+    flat : bool
+        Whether all points lie in the plane y = 0.
+    """
+
+    parts: list[dict[str, Any]]
+    points: int
+    source: str
+    tracked: int | None
+    flat: bool
+
+    def about(self) -> dict[str, Any]:
+        """Return what the page needs to know."""
+        stands = any(each["kind"] in ("body", "post") for each in self.parts)
+        return {
+            "parts": self.parts,
+            "points": self.points,
+            "tracked": self.tracked,
+            "flat": self.flat,
+            "grounded": stands,
+        }
+
+
+def drawn(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Drawn:
+    """Return what is drawn of a system.
+
+    Parameters
+    ----------
+    system : MechanicalSystem
+        The system.
+    reported : sequence of Quantity
+        What a solution reports of it, in this order.
+    drawing : callable or None
+        Of the scene; bodies and points are found by the names of coordinates when None.
+
+    Raises
+    ------
+    InvalidModel
+        If a drawing names what is not reported, or returns something else than parts.
+    """
+    symbols = {each.name: ca.SX.sym(each.name) for each in reported}
+    given = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
+    try:
+        parts = list(drawing(given)) if drawing is not None else _found(system, symbols)
+    except KeyError as error:
+        raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(given)}") from None
+    if not all(isinstance(each, Part) for each in parts):
+        raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
+    names, listed = list(symbols), []
+    places: dict[str, int] = {}
+    points: list[ca.SX] = []
+    for part in parts:
+        for point in part.points:
+            expression = ca.vertcat(*[as_expression(each, f"{system.name}: a point of its drawing") for each in point])
+            if str(expression) not in places:
+                places[str(expression)] = len(points)
+                points.append(expression)
+        if part.colour and part.colour not in names:
+            raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
+        listed.append(_described(part, places, names))
+    all_points = ca.vertcat(ca.SX(0, 1), *points)
+    source = written("points", [ca.vertcat(ca.SX(0, 1), *symbols.values()), system.p], [all_points])
+    depth = ca.vertcat(ca.SX(0, 1), *[each[1] for each in points])
+    flat = all(each.is_zero() for each in ca.vertsplit(depth)) if points else True
+    return Drawn(listed, len(points), source, _tracked(listed), flat)
+
+
+def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
+    expressions = [ca.vertcat(*[ca.SX(each) for each in point]) for point in part.points]
+    return {
+        "kind": part.kind,
+        "name": part.name,
+        "places": [places[str(each)] for each in expressions],
+        "colour": names.index(part.colour) if part.colour else None,
+        "along": part.along,
+    }
+
+
+def _tracked(parts: Sequence[Mapping[str, Any]]) -> int | None:
+    """Return the point of the last body, or box where there is none: the load."""
+    kinds = [each["kind"] for each in parts]
+    bodies = [each["places"][0] for each in parts if each["kind"] == ("body" if "body" in kinds else "box")]
+    return bodies[-1] if bodies else None
+
+
+# Bodies and points by the names of coordinates ----------------------------------------------------------------------
+
+
+def _found(system: MechanicalSystem, symbols: Mapping[str, ca.SX]) -> list[Part]:
+    """Return a body for coordinates x, y, z of one name, and bars or springs where something holds two together."""
+    points: dict[str, dict[str, str]] = {}
+    for name in system.coordinates.names:
+        match = _NAMED.fullmatch(name)
+        if match and not re.search(r"[._]d\d?$|^d$", match["of"] or ""):
+            points.setdefault(match["of"] or match["number"] or "", {})[match["axis"]] = name
+    if not points:
+        points = {each.name: {"x": each.name} for each in system.coordinates.quantities if each.unit == "m"}
+    points = dict(list(points.items())[:_MOST_POINTS])
+    where = {of: _point(named, symbols) for of, named in points.items()}
+    bars = [
+        Part(kind, (where[one], where[other]))
+        for kind, one, other in _joined(system, {name: of for of, named in points.items() for name in named.values()})
+    ]
+    return [*bars, *(Part("body", (place,), of) for of, place in where.items())]
+
+
+def _point(named: Mapping[str, str], symbols: Mapping[str, ca.SX]) -> Point:
+    x, y, z = (symbols[named[axis]] if axis in named else ca.SX(0) for axis in _AXES)
+    # Two coordinates are a plane that stands upright.
+    return (x, ca.SX(0), y) if "y" in named and "z" not in named else (x, y, z)
+
+
+def _joined(system: MechanicalSystem, owners: Mapping[str, str]) -> list[tuple[str, str, str]]:
+    """Return pairs of points that one holonomic constraint holds (bars), or one term of the potential (springs)."""
+    q, names = system.q, system.coordinates.names
+    held = filled(ca.DM(ca.jacobian_sparsity(system.constraints, q), 1.0))
+    found: dict[tuple[str, str], str] = {}
+    for row in held:
+        bodies = list(dict.fromkeys(owners[name] for name, on in zip(names, row, strict=True) if on and name in owners))
+        if len(bodies) == 2:
+            found.setdefault((bodies[0], bodies[1]), "bar")
+    stiffness = filled(ca.DM(ca.hessian(system.potential, q)[0].sparsity(), 1.0))
+    for i, one in enumerate(names):
+        for j, other in enumerate(names[:i]):
+            if stiffness[i][j] and one in owners and other in owners and owners[one] != owners[other]:
+                found.setdefault((owners[other], owners[one]), "spring")
+    return [(kind, one, other) for (one, other), kind in found.items()]

@@ -1,0 +1,146 @@
+"""`LiveModel`: what a page computes by itself, as JavaScript: the exact inversion, and the scheme of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from servocore.errors import InvalidModel, ServocoreError
+from servocore.formulations.projected import Projected
+from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
+from servocore.methods.base import Discretisation, instantaneous
+from servocore.model.quantity import Quantity
+from servocore.numerics.calls import Array, at_instants
+from servocore.problem import Problem
+from servocore.solvers.following import BranchTable, prepared_table
+from servocore.stepping.margins import limits_order
+from servocore.stepping.observation import compile_observation, observed
+from servocore.structure.inversion import inversion
+from servocore.view.javascript import written
+
+METHOD = BackwardEuler()
+"""What steps the projected form: the scheme of the paper."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveModel:
+    """Functions of a page; a path is gamma (rows, orders), column after column, and parameters p.
+
+    Attributes
+    ----------
+    exact : casadi.Function
+        (path, p) -> values of `outputs`, NaN where the guess of the model is not exact.
+    outputs : tuple of Quantity
+        What is computed: that which a solution reports.
+    orders : int
+        How many derivatives of the path are taken, the path itself included.
+    source : dict of str to str
+        The functions as JavaScript by name: ``exact``, and those of the scheme of the paper.
+    steps : mapping
+        Sizes that stepping needs to know; empty where the model cannot be projected.
+    """
+
+    exact: ca.Function
+    outputs: tuple[Quantity, ...]
+    orders: int
+    source: Mapping[str, str]
+    steps: Mapping[str, Any]
+
+    def values(self, problem: Problem, t: Array) -> Array:
+        """Return what `exact` gives on the path of a problem, shape (N, outputs)."""
+        jets = problem.reference.jet(t, self.orders - 1)
+        return at_instants(self.exact, jets=jets, p=problem.p)[0].T
+
+
+def live_model(problem: Problem) -> LiveModel:
+    """Compile what a page computes by itself.
+
+    Parameters
+    ----------
+    problem : Problem
+        Resolved.
+
+    Raises
+    ------
+    InvalidModel
+        With the reason, if every instant by itself does not do: internal dynamics, a branch that is followed, or a
+        first guess that is not exact.
+    """
+    expression = _expression(problem)
+    system, dae = problem.system, problem.dae(Reduced())
+    known, rows = observed(system), problem.array.reference_order + 1
+    orders = max(rows, limits_order(system, tuple(each for each in problem.limits if each.of_path)), 3)
+    path, p = system.gamma[:, :orders], system.p
+    state = expression(path[:, :rows], p)[0]
+    values = compile_observation(system, dae, instantaneous(dae), known, orders - 1)(state, path, p)[0]
+    exact = ca.Function("exact", [path, p], [ca.densify(values)], {"cse": True})
+    source = {"exact": written("exact", [path, p], [values])}
+    steps: dict[str, Any] = {}
+    try:
+        source |= _stepping(problem, state, orders, steps)
+    except ServocoreError:
+        steps = {}
+    return LiveModel(exact, tuple(each for each, _ in known), orders, source, steps)
+
+
+def _expression(problem: Problem) -> ca.Function:
+    """Return (path, parameters) -> all unknowns; raises `InvalidModel` with the reason if no expression gives them."""
+    if not problem.flat:
+        raise InvalidModel(
+            "its inputs depend on internal dynamics, on the past or the future of the path as well as on the instant"
+        )
+    if problem.follow_branch or isinstance(prepared_table(problem), BranchTable):
+        raise InvalidModel("its motion is followed from instant to instant")
+    expression = problem.resolved.once(inversion).expression
+    if expression is None:
+        raise InvalidModel("its equations are solved by iteration")
+    return expression
+
+
+def _stepping(problem: Problem, state: ca.SX, orders: int, steps: dict[str, Any]) -> dict[str, str]:
+    """Return the functions of the projected form by backward Euler, and note their sizes."""
+    system, dae = problem.system, problem.dae(Projected())
+    step = METHOD.discretise(dae)
+    path, p = system.gamma[:, :orders], system.p
+    places = [problem.array.position(each.variable, each.order) for each in dae.unknowns]
+    read = compile_observation(system, dae, step, observed(system), orders - 1)
+    own = step.equations
+    first = ca.substitute(step.first_state, step.start.rates, ca.SX.zeros(*step.start.rates.shape))
+    blocks = _blocks(step)
+    steps |= {
+        "unknowns": own.unknowns.numel(),
+        "state": step.state.numel(),
+        "orders": dae.reference_order + 1,
+        "instants": len(step.start.instants),
+        "blocks": [{"columns": columns, "linear": linear} for _, columns, linear in blocks],
+    }
+    found = {
+        "begin": written("begin", [path, p], [state[places]]),
+        "first": written("first", [ca.vec(step.start.values), step.step], [first]),
+        "guess": written("guess", [own.givens], [own.guess, own.unknown_scale]),
+        "next": written("next", [own.unknowns, own.givens], [step.next_state]),
+        "observe": written("observe", [step.state, path, p], [read(step.state, path, p)[0]]),
+    }
+    for k, (rows, columns, _) in enumerate(blocks):
+        residual = own.residual[rows]
+        jacobian = ca.jacobian(residual, own.unknowns[columns])
+        found[f"block{k}"] = written("block", [own.unknowns, own.givens], [residual, jacobian])
+    return found
+
+
+def _blocks(step: Discretisation) -> list[tuple[list[int], list[int], bool]]:
+    """Return rows, columns and whether they are linear, of the blocks of a step in the order of their solution."""
+    own = step.equations
+    pattern = ca.jacobian_sparsity(own.residual, own.unknowns)
+    count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
+    found = []
+    for k in range(count):
+        mine, theirs = rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]]
+        unknowns = own.unknowns[theirs]
+        linear = not ca.depends_on(ca.jacobian(own.residual[mine], unknowns), unknowns)
+        found.append((mine, theirs, linear))
+    return found

@@ -1,0 +1,280 @@
+"""`view` and `live_part`: a solution as a page that computes again while one drags."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.errors import InvalidModel, InvalidSetting, require_kind
+from servocore.files import require_places, write_together
+from servocore.formulations.reduced import Reduced
+from servocore.model.limits import Named
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.calls import Array
+from servocore.problem import Problem
+from servocore.solution import Solution
+from servocore.stepping.observation import observed
+from servocore.view.drawing import drawn
+from servocore.view.javascript import written
+from servocore.view.live import LiveModel, live_model
+from servocore.view.paths import packed, path_of
+
+WEB = files("servocore.view").joinpath("web")
+_SCRIPTS = ("numbers.js", "scene.js", "plots.js", "controls.js", "page.js")
+_MOST_ROWS = 2001
+_SHOWN, _FIRST = ("swing", "tension"), 3
+_STEP_PARTS = 200
+_AT_REST = 1e-9  # of a derivative, relative to the largest of its order
+
+
+@dataclass(frozen=True, eq=False)
+class LivePart:
+    """The live part of a page, to be put into any page: it needs nothing else.
+
+    Attributes
+    ----------
+    style : str
+        Content of a ``<style>``.
+    body : str
+        The elements, and the scripts that fill them.
+    live : bool
+        Whether the page computes; else it shows what was solved.
+    why : str
+        Why it does not compute, as part of a sentence; empty where it does.
+    """
+
+    style: str
+    body: str
+    live: bool
+    why: str
+
+
+def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, model: str | None = None) -> Path:
+    """Write a solution as one HTML file: the system in space and moving, plots, and sliders that compute it again.
+
+    Parameters
+    ----------
+    solution : Solution
+        From `solve`.
+    path : str or Path
+        The file, whose name ends with ``.html``; it needs no other and no network.
+    scene : Scene, optional
+        What was solved, for solutions that do not know: from files, or from routes of one's own.
+    model : str, optional
+        Model of that scene; its smallest when not given.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InvalidSetting
+        If the file cannot be written or has another ending, the solution does not know what was solved and no scene
+        is given, or the package Jinja2 is not installed.
+    InvalidModel
+        If the drawing of the scene cannot be drawn.
+
+    Examples
+    --------
+    >>> view(solve(crane), "crane.html")
+    """
+    file = require_page(path)
+    part = live_part(solution, scene=scene, model=model)
+    name = _problem(solution, scene, model).name
+    text = _template("page.html.j2").render(title=name.replace("_", " "), part=part, route=solution.route)
+    write_together({file: text})
+    return file
+
+
+def require_page(path: str | Path) -> Path:
+    """Return where a page goes; raises `InvalidSetting` if it cannot be written there."""
+    file = Path(path)
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise InvalidSetting(f"cannot write {file}: the name of a page ends with .html")
+    require_places({"the page": file})
+    return file
+
+
+def live_part(solution: Solution, *, scene: Scene | None = None, model: str | None = None) -> LivePart:
+    """Return the live part of a page: the same as `view` writes, to be put into a page of one's own.
+
+    Parameters
+    ----------
+    solution : Solution
+        From `solve`.
+    scene : Scene, optional
+        What was solved, for solutions that do not know.
+    model : str, optional
+        Model of that scene; its smallest when not given.
+
+    Raises
+    ------
+    InvalidSetting, InvalidModel
+        As `view`.
+    """
+    problem = _problem(solution, scene, model)
+    try:
+        live, why = live_model(problem), ""
+    except InvalidModel as error:
+        live, why = None, str(error)
+    about, source = _written(problem, solution, live)
+    scripts = [WEB.joinpath(each).read_text(encoding="utf-8") for each in _SCRIPTS]
+    style = WEB.joinpath("live.css").read_text(encoding="utf-8")
+    body = _template("live.html.j2").render(
+        about=json.dumps(about, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+        source=",\n".join(f"{name}:{text}" for name, text in source.items()),
+        scripts="\n".join(scripts),
+        live=live is not None,
+        stepped=bool(about["steps"]),
+        flat=about["flat"],
+        why=why,
+        title=problem.name.replace("_", " "),
+    )
+    return LivePart(style, body, live is not None, why)
+
+
+def _problem(solution: Solution, scene: Scene | None, model: str | None) -> Problem:
+    require_kind(solution, Solution, "what is to be viewed", "a Solution, as solve returns it", InvalidSetting)
+    if scene is not None:
+        return Problem.of(scene, model)
+    if not isinstance(solution.origin, Problem):
+        raise InvalidSetting("this solution does not know what was solved: view(solution, path, scene=scene) says it")
+    return solution.origin
+
+
+def _template(name: str) -> Any:
+    try:
+        import jinja2  # noqa: PLC0415 - an optional dependency
+    except ImportError as error:
+        raise InvalidSetting("pages are made by the package Jinja2: install servocore[report]") from error
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return environment.from_string(WEB.joinpath(name).read_text(encoding="utf-8"))
+
+
+# What Python writes ---------------------------------------------------------------------------------------------------
+
+
+def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return what the page is told, and its functions as JavaScript."""
+    t = _thinned(solution.t)
+    quantities = live.outputs if live else tuple(each for each, _ in observed(problem.system) if each.name in solution)
+    rows = {each.name: solution[each.name][t] for each in quantities if each.name in solution}
+    times, system = solution.t[t], problem.system
+    if live is not None and not _is_exact(problem, solution, live):
+        rows = dict(zip((each.name for each in quantities), live.values(problem, times).T, strict=True))
+    orders = live.orders if live else 1
+    path, laws = path_of(problem.reference, times, orders)
+    steps = live.steps if live and _can_march(problem, times, orders) else None
+    picture = drawn(system, quantities, problem.drawing)
+    names = [each.name for each in quantities]
+    source = {"points": picture.source, **laws, **(live.source if live else {})}
+    limits, path_limits = _limits(problem, names)
+    if live and path_limits:
+        source["path_limits"] = _path_limits(problem, orders)
+    about = {
+        "name": problem.name,
+        "live": live is not None,
+        "rows": system.gamma.size1(),
+        "orders": orders,
+        "path": path,
+        "components": [_quantity(each) for each in system.outputs],
+        "outputs": [
+            {**_quantity(each), "wraps": each.wraps, "input": each in system.inputs,
+             "nonnegative": each.never_negative, "inner": _is_inner(system, each)}
+            for each in quantities
+        ],
+        "shown": _shown(system, names),
+        "parameters": _parameters(problem),
+        "limits": limits,
+        "path_limits": path_limits if live else [],
+        "steps": steps or None,
+        "step": problem.reference.duration / _STEP_PARTS,
+        "solved": {"t": packed(times), "values": packed(np.stack([rows[name] for name in names]))},
+        **picture.about(),
+    }  # fmt: skip
+    return about, source
+
+
+def _thinned(t: Array) -> Array:
+    """Return which instants are written: all, or some two thousand evenly among them."""
+    return np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_ROWS)).round().astype(np.intp))
+
+
+def _is_exact(problem: Problem, solution: Solution, live: LiveModel) -> bool:
+    """Whether a solution is an exact inversion, so that its own numbers are what the page compares its own with."""
+    return solution.route == problem.dae(Reduced()).name and all(each.name in solution for each in live.outputs)
+
+
+def _can_march(problem: Problem, t: Array, orders: int) -> bool:
+    """Whether the scheme of the paper can start: from rest, on instants that are evenly apart."""
+    jet = problem.reference.jet(t, orders - 1)[:, 1:, : len(problem.system.outputs)]
+    size = np.abs(jet).max(axis=(0, 2)) + 1e-300
+    rests = bool((np.abs(jet[0]).max(axis=1) <= _AT_REST * size)[:2].all())
+    return rests and bool(np.ptp(np.diff(t)) <= 1e-6 * (t[-1] - t[0]) / len(t))
+
+
+def _quantity(each: Quantity) -> dict[str, Any]:
+    return {"name": each.name, "unit": each.unit, "description": each.description}
+
+
+def _shown(system: MechanicalSystem, names: list[str]) -> list[int]:
+    """Return which quantities are plotted at first, beside the inputs: what a crane is asked for, or the first few."""
+    others = [k for k in range(len(names)) if k >= len(system.inputs)]
+    return [k for k in others if names[k] in _SHOWN] or others[:_FIRST]
+
+
+def _is_inner(system: MechanicalSystem, each: Quantity) -> bool:
+    """Whether something is a redundant coordinate, which says little to those who look at the motion."""
+    reported = [*system.inputs, *system.outputs, *system.observables]
+    return bool(system.lam.numel() and system.observables) and each.unit in ("1", "m") and each not in reported
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _parameters(problem: Problem) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": each.name,
+            "unit": each.unit,
+            "value": float(value),
+            "lower": _finite(each.lower),
+            "upper": _finite(each.upper),
+            "description": each.description,
+        }
+        for each, value in zip(problem.system.parameters.declared, problem.p, strict=True)
+    ]
+
+
+def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return limits of what is reported, and those of the path alone."""
+    of_motion = [
+        {
+            "output": names.index(each.expression.name),
+            "low": _finite(each.bound),
+            "high": _finite(each.upper),
+            "rate": each.rate,
+        }
+        for each in problem.limits
+        if isinstance(each.expression, Named) and each.expression.name in names
+    ]
+    of_path = [{"quantity": each.quantity, "reason": each.reason} for each in problem.limits if each.of_path]
+    return of_motion, of_path
+
+
+def _path_limits(problem: Problem, orders: int) -> str:
+    """Return (path, parameters) -> how far each limit of the path is, positive where it is kept, as JavaScript."""
+    system = problem.system
+    margins = [each.on(system) - each.bound for each in problem.limits if each.of_path]
+    return written("path_limits", [system.gamma[:, :orders], system.p], [ca.vertcat(*margins)])

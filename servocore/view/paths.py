@@ -1,0 +1,56 @@
+"""Paths in a page: a straight line with its time laws as JavaScript, any other as a table of its derivatives."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.calls import Array
+from servocore.references.base import Reference
+from servocore.references.clocked import Clocked
+from servocore.references.profiles import DEGREE9, DEGREE13, Profile, three_phase
+from servocore.references.rest_to_rest import RestToRest
+from servocore.view.javascript import written
+
+_LAWS = (DEGREE9, DEGREE13, three_phase())
+"""Time laws that a page offers beside that of the path itself; smooth enough for inputs of a crane."""
+
+
+def packed(values: Array) -> str:
+    """Return numbers as a text: their bytes, least first, in base 64."""
+    return b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode()
+
+
+def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any], Mapping[str, str]]:
+    """Return what a page needs to know of a path, and its functions as JavaScript by name.
+
+    Parameters
+    ----------
+    reference : Reference
+        The path.
+    t : ndarray, shape (N,)
+        Instants of a table.
+    orders : int
+        How many derivatives, the path itself included.
+    """
+    told = reference.path if isinstance(reference, Clocked) else reference
+    about = {"start_time": told.start_time, "duration": told.duration, "dimension": told.dimension}
+    if not isinstance(told, RestToRest):
+        return {**about, "kind": "table", "times": packed(t), "jets": packed(told.jet(t, orders - 1))}, {}
+    laws = {each.name: each for each in (told.profile, *_LAWS)}
+    smooth = [each for each in laws.values() if each == told.profile or each.smoothness >= orders - 1]
+    functions = {f"law{k}": _law(each, orders - 1) for k, each in enumerate(smooth)}
+    described = [{"name": each.name, "shortest": each.shortest_duration} for each in smooth]
+    return {**about, "kind": "line", "start": told.start, "end": told.end, "laws": described}, functions
+
+
+def _law(profile: Profile, order: int) -> str:
+    """Return ([elapsed, remaining, duration]) -> s and its derivatives."""
+    given = ca.SX.sym("given", 3)
+    elapsed, remaining, duration = ca.vertsplit(given)
+    numbers = [ca.SX(each) for each in profile.numbers(duration, order)]
+    return written("law", [given], [ca.vertcat(*profile.law(elapsed, remaining, numbers, order))])

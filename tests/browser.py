@@ -1,0 +1,147 @@
+"""A page in a real browser: Chromium without a window, driven by its DevTools over a pipe, with no other package."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+SECONDS = 60.0
+PLACED = """
+import fcntl, os, sys
+ends = [fcntl.fcntl(int(each), fcntl.F_DUPFD, 10) for each in sys.argv[1:3]]
+for place, end in enumerate(ends, 3):
+    os.dup2(end, place)
+os.execv(sys.argv[3], sys.argv[3:])
+"""
+"""A program that becomes another one, which finds the ends of two pipes where DevTools look for them, at 3 and 4."""
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
+def browser() -> str | None:
+    """Return the program, or None where there is none."""
+    return next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+class Page:
+    """One page. `errors` collects what the console and the engine complain of."""
+
+    def __init__(self, file: Path, profile: Path, *, width=1280, height=900) -> None:
+        to_browser, from_us = os.pipe()
+        to_us, from_browser = os.pipe()
+        self._write, self._read, self._left, self._number = from_us, to_us, b"", 0
+        self.errors: list[str] = []
+
+        command = [browser(), "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe",
+                   "--no-first-run", "--disable-dev-shm-usage", "--disable-background-networking", "--hide-scrollbars",
+                   f"--user-data-dir={profile}", "about:blank"]  # fmt: skip
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", PLACED, str(to_browser), str(from_browser), *command],
+            pass_fds=(to_browser, from_browser), start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        os.close(to_browser)
+        os.close(from_browser)
+        self._session = None
+        target = next(each for each in self.ask("Target.getTargets")["targetInfos"] if each["type"] == "page")
+        self._session = self.ask("Target.attachToTarget", targetId=target["targetId"], flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log"):
+            self.ask(f"{domain}.enable")
+        self.size(width, height)
+        self.open(file)
+
+    def open(self, file: Path, javascript: bool = True) -> None:
+        """Load a page, with or without its scripts."""
+        self.ask("Emulation.setScriptExecutionDisabled", value=not javascript)
+        self._loaded = False
+        self.ask("Page.navigate", url=file.resolve().as_uri())
+        self._until(lambda: self._loaded)
+
+    def __enter__(self) -> Page:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        os.close(self._write)
+        os.close(self._read)
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)  # the group of its own that it began: its helpers too
+        self._process.wait(10)
+
+    def size(self, width: int, height: int) -> None:
+        """Set the size of the window."""
+        self.ask("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1,
+                 mobile=width < 500)  # fmt: skip
+
+    def media(self, *, dark: bool = False, kind: str = "") -> None:
+        """Look at the page in dark mode, or as it is printed."""
+        features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        self.ask("Emulation.setEmulatedMedia", media=kind, features=features)
+
+    def run(self, script: str):
+        """Return the value of an expression, after its promise."""
+        answer = self.ask("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise AssertionError(answer["exceptionDetails"]["exception"].get("description"))
+        return answer["result"].get("value")
+
+    def picture(self, file: Path, whole: bool = True) -> None:
+        """Save what is seen."""
+        answer = self.ask("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        file.write_bytes(base64.b64decode(answer["data"]))
+
+    def pdf(self) -> bytes:
+        """Return the page as it is printed."""
+        return base64.b64decode(self.ask("Page.printToPDF", printBackground=True)["data"])
+
+    def press(self, key: str) -> None:
+        """Press and release a key."""
+        for kind in ("keyDown", "keyUp"):
+            self.ask("Input.dispatchKeyEvent", type=kind, key=key, code=key)
+
+    def ask(self, method: str, **parameters: object) -> dict:
+        """Send one command and return its answer."""
+        self._number += 1
+        number, message = self._number, {"id": self._number, "method": method, "params": parameters}
+        if getattr(self, "_session", None):
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        answers: list[dict] = []
+        self._until(lambda: bool(answers), number, answers)
+        if "error" in answers[0]:
+            raise AssertionError(f"{method}: {answers[0]['error']}")
+        return answers[0]["result"]
+
+    def _until(self, done, number: int = 0, answers: list | None = None) -> None:
+        end = time.monotonic() + SECONDS
+        while not done():
+            while b"\0" not in self._left:
+                if not select.select([self._read], [], [], max(end - time.monotonic(), 0.0))[0]:
+                    raise TimeoutError("the browser does not answer")
+                chunk = os.read(self._read, 1 << 20)
+                if not chunk:
+                    raise EOFError("the browser has ended")
+                self._left += chunk
+            line, _, self._left = self._left.partition(b"\0")
+            message = json.loads(line)
+            if number and message.get("id") == number:
+                answers.append(message)
+            self._note(message)
+
+    def _note(self, message: dict) -> None:
+        method, told = message.get("method"), message.get("params", {})
+        if method == "Page.loadEventFired":
+            self._loaded = True
+        elif method == "Runtime.exceptionThrown":
+            self.errors.append(told["exceptionDetails"].get("exception", {}).get("description", "exception"))
+        elif method == "Runtime.consoleAPICalled" and told["type"] in ("error", "assert", "warning"):
+            self.errors.append(str(told["args"]))
+        elif method == "Log.entryAdded" and told["entry"]["level"] in ("error", "warning"):
+            self.errors.append(told["entry"]["text"])

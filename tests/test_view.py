@@ -1,0 +1,259 @@
+"""Live pages: what they are told is right, and in a real browser they compute what the library computes.
+
+The browser is Chromium, driven over a pipe. Without one its tests are skipped; with SERVOCORE_REQUIRE_BROWSER set, as
+in .ci/run, they fail.
+"""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+from browser import Page, browser
+
+import servocore as sc
+from servocore.problem import Problem
+from servocore.view.javascript import javascript
+from servocore.view.live import live_model
+
+SCENES = sorted(sc.scenes.REGISTRY)
+LIVE = [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm")]
+LARGEST_PAGE = 6_000_000
+
+
+@pytest.fixture(scope="module")
+def page_of(tmp_path_factory):
+    """Return what writes the page of a scene, once."""
+    folder, made = tmp_path_factory.mktemp("pages"), {}
+
+    def write(name, scene=None):
+        if name not in made:
+            scene = scene or sc.scenes.REGISTRY[name]()
+            made[name] = sc.view(sc.solve(scene, step=scene.reference.duration / 200), folder / f"{name}.html")
+        return made[name]
+
+    return write
+
+
+@pytest.fixture(scope="module")
+def opened(page_of, tmp_path_factory):
+    """Return the page of the rotary crane in a browser."""
+    if browser() is None:
+        if os.environ.get("SERVOCORE_REQUIRE_BROWSER"):
+            pytest.fail("SERVOCORE_REQUIRE_BROWSER is set, but there is no chromium")
+        pytest.skip("needs chromium")
+    with Page(page_of("rotary_crane"), tmp_path_factory.mktemp("profile")) as page:
+        yield page
+
+
+def told(file) -> dict:
+    return json.loads(re.search(r'id="live-data">(.*?)</script>', file.read_text(encoding="utf-8"), re.DOTALL)[1])
+
+
+# What is written ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_every_scene_becomes_one_file_that_needs_nothing_else(page_of, name):
+    html = page_of(name).read_text(encoding="utf-8")
+    assert "http" not in html
+    assert not re.search(r'<link|@import|\bsrc=|\bimport\(|fetch\(|"use module"', html)
+    assert len(html.encode()) < LARGEST_PAGE
+    assert told(page_of(name))["live"] == (name in LIVE)
+    assert ('id="live-check"' in html) == (name in LIVE)
+
+
+@pytest.mark.parametrize("name", LIVE)
+def test_what_a_page_computes_is_what_the_library_computes(name):
+    scene = sc.scenes.REGISTRY[name]()
+    solution = sc.solve(scene, step=scene.reference.duration / 50)
+    problem = Problem.of(scene)
+    found = live_model(problem).values(problem, solution.t)
+    np.testing.assert_allclose(found, solution.values, rtol=0.0, atol=1e-12 * np.abs(solution.values).max())
+
+
+def test_scenes_with_internal_dynamics_are_shown_with_the_reason_why_they_are_not_computed(page_of):
+    html = " ".join(page_of("mass_on_car").read_text(encoding="utf-8").split())
+    assert "mass on car is not computed again here, for its inputs depend on internal dynamics" in html
+
+
+def test_every_operation_is_that_of_casadi():
+    if shutil.which("node") is None:
+        pytest.skip("needs Node")
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    unary = "sin cos tan exp log sqrt fabs floor ceil sign sinh cosh tanh asinh atan log1p expm1"
+    results = [getattr(ca, each)(x) for each in unary.split()]
+    results += [ca.asin(x / 9), ca.acos(x / 9), ca.acosh(x + 1), ca.atanh(x / 9), -x, 2 * x, x**2, x**3, 1 / x, x**y]
+    results += [x + y, x - y, x * y, x / y, ca.atan2(x, y), ca.fmin(x, y), ca.fmax(x, y), ca.fmod(x, y), x < y, x <= y]
+    results += [
+        ca.if_else(x > y, x, y),
+        ca.logic_and(x < y, y),
+        ca.logic_or(x < y, x),
+        ca.logic_not(x < y),
+        ca.eq(x, y),
+    ]
+    results += [ca.copysign(x, -y), ca.copysign(x, y), ca.hypot(x, y), ca.ne(x, y), ca.SX(np.inf), ca.SX(-0.1)]
+    function = ca.Function("f", [ca.vertcat(x, y)], [ca.vertcat(*results)])
+    points = [(0.7, 1.9), (2.5, 0.4), (1.0, 1.0)]
+    code = (
+        f"const f = {javascript(function)}; const all = {json.dumps(points)}.map((p) => {{"
+        f" const r = new Float64Array({len(results)}); f(p, r); return [...r].map(String); }});"
+        " console.log(JSON.stringify(all));"
+    )
+    done = subprocess.run(["node", "-e", code], capture_output=True, text=True, timeout=60, check=True)
+    for point, found in zip(points, json.loads(done.stdout), strict=True):
+        expected = np.array(function(point)).ravel()
+        np.testing.assert_allclose([float(each.replace("Infinity", "inf")) for each in found], expected, rtol=1e-14)
+
+
+def test_a_function_that_calls_others_is_refused_with_a_sentence():
+    x = ca.MX.sym("x")
+    with pytest.raises(sc.InvalidModel, match="cannot be written as JavaScript"):
+        javascript(ca.Function("f", [x], [x]))
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"), [("crane.htm.txt", "ends with .html"), ("none/crane.html", "there is no folder")]
+)
+def test_a_page_that_cannot_be_written_is_refused_with_a_sentence(tmp_path, name, sentence):
+    scene = sc.scenes.cars()
+    with pytest.raises(sc.InvalidSetting, match=re.escape(sentence)):
+        sc.view(sc.solve(scene), tmp_path / name)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path):
+    scene = sc.scenes.cars()
+    solution = sc.solve(scene)
+    lost = sc.Solution(solution.t, solution.channels, solution.values, solution.route)
+    with pytest.raises(sc.InvalidSetting, match=r"view\(solution, path, scene=scene\) says it"):
+        sc.view(lost, tmp_path / "cars.html")
+    assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
+
+
+# In a browser ---------------------------------------------------------------------------------------------------------
+
+
+def settled(page, script: str):
+    """Run a script, and wait until what it changed is shown."""
+    return page.run(f"(async () => {{ {script}; await new Promise((r) => setTimeout(r, 120)); }})()")
+
+
+SET = """const row = [...document.querySelectorAll(".control")].find((each) => each.textContent.startsWith("%s"));
+const field = row.querySelector("input[type=number]"); field.value = %r; field.dispatchEvent(new Event("input"))"""
+
+
+def outline(page, number: int) -> str:
+    return page.run(f'document.querySelectorAll(".plot .curve.exact")[{number}].getAttribute("d")')
+
+
+def test_the_pages_own_numbers_are_those_of_python(opened):
+    assert 0.0 <= float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
+    assert opened.errors == []
+
+
+def test_it_moves_and_stops(opened):
+    picture = 'document.querySelector("canvas").toDataURL()'
+    before = opened.run(picture)
+    settled(opened, 'document.querySelector(".primary").click()')
+    settled(opened, "")
+    settled(opened, 'document.querySelector(".primary").click()')
+    assert opened.run("servocore.now") > 0.0
+    stopped = opened.run(picture)
+    assert stopped != before
+    settled(opened, "")
+    assert opened.run(picture) == stopped
+
+
+def test_a_slider_changes_the_curves_to_what_the_library_gives(opened):
+    before = outline(opened, 2)
+    settled(opened, SET % ("load mass", 137.0))
+    assert outline(opened, 2) != before
+    settled(opened, SET % ("duration", 16.0))
+    settled(opened, SET % ("paper's step", 0.08))
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 16.0)
+    crane = sc.scenes.rotary_crane().with_parameters(load_mass=137.0).with_reference(path)
+    exact = sc.solve(crane, step=0.008)
+    paper = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.08, checks=False)
+    for attribute, solution, tolerance in (("run", exact, 1e-12), ("paper", paper, 1e-9)):
+        for k, name in enumerate(solution.names):
+            found = opened.run(f"[...servocore.{attribute}.rows[{k}]]")
+            scale = max(np.abs(solution[name]).max(), 1e-3)
+            np.testing.assert_allclose(found, solution[name], rtol=0.0, atol=tolerance * scale, err_msg=name)
+    settled(opened, "[...document.querySelectorAll('button')].find((b) => b.textContent === 'Reset').click()")
+    assert opened.errors == []
+
+
+def test_other_time_laws_and_ends_are_those_of_the_library(opened):
+    settled(opened, "servocore.law.value = 2; servocore.law.dispatchEvent(new Event('change'))")
+    settled(opened, "servocore.settings.end[1] = 3; servocore.change()")
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 3.0, -2.0), 20.0, sc.three_phase())
+    exact = sc.solve(sc.scenes.rotary_crane().with_reference(path), step=0.01)
+    found = opened.run("[...servocore.run.rows[0]]")
+    np.testing.assert_allclose(found, exact["M_b"], rtol=0.0, atol=1e-12 * np.abs(exact["M_b"]).max())
+    settled(opened, "servocore.reset()")
+
+
+def test_a_limit_lights_up_where_it_is_exceeded(opened):
+    status = 'document.querySelector(".status").textContent'
+    assert opened.run(status) == "All limits are kept."
+    settled(opened, SET % ("duration", 12.0))
+    assert re.match(r"Limit exceeded: M_b reaches −\d+ N m at \d", opened.run(status))
+    assert opened.run('document.querySelectorAll(".plot.exceeded").length') >= 1
+    settled(opened, "servocore.settings.end[2] = 1; servocore.change()")
+    assert "the load is not below the girder" in opened.run(status)
+    settled(opened, "servocore.reset()")
+    assert opened.run(status) == "All limits are kept."
+
+
+def test_keys_move_the_time_zoom_and_orbit(opened):
+    settled(opened, 'document.querySelector(".plot svg").focus(); servocore.go(5)')
+    opened.press("ArrowRight")
+    assert opened.run("servocore.now") == pytest.approx(5.2)
+    opened.press("+")
+    assert opened.run("servocore.view.to - servocore.view.from") == pytest.approx(20.0 / 1.5)
+    opened.press("Escape")
+    assert opened.run("servocore.view.to - servocore.view.from") == pytest.approx(20.0)
+    azimuth = opened.run('document.querySelector("canvas").focus(), servocore.stage.look.azimuth')
+    opened.press("ArrowLeft")
+    assert opened.run("servocore.stage.look.azimuth") != azimuth
+
+
+@pytest.mark.parametrize("width", [375, 1280])
+def test_nothing_is_wider_than_the_window(opened, width):
+    opened.size(width, 800)
+    settled(opened, "")
+    assert opened.run("document.documentElement.scrollWidth") <= width
+    opened.size(1280, 900)
+
+
+def test_it_follows_the_dark_mode_and_prints_on_white(opened):
+    ground = "getComputedStyle(document.documentElement).backgroundColor"
+    opened.media(dark=True)
+    assert opened.run(ground) == "rgb(21, 24, 28)"
+    opened.media(dark=True, kind="print")
+    assert opened.run(ground) == "rgb(255, 255, 255)"
+    assert opened.run('getComputedStyle(document.querySelector(".controls")).display') == "none"
+    opened.media()
+
+
+@pytest.mark.parametrize("name", [name for name in SCENES if name != "rotary_crane"])
+def test_the_page_of_every_scene_runs(opened, page_of, name):
+    opened.errors.clear()
+    opened.open(page_of(name))
+    settled(opened, "servocore.go(servocore.timeOf(0.5))")
+    assert opened.errors == []
+    assert opened.run('document.querySelectorAll(".plot .curve").length') >= 3
+    if name in LIVE:
+        assert float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
+
+
+def test_without_scripts_it_says_what_is_missing(opened, page_of):
+    opened.open(page_of("rotary_crane"), javascript=False)
+    opened.ask("DOM.enable")
+    html = opened.ask("DOM.getOuterHTML", nodeId=opened.ask("DOM.getDocument")["root"]["nodeId"])["outerHTML"]
+    assert "With JavaScript this page would show the motion" in html
