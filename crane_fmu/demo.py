@@ -16,7 +16,7 @@ from crane_fmu.feedforward import table
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
 from crane_fmu.report.page import Illustration, Part, Table, page
-from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, study, working_cycle
+from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, Study, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
 from crane_fmu.slave.interface import components
 
@@ -94,7 +94,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         cycle = example_cycle(scene, examples_folder())
         put(draft, {INPUTS_FILE: table(found.base)})
         announce("drawing figures")
-        write_report(draft, contents.sections(found, outputs, loop, cycle))
+        write_report(draft, found, contents.sections(found, outputs, loop, cycle))
         files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
     tables = (
         contents.error_table(found),
@@ -130,14 +130,15 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
     return runs
 
 
-def write_report(folder: Path, sections: Mapping[str, Sequence[Part]]) -> None:
+def write_report(folder: Path, found: Study, sections: Mapping[str, Sequence[Part]]) -> None:
     """Write the page and, in a folder of their own, its pictures."""
     drawings: dict[str, bytes] = {}
     for part in chain(*sections.values()):
         if isinstance(part, Illustration):
             drawings |= part.files()
     put(folder / FIGURES, drawings)
-    put(folder, {REPORT: page(contents.TITLE, sections, drawings)})
+    live = sc.live_part(found.base)
+    put(folder, {REPORT: page(contents.TITLE, contents.facts(found), live, sections, drawings)})
 
 
 def examples_folder() -> Path | None:

@@ -14,6 +14,8 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
+import pytest
+
 SECONDS = 60.0
 PLACED = """
 import fcntl, os, sys
@@ -29,6 +31,15 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 def browser() -> str | None:
     """Return the program, or None where there is none."""
     return next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+def require_browser() -> None:
+    """Skip a test where there is no browser; fail where SERVOCORE_REQUIRE_BROWSER asks for one."""
+    if browser() is not None:
+        return
+    if os.environ.get("SERVOCORE_REQUIRE_BROWSER"):
+        pytest.fail("SERVOCORE_REQUIRE_BROWSER is set, but there is no chromium")
+    pytest.skip("needs chromium")
 
 
 class Page:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Page, require_browser
 from fmu_host import fmu_file
 from typer.testing import CliRunner
 
@@ -66,9 +67,19 @@ class TestDemo:
         assert "paper" not in default
         assert re.search(r"the scheme of the paper .*step of 0\.2 s its M_b is off by 4\d\.\d %", paper)
         text = (done.folder / "report.html").read_text(encoding="utf-8")
-        assert (
-            0 < text.index("By default the inputs are computed by exact inversion") < text.index("scheme of the paper")
-        )
+        said = ("exact: largest error of the inputs", "scheme of the paper, step", "By default the inputs are computed",
+                "Beside them stands the scheme of the paper")  # fmt: skip
+        assert sorted(text.index(each) for each in said) == [text.index(each) for each in said]
+        assert text.index(said[0]) < text.index("scheme of the paper")
+
+    def test_the_report_computes_in_a_browser_what_it_says(self, done, tmp_path):
+        require_browser()
+        file = done.folder / "report.html"
+        assert file.stat().st_size <= 6_000_000
+        with Page(file, tmp_path) as page:
+            assert 0.0 <= float(page.run('document.getElementById("live-check").textContent')) < 1e-12
+            assert page.run("servocore.run.t.length") == 2001
+            assert page.errors == []
 
     def test_every_table_says_its_form_and_method(self, done):
         for each in done.tables:

@@ -71,13 +71,32 @@ Part = str | Table | Illustration
 """What a section consists of; a text is a paragraph."""
 
 
-def page(title: str, sections: Mapping[str, Sequence[Part]], drawings: Mapping[str, bytes]) -> str:
+@dataclass(frozen=True)
+class Fact:
+    """A number that the page begins with, what it is, and whether it belongs to the scheme of the paper."""
+
+    value: str
+    meaning: str
+    of_paper: bool = False
+
+
+def page(
+    title: str,
+    facts: Sequence[Fact],
+    live: sc.LivePart,
+    sections: Mapping[str, Sequence[Part]],
+    drawings: Mapping[str, bytes],
+) -> str:
     """Return the HTML of the report.
 
     Parameters
     ----------
     title : str
         Heading of the page.
+    facts : sequence of Fact
+        What is read first.
+    live : LivePart
+        What one can touch; follows the first section.
     sections : mapping of str to sequence of Part
         What follows each heading; tables and illustrations are numbered in this order.
     drawings : mapping of str to bytes
@@ -87,7 +106,9 @@ def page(title: str, sections: Mapping[str, Sequence[Part]], drawings: Mapping[s
     environment.filters["formula"] = formula
     environment.filters["base64"] = lambda data: b64encode(data).decode()
     template = environment.from_string(files(__package__).joinpath("template.html").read_text(encoding="utf-8"))
-    return template.render(title=title, sections=sections, drawings=drawings, version=sc.__version__)
+    return template.render(
+        title=title, facts=facts, live=live, sections=sections, drawings=drawings, version=sc.__version__
+    )
 
 
 def parameter_table(scene: sc.Scene) -> Table:

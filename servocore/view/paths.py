@@ -52,5 +52,6 @@ def _law(profile: Profile, order: int) -> str:
     """Return ([elapsed, remaining, duration]) -> s and its derivatives."""
     given = ca.SX.sym("given", 3)
     elapsed, remaining, duration = ca.vertsplit(given)
-    numbers = [ca.SX(each) for each in profile.numbers(duration, order)]
-    return written("law", [given], [ca.vertcat(*profile.law(elapsed, remaining, numbers, order))])
+    whole: Any = duration  # what is a power of a number is one of a symbol too
+    law = profile.law(elapsed, remaining, profile.numbers(whole, order), order)
+    return written("law", [given], [ca.vertcat(ca.SX(0, 1), *law)])
