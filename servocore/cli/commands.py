@@ -29,9 +29,9 @@ from servocore.cli.feedforward import feed_forward
 from servocore.cli.level import Level
 from servocore.cli.levels import measure_levels
 from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
-from servocore.cli.options import Model, Parameters
+from servocore.cli.options import Model, Parameters, PointsCommand
 from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
-from servocore.cli.plan import PointsCommand, plan_scene
+from servocore.cli.plan import plan_scene
 from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
 from servocore.cli.sensitivities import show_sensitivities
 from servocore.cli.sweep import EXAMPLES as SWEEP_EXAMPLES

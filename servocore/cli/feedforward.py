@@ -13,8 +13,18 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.options import LimitsFile, Model, Parameters, SceneName
-from servocore.cli.plan import End, LimitTexts, Output, Start, column_names, point
+from servocore.cli.options import (
+    End,
+    LimitsFile,
+    LimitTexts,
+    Model,
+    Output,
+    Parameters,
+    SceneName,
+    Start,
+    column_names,
+    point,
+)
 from servocore.errors import InvalidSetting, LimitBroken
 from servocore.files import csv_text, require_places
 from servocore.model.limit_files import limits_given

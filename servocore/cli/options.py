@@ -1,11 +1,17 @@
-"""Options that several commands of ``servocore`` share."""
+"""Options that several commands of ``servocore`` share, and what reads them."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
+
+from servocore.errors import InvalidSetting
+from servocore.model.system import MechanicalSystem
 
 SceneName = Annotated[
     str,
@@ -26,3 +32,54 @@ ReferenceFile = Annotated[
     typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
 ]
 LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
+Start = Annotated[
+    str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
+]
+End = Annotated[str | None, typer.Option("--to", metavar="X Y ...", help="End.")]
+LimitTexts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--limit", metavar="NAME=VALUE", help="F=60, M_w=-104..-92, swing=5deg, s.rate=1.2, as many as there are."
+    ),
+]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
+]
+
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?")
+_POINTS = ("--from", "--to", "--by")
+
+
+class PointsCommand(TyperCommand):
+    """A command whose points have as many numbers as stand there: ``--from 5 0 -5``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the numbers of a point together before they are read."""
+        joined: list[str] = []
+        for each in args:
+            last = joined[-1] if joined else ""
+            if _NUMBER.fullmatch(each) and last in _POINTS:
+                joined[-1] = f"{last}={each}"
+            elif _NUMBER.fullmatch(each) and last.partition("=")[0] in _POINTS:
+                joined[-1] = f"{last} {each}"
+            else:
+                joined.append(each)
+        found: list[str] = super().parse_args(ctx, joined)
+        return found
+
+
+def point(option: str, text: str, names: Sequence[str]) -> list[float]:
+    """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
+    try:
+        found = [float(each) for each in text.replace(",", " ").split()]
+    except ValueError:
+        found = []
+    if len(found) != len(names):
+        raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
+    return found
+
+
+def column_names(system: MechanicalSystem) -> list[str]:
+    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
+    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))

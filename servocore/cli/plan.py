@@ -3,24 +3,32 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
-from typer.core import TyperCommand
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.options import LimitsFile, Model, Parameters, SceneName
+from servocore.cli.options import (
+    End,
+    LimitsFile,
+    LimitTexts,
+    Model,
+    Output,
+    Parameters,
+    SceneName,
+    Start,
+    column_names,
+    point,
+)
 from servocore.errors import InvalidSetting
 from servocore.files import PICTURES, csv_text, require_picture, require_places
 from servocore.model.limit_files import factors_of_texts, limits_given
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
 from servocore.references.base import Reference
@@ -37,34 +45,10 @@ EXAMPLES = """[bold]Examples[/bold]
 --robust load_mass=0.9..1.1 --plot plan.png[/cyan]
 """
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?")
-_POINTS = ("--from", "--to", "--by")
 _ROWS = 200
 _MOST_ROWS = 1e7
 
 
-class PointsCommand(TyperCommand):
-    """A command whose points have as many numbers as stand there: ``--from 5 0 -5``."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the numbers of a point together before they are read."""
-        joined: list[str] = []
-        for each in args:
-            last = joined[-1] if joined else ""
-            if _NUMBER.fullmatch(each) and last in _POINTS:
-                joined[-1] = f"{last}={each}"
-            elif _NUMBER.fullmatch(each) and last.partition("=")[0] in _POINTS:
-                joined[-1] = f"{last} {each}"
-            else:
-                joined.append(each)
-        found: list[str] = super().parse_args(ctx, joined)
-        return found
-
-
-Start = Annotated[
-    str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
-]
-End = Annotated[str | None, typer.Option("--to", metavar="X Y ...", help="End.")]
 Between = Annotated[
     list[str] | None, typer.Option("--by", metavar="X Y ...", help="A point on the way, any number of times.")
 ]
@@ -74,12 +58,6 @@ ReferenceFile = Annotated[
         "--reference",
         metavar="FILE.csv",
         help="The curve of this path: its header is time and the outputs' names. Its times do not count.",
-    ),
-]
-LimitTexts = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--limit", metavar="NAME=VALUE", help="F=60, M_w=-104..-92, swing=5deg, s.rate=1.2, as many as there are."
     ),
 ]
 Robust = Annotated[
@@ -102,10 +80,6 @@ KeepOut = Annotated[
 ]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help=f"Largest time between rows (s). Default: duration/{_ROWS}.")
-]
-Output = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
 ]
 PathFile = Annotated[
     Path | None,
@@ -196,23 +170,7 @@ def _way(
     return np.array([point(option, text, names) for option, text in given])
 
 
-def point(option: str, text: str, names: Sequence[str]) -> list[float]:
-    """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
-    try:
-        found = [float(each) for each in text.replace(",", " ").split()]
-    except ValueError:
-        found = []
-    if len(found) != len(names):
-        raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
-    return found
-
-
 def _table(scene: Scene, solution: Solution, model: str | None) -> str:
     """Return time, inputs, what the model reports and the outputs as a CSV file."""
     names = column_names(scene.model(model))
     return csv_text(["time", *names], [solution.t, *[solution[name] for name in names]])
-
-
-def column_names(system: MechanicalSystem) -> list[str]:
-    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
-    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))
