@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from outside.systems import vtol
 
 import servocore as sc
+from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 
 control = pytest.importorskip("control")
@@ -89,6 +91,45 @@ def test_state_and_inputs_come_back_from_their_flag(name, seed):
 @every_scene
 def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name):
     assert_inputs_of_the_inversion(name, planned(name))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OfBasis(Reference):
+    """The path of a trajectory of python-control, by its own basis functions."""
+
+    trajectory: object
+
+    def _derivatives(self, t, order):
+        basis = self.trajectory.basis
+        rows = [
+            [sum(c * basis.eval_deriv(i, k, t) for i, c in enumerate(coefficients)) for k in range(order + 1)]
+            for coefficients in self.trajectory.coeffs
+        ]
+        return np.array(rows).transpose(2, 1, 0)
+
+
+BASES = {
+    "powers": flatsys.PolyFamily(12, T=DURATION),
+    "Bezier": flatsys.BezierFamily(12, T=DURATION),
+    "splines": flatsys.BSplineFamily([0.0, DURATION / 3, DURATION / 1.5, DURATION], degree=10),
+}
+
+
+@pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
+@pytest.mark.parametrize("name", ["rotary crane", "overhead crane", "aircraft of somebody else"])
+def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_inversion(name, basis):
+    order, draw = sc.Problem.of(SCENES[name]).array.reference_order, np.random.default_rng(1)
+    flags = [[[each, *(0.2 * draw.standard_normal(order))] for each in place] for place in ENDS[name]]
+    ends = [each for flag in flags for each in flat(name).reverse(flag)]
+    plan = flatsys.point_to_point(flat(name), [0.0, DURATION], *ends, basis=basis)
+    t = np.linspace(0.0, DURATION, 41)
+    state, inputs = plan.eval(t)
+    path = OfBasis(
+        start_time=0.0, end_time=DURATION, dimension=len(flags[0]), max_order=12, smoothness=12, trajectory=plan
+    )
+    exact = sc.ExactInversion(SCENES[name].with_reference(path))(t)
+    assert np.abs(inputs.T - exact).max() <= 1e-9 * np.abs(exact).max()
+    np.testing.assert_allclose(state[:, [0, -1]].T, [ends[0], ends[2]], atol=1e-9)
 
 
 @every_scene
