@@ -1,9 +1,19 @@
-"""What cranes leave out: effects as data. Their values are declared assumptions, not measured cranes."""
+"""What cranes leave out: effects as data. Their values are declared assumptions, not measured cranes.
+
+Sources that assumptions name:
+
+* Armstrong-Helouvry, Control of Machines with Friction, Kluwer 1991: Coulomb and viscous friction in drives.
+* Dynamics and Control of Bridge Cranes Transporting Distributed-Mass Payloads, ASME J. Dyn. Syst. Meas. Control 132
+  (2010) 014505: the double pendulum of hook and payload.
+* Spong, Modeling and Control of Elastic Joint Robots, ASME J. Dyn. Syst. Meas. Control 109 (1987) 310-319: a drive's
+  inertia before a linear spring.
+* White, Fluid Mechanics, McGraw-Hill: the drag coefficient, force by rho A v^2/2.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from servocore.errors import InvalidModel
 from servocore.model.effects import Effect, Effects, parameters_with
@@ -23,7 +33,7 @@ _MOTOR = Parameter("motor_share", 0.3, "1", 1e-3, 0.999, "of the inertia that be
 
 ELASTIC_ROPE = Effect(
     "elastic rope",
-    "The rope is a linear spring of stiffness EA/l without damping, l the length paid out (Hooke).",
+    "The rope is a linear spring of stiffness EA/l without damping, l the length paid out (Hooke's law).",
     (Parameter("rope_stiffness", 5e6, "N", 1.0, 1e10, "EA"),),
 )
 WINCH_INERTIA = Effect(
@@ -33,18 +43,19 @@ WINCH_INERTIA = Effect(
 )
 AIR_DRAG = Effect(
     "air drag",
-    "The load has the quadratic drag of still air, rho c_d A v^2/2 with constant c_d A (Rayleigh).",
+    "The load has the drag of still air, c_d rho A v^2/2 (White, Fluid Mechanics) with constant c_d A.",
     _AIR,
 )
 WIND = Effect(
     "wind",
-    "The load has the same drag by air that moves steadily along x, without gusts (Rayleigh).",
+    "The load has the same drag by air that moves steadily along x; no gusts, a modelling assumption.",
     (*_AIR, Parameter("wind_speed", 8.0, "m/s", -100.0, 100.0, "along x")),
     includes=("air drag",),
 )
 ROPE_EXIT = Effect(
     "rope exit",
-    "The rope leaves the trolley at a fixed point beside its centre and below the rail (a sheave of no radius).",
+    "The rope leaves the trolley at a fixed point beside its centre and below the rail; a sheave of no radius, a"
+    " modelling assumption.",
     (
         Parameter("exit_side", 0.15, "m", -1e3, 1e3, "to the side of the trolley's centre"),
         Parameter("exit_drop", 0.5, "m", 0.0, 1e3, "below the rail"),
@@ -56,7 +67,7 @@ def hook(sling: float) -> Effect:
     """Return the effect of a hook between rope and slings; `sling` is their length in m."""
     return Effect(
         "hook",
-        "The hook is a point mass between rope and slings: a double pendulum (Singhose et al. 2008).",
+        "The hook is a point mass between rope and slings: a double pendulum (ASME J. Dyn. Syst. 132, 014505).",
         (_HOOK, Parameter("sling_length", sling, "m", 1e-3, 1e3, "from the hook to the load")),
     )
 
@@ -66,7 +77,7 @@ def rigid_load(centre: float, gyration: float) -> Effect:
     return Effect(
         "rigid load",
         "The load is a rigid body below the hook; the path is that of its centre of oscillation, k^2/a below its centre"
-        " of mass (Huygens), where an equimomental pair of points leaves no internal dynamics.",
+        " of mass (Huygens 1673), where an equimomental pair of points leaves no internal dynamics.",
         (
             _HOOK,
             Parameter("body_centre", centre, "m", 1e-3, 1e3, "a, from the hook to the centre of mass"),
@@ -80,8 +91,8 @@ def heavy_rope(lumps: int, piece: float) -> Effect:
     """Return the effect of a rope's mass in a number of lumps; `piece` is the length they stand for, in m."""
     return Effect(
         "heavy rope" if lumps == 1 else f"heavy rope {lumps}",
-        f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material (lumps as of"
-        " Walton and Polachek 1960), what is paid out above weighs on the winch; wound up it belongs to the trolley.",
+        f"The rope's lowest piece is {lumps} point mass{'es' if lumps > 1 else ''} fixed to its material, what is paid"
+        " out above weighs on the winch, wound up it belongs to the trolley: modelling assumptions.",
         (
             Parameter("rope_mass", 1.0, "kg/m", 0.0, 1e6, "of a metre of rope"),
             Parameter("rope_piece", piece, "m", 1e-3, 1e4, "length that the lumps stand for, shorter than the rope"),
@@ -91,12 +102,14 @@ def heavy_rope(lumps: int, piece: float) -> Effect:
 
 
 def friction(*drives: Parameter) -> Effect:
-    """Return the effect of dry and viscous friction in every drive; `drives` are the dry ones but the winch's."""
+    """Return the effect of dry and viscous friction in every drive; `drives` has those before trolley and winch."""
     return Effect(
         "friction",
-        "Every drive has Coulomb friction, smoothed as c tanh(v/v_0), and viscous friction (Armstrong-Helouvry 1991).",
+        "Every drive has Coulomb and viscous friction (Armstrong-Helouvry 1991), the first smoothed as c tanh(v/v_0), a"
+        " modelling assumption.",
         (
             *drives,
+            Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley"),
             Parameter("winch_friction", 29.0, "N", 0.0, 1e9, "dry friction of the winch as a force of the rope"),
             Parameter("viscous_share", 0.2, "s/m", 0.0, 1e6, "viscous friction by dry friction"),
             Parameter("creep", 0.01, "m/s", 1e-6, 1e3, "v_0, rate at which dry friction is 76 % of its full value"),
@@ -104,14 +117,14 @@ def friction(*drives: Parameter) -> Effect:
     )
 
 
-def flexible(part: str, what: str, frequency: float, measured: dict[str, str]) -> Effect:
-    """Return the effect of a flexible part behind the first drive, which then measures its own position."""
+def flexible(part: str, what: str, frequency: float, measured: Quantity) -> Effect:
+    """Return the effect of a flexible part behind the drive that measures a position, and then that of its motor."""
     swinging = Parameter("bridge_frequency", frequency, "Hz", 1e-2, 1e3, "of drive against the rest, both ends free")
     return Effect(
         f"flexible {part}",
-        f"Between the drive and {what} is a spring without damping; the drive measures its own side (Spong 1987).",
+        f"Between the drive and {what} is a linear spring without damping (Spong 1987); the drive measures its side.",
         (_MOTOR, swinging),
-        drives=measured,
+        drives={measured.name: f"{measured.name}_motor"},
     )
 
 
@@ -125,7 +138,7 @@ class Crane:
     inputs: Sequence[Quantity]
     outputs: Sequence[Quantity]
     home: tuple[float, ...]
-    effects: tuple[Effect, ...]
+    effects: tuple[Effect, ...] = ()
 
     def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
         """Assemble the model with some effects and without others."""
@@ -140,19 +153,19 @@ class Crane:
         return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names)
 
 
-def effects_of(crane: Crane, *rails: str) -> Effects:
-    """Return what a scene declares: the effects of a crane whose drives measure the rails and the rope's length."""
-    hanging = tuple(each.name for each in overhang(crane.outputs))
-    return Effects(crane.effects, (*rails, ROPE.name), hanging, crane)
-
-
-def all_effects(own: Sequence[Effect], *, rope: float, sling: float = 1.0) -> tuple[Effect, ...]:
-    """Return the effects of a crane: those of its own drives and parts, and those that all cranes share.
+def crane_effects(
+    crane: Crane, rails: Sequence[Quantity], own: Sequence[Effect], *, rope: float, sling: float = 1.0
+) -> Effects:
+    """Return what the scene of a crane declares.
 
     Parameters
     ----------
+    crane : Crane
+        Without effects.
+    rails : sequence of Quantity
+        What its drives measure beside the rope's length.
     own : sequence of Effect
-        Friction and the flexible part.
+        Friction and the flexible part; the others all cranes share.
     rope : float
         Length in m that the lumps of a heavy rope stand for; the rope must stay longer.
     sling : float
@@ -160,4 +173,7 @@ def all_effects(own: Sequence[Effect], *, rope: float, sling: float = 1.0) -> tu
     """
     ropes = (heavy_rope(count + 1, rope) for count in range(MOST_LUMPS))
     loads = (hook(sling), rigid_load(sling, sling / 2))
-    return (ELASTIC_ROPE, *ropes, WINCH_INERTIA, AIR_DRAG, WIND, *loads, *own, ROPE_EXIT)
+    declared = (ELASTIC_ROPE, *ropes, WINCH_INERTIA, AIR_DRAG, WIND, *loads, *own, ROPE_EXIT)
+    measured = tuple(each.name for each in (*rails, ROPE))
+    hanging = tuple(each.name for each in overhang(crane.outputs))
+    return Effects(declared, measured, hanging, replace(crane, effects=declared))

@@ -28,7 +28,7 @@ from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 from servocore.scenes.crane_carriages import Rails
-from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
+from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
 
 PARAMETERS = Parameters(
     Parameter("bridge_mass", 40.0, "kg", 0.0, 1e9, "m_b, moves along x only"), *hanging_load.PARAMETERS
@@ -105,26 +105,22 @@ def drawing(v: Mapping[str, Any]) -> list[Part]:
 LIMITS = hanging_load.limits("trolley")
 
 
-CRANE = Crane(
-    name="gantry crane",
-    carriage=Rails((BRIDGE, TROLLEY), ("bridge_mass", "trolley_mass"), ("bridge_friction", "trolley_friction")),
-    parameters=PARAMETERS,
-    inputs=INPUTS,
-    outputs=OUTPUTS,
-    home=HOME,
-    effects=all_effects(
-        [
-            friction(
-                Parameter("bridge_friction", 14.7, "N", 0.0, 1e9, "dry friction of the bridge's drive"),
-                Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley"),
-            ),
-            flexible("bridge", "the bridge", 6.0, {"s_x": "s_x_motor"}),
-        ],
-        rope=1.5,
+EFFECTS = crane_effects(
+    Crane(
+        "gantry crane",
+        Rails((BRIDGE, TROLLEY), ("bridge_mass", "trolley_mass"), ("bridge_friction", "trolley_friction")),
+        PARAMETERS,
+        INPUTS,
+        OUTPUTS,
+        HOME,
     ),
+    [BRIDGE, TROLLEY],
+    [
+        friction(Parameter("bridge_friction", 14.7, "N", 0.0, 1e9, "dry friction of the bridge's drive")),
+        flexible("bridge", "the bridge", 6.0, BRIDGE),
+    ],
+    rope=1.5,
 )
-"""The crane in all its levels of physics."""
-EFFECTS = effects_of(CRANE, BRIDGE.name, TROLLEY.name)
 
 
 def gantry_crane() -> Scene:

@@ -19,13 +19,13 @@ from typing import Any
 from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
-from servocore.model.symbols import Parameter, Parameters
+from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 from servocore.scenes.crane_carriages import Rails
-from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
+from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
 
 PARAMETERS = Parameters(*hanging_load.PARAMETERS)
 INPUTS = (Quantity("F", "N", "force on the trolley, positive as s"), hanging_load.WINCH)
@@ -68,24 +68,20 @@ def drawing(v: Mapping[str, Any]) -> list[Part]:
 LIMITS = hanging_load.limits("girder")
 
 
-CRANE = Crane(
-    name="overhead crane",
-    carriage=Rails((TROLLEY,), ("trolley_mass",), ("trolley_friction",)),
-    parameters=PARAMETERS,
-    inputs=INPUTS,
-    outputs=OUTPUTS,
-    home=HOME,
-    effects=all_effects(
-        [
-            friction(Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley")),
-            flexible("rail", "the trolley", 6.0, {"s": "s_motor"}),
-        ],
-        rope=0.7,
-        sling=0.4,
+EFFECTS = crane_effects(
+    Crane(
+        "overhead crane",
+        Rails((TROLLEY,), ("trolley_mass",), ("trolley_friction",)),
+        PARAMETERS,
+        INPUTS,
+        OUTPUTS,
+        HOME,
     ),
+    [TROLLEY],
+    [friction(), flexible("rail", "the trolley", 6.0, TROLLEY)],
+    rope=0.7,
+    sling=0.4,
 )
-"""The crane in all its levels of physics."""
-EFFECTS = effects_of(CRANE, TROLLEY.name)
 
 
 def overhead_crane() -> Scene:

@@ -38,8 +38,8 @@ from servocore.numerics.calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
-from servocore.scenes.crane_carriages import PHI_MOTOR, SlewingBridge
-from servocore.scenes.crane_effects import Crane, all_effects, effects_of, flexible, friction
+from servocore.scenes.crane_carriages import SlewingBridge
+from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 from servocore.scenes.rotary_crane_bodies import PHI, TROLLEY
 from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
@@ -241,26 +241,15 @@ INVARIANT_MODELS = {"points": partial(points, invariant=True)}
 """Factories of the model for integration that conserves angular momentum."""
 
 
-CRANE = Crane(
-    name="rotary crane",
-    carriage=SlewingBridge(PHI, TROLLEY),
-    parameters=PARAMETERS,
-    inputs=INPUTS,
-    outputs=OUTPUTS,
-    home=HOME,
-    effects=all_effects(
-        [
-            friction(
-                Parameter("bridge_friction", 10.0, "N.m", 0.0, 1e9, "dry friction of the slewing drive"),
-                Parameter("trolley_friction", 10.8, "N", 0.0, 1e9, "dry friction of the trolley"),
-            ),
-            flexible("bridge", "the bridge", 3.0, {PHI.name: PHI_MOTOR.name}),
-        ],
-        rope=1.5,
-    ),
+EFFECTS = crane_effects(
+    Crane("rotary crane", SlewingBridge(PHI, TROLLEY), PARAMETERS, INPUTS, OUTPUTS, HOME),
+    [PHI, TROLLEY],
+    [
+        friction(Parameter("bridge_friction", 10.0, "N.m", 0.0, 1e9, "dry friction of the slewing drive")),
+        flexible("bridge", "the bridge", 3.0, PHI),
+    ],
+    rope=1.5,
 )
-"""The crane in all its levels of physics."""
-EFFECTS = effects_of(CRANE, PHI.name, TROLLEY.name)
 
 
 def rotary_crane(*, across_axis: bool = False, invariant: bool = False, rope_elements: int = 0) -> Scene:
