@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from benchmarks.atlas.style import BAD, GOOD, OTHER, STYLE
 from benchmarks.effects.cases import DURATIONS
 from benchmarks.effects.measure import LINES, Pair
+from servocore.effects.report import ESTIMATED, SIMULATED
 
 _MARKS = dict(zip(DURATIONS, ((GOOD, "o"), (OTHER, "^"), (BAD, "s")), strict=True))
 _SHOWN = ("rotary crane", "big rotary crane")
@@ -52,22 +53,24 @@ def _levels_of(axis: Axes, pairs: Sequence[Pair], effects: Sequence[str]) -> Non
 
 
 def draw_comparison(pairs: Sequence[Pair], target: Path) -> None:
-    """Draw estimated against simulated errors, and their ratio."""
+    """Draw estimated against simulated errors, and their ratio; filled where `effects` shows the simulation."""
     looks = {"rotary crane": (GOOD, "o"), "big rotary crane": (BAD, "s"), "gantry crane": (OTHER, "^"),
              "overhead crane": ("#8a5bb0", "D")}  # fmt: skip
     with plt.rc_context(STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.4, 3.4), sharex=True, layout="constrained")
         for crane, (colour, mark) in looks.items():
-            own = [each for each in pairs if each.crane == crane]
-            x = [each.simulated for each in own]
-            left.plot(x, [each.estimated for each in own], ls="", marker=mark, color=colour, label=crane, mfc="none")
-            right.plot(x, [each.ratio for each in own], ls="", marker=mark, color=colour, mfc="none")
-        span = [0.03, 1500.0]
+            for how in (ESTIMATED, SIMULATED):
+                own = [each for each in pairs if each.crane.rstrip(" 0123456789") == crane and each.how == how]
+                x, fill = [each.simulated for each in own], "none" if how == ESTIMATED else colour
+                line = {"ls": "", "marker": mark, "color": colour, "mfc": fill}
+                left.plot(x, [each.estimated for each in own], label=crane if how == ESTIMATED else None, **line)
+                right.plot(x, [each.ratio for each in own], **line)
+        span = [0.01, 1500.0]
         left.plot(span, span, color="#888888", lw=0.8, zorder=0)
-        for line in LINES:
-            left.axhline(line, color="#888888", lw=0.8, ls="--", zorder=0)
+        for line_ in LINES:
+            left.axhline(line_, color="#888888", lw=0.8, ls="--", zorder=0)
             for axis in (left, right):
-                axis.axvline(line, color="#888888", lw=0.8, ls="--", zorder=0)
+                axis.axvline(line_, color="#888888", lw=0.8, ls="--", zorder=0)
         right.axhspan(0.9, 1.1, color="#dddddd", zorder=0)
         left.set(xscale="log", yscale="log", xlim=span, ylim=span, xlabel="simulated [mm]", ylabel="estimated [mm]")
         right.set(xlabel="simulated [mm]", ylabel="estimated / simulated", ylim=(0.75, 1.25))

@@ -33,15 +33,16 @@ class Loop:
         begin, the middle and the end of the step.
     read : Call
         State -> positions of the drives.
-    stiffness : Call
-        (state, p, gains) -> Jacobian of the rate by the state.
+    linear : Call
+        (state, signal, p, gains, zero) -> Jacobians of the rate by the state and by the inputs, of the output by the
+        state.
     seen : casadi.Function
         (state, p) -> output, and what hangs if anything does.
     """
 
     step: ca.Function
     read: Call
-    stiffness: Call
+    linear: Call
     seen: ca.Function
 
 
@@ -83,12 +84,16 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     after = x + h / 6 * (first + 2 * second + 2 * third + last)
     swing = [each for quantity, each in system.observables.items() if quantity.name in hanging]
     signal = ca.MX.sym("now", 3 * m)
-    jacobian = ca.jacobian(driven(x, signal), x)
+    seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
+    rates, output = driven(x, signal), seen(x, p)[: len(system.outputs)]
+    jacobians = ca.jacobian(rates, x), ca.jacobian(rates, signal)[:, :m], ca.jacobian(output, x)
     return Loop(
         step=ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after]),
         read=Call(read),
-        stiffness=Call(ca.Function("sc_loop_jacobian", [x, signal, p, gains, zero], [ca.densify(jacobian)])),
-        seen=ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))]),
+        linear=Call(
+            ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(each) for each in jacobians])
+        ),
+        seen=seen,
     )
 
 
@@ -118,10 +123,6 @@ class Run:
     moving: int
     deviation: Array
     hanging: Array
-
-    def less(self, other: Run) -> Run:
-        """Return half the difference from another run of the same plant."""
-        return Run(self.moving, (self.deviation - other.deviation) / 2, (self.hanging - other.hanging) / 2)
 
     @property
     def error(self) -> float:
@@ -177,7 +178,7 @@ def run_loop(
     start, both = own.start, np.concatenate([gains.position, gains.rate])
     zero = loop.read(start)[0]
     signals = np.column_stack([driven.inputs, motion.positions, motion.rates])
-    jacobian = loop.stiffness(start, signals[0], problem.p, both, zero)[0]
+    jacobian = loop.linear(start, signals[0], problem.p, both, zero)[0]
     fastest = float(np.abs(np.linalg.eigvals(jacobian)).max()) if np.isfinite(jacobian).all() else np.inf
     step = min(coarsest, _STABLE / max(fastest, 1e-12))
     if not step > _SMALLEST:
@@ -194,6 +195,44 @@ def run_loop(
     count = len(problem.system.outputs)
     path = problem.reference.jet(at[::2], 0)[:, 0]
     return Run(moving, seen[:, :count] - path, seen[:, count:] - at_end[count:])
+
+
+def linear_answers(
+    problem: Problem, motion: Inverted, gains: Gains, measured: tuple[str, ...], hanging: tuple[str, ...], change: Array
+) -> Array:
+    """Return how far changes of its inputs move a plant's output, if it were linear about rest at both ends of a path.
+
+    Parameters
+    ----------
+    problem : Problem
+        The plant.
+    motion : Inverted
+        The plant's own, from its start to its end.
+    gains : Gains
+        Of the loops that hold its drives.
+    measured, hanging : tuple of str
+        See `compile_loop`.
+    change : ndarray, shape (N, m)
+        What is added to the inputs, at the instants of the motion.
+
+    Returns
+    -------
+    ndarray, shape (2,)
+        Largest distances, linear about the start and about the end; infinite where there is no linear plant.
+    """
+    import scipy.signal  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    loop, n = problem.resolved.once(compile_loop, measured, hanging), len(motion.end)
+    both, found = np.concatenate([gains.position, gains.rate]), []
+    for q, u in ((motion.start[:n], motion.inputs[0]), (motion.end, motion.inputs[-1])):
+        state = np.concatenate([q, np.zeros(n)])
+        place, rate = loop.read(state)
+        A, B, C = loop.linear(state, np.concatenate([u, 0 * place, rate]), problem.p, both, place)
+        if not all(np.isfinite(each).all() for each in (A, B, C)):
+            return np.full(2, np.inf)
+        _, moved, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, motion.t - motion.t[0])
+        found.append(np.linalg.norm(moved.reshape(len(change), -1), axis=1).max())
+    return np.array(found)
 
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:

@@ -46,6 +46,8 @@ class EffectRow:
         Whether the scene has the effect, so that leaving it out is what was compared.
     reason : str
         Why the row is refused, or why it is simulated.
+    estimate : float or None
+        What was estimated of the error, also where that was simulated then; None where nothing can be.
     """
 
     name: str
@@ -62,6 +64,7 @@ class EffectRow:
     needed: bool = False
     left_out: bool = False
     reason: str = ""
+    estimate: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
