@@ -366,6 +366,7 @@ def test_a_rope_shorter_than_its_lumps_refuses_its_row():
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
     assert found["heavy rope"].how == "refused"
     assert "rope_above is -" in found["heavy rope"].reason
+    assert found.verdict.endswith("mm at most, errors added up. Not judged: heavy rope.")
 
 
 # Paths that are too rough.
@@ -422,8 +423,10 @@ def test_the_command_prints_the_table_and_writes_the_page(run):
     [
         (("overhead_crane", "--tolerance", "5kg"), ("the tolerance is given in kg",)),
         (("overhead_crane", "--tolerance", "0mm"), ("the tolerance must be positive",)),
+        (("overhead_crane", "--tolerance", "5"), ("the tolerance is given as '5' without its unit",)),
         (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of drives must be positive",)),
         (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("no drives whose bandwidth",)),
+        (("overhead_crane", "--open-loop", "--bandwidth", "6"), ("no drives whose bandwidth",)),
         (("overhead_crane", "--parameters", "bad.toml"), ("bad.toml", "'rope_colour'")),
         (("overhead_crane", "--reference", "none.csv"), ("none.csv",)),
         (("cars",), ("cars declares no effects",)),

@@ -33,7 +33,10 @@ _LEFT = 1  # columns of text before those of numbers
 Tolerance = Annotated[
     str, typer.Option("--tolerance", metavar="LENGTH", help="How far the load may be off its path, with its unit.")
 ]
-Bandwidth = Annotated[float, typer.Option("--bandwidth", metavar="W", help="Of the drives' position loops (rad/s).")]
+Bandwidth = Annotated[
+    float | None,
+    typer.Option("--bandwidth", metavar="W", help="Of the drives' position loops (rad/s).", show_default="6"),
+]
 OpenLoop = Annotated[bool, typer.Option("--open-loop", help="Inputs alone drive the plant, without position loops.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="Simulate every plant, instead of those hard to estimate.")]
 Markdown = Annotated[Path | None, typer.Option("--markdown", metavar="FILE.md", help="Write the table as a page too.")]
@@ -42,7 +45,7 @@ Markdown = Annotated[Path | None, typer.Option("--markdown", metavar="FILE.md", 
 def show_effects(
     scene: SceneName,
     tolerance: Tolerance = "5mm",
-    bandwidth: Bandwidth = 6.0,
+    bandwidth: Bandwidth = None,
     open_loop: OpenLoop = False,
     simulate: Simulate = False,
     parameters: Parameters = None,
@@ -64,13 +67,13 @@ def show_effects(
     own = subject.model().parameters.names
     subject = subject.with_parameters(**{name: each for name, each in given.items() if name in own})
     subject = along(subject, reference)
-    allowed = in_unit(tolerance, subject.model().outputs[0].unit, "the tolerance")
-    if open_loop and bandwidth != 6.0:
+    allowed = _allowed(tolerance, subject.model().outputs[0].unit)
+    if open_loop and bandwidth is not None:
         raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")
     with PatientProgress("estimating"):
         found = effects(
             subject,
-            drives=None if open_loop else Drives(bandwidth),
+            drives=None if open_loop else Drives() if bandwidth is None else Drives(bandwidth),
             tolerance=allowed,
             parameters={name: each for name, each in given.items() if name not in own},
             simulate=simulate,
@@ -78,6 +81,15 @@ def show_effects(
     if markdown is not None:
         write_together({markdown: f"# What {subject.name} may leave out\n\n{found.markdown()}"})
     table_console().print(_table(found), *found.remarks, sep="\n", soft_wrap=False)
+
+
+def _allowed(text: str, unit: str) -> float:
+    """Return a tolerance in a unit; a bare number is refused, since few who write 5 mean metres."""
+    try:
+        float(text)
+    except ValueError:
+        return in_unit(text, unit, "the tolerance")
+    raise InvalidSetting(f"the tolerance is given as {text!r} without its unit, such as '5mm'")
 
 
 def _table(found: EffectsReport) -> rich.table.Table:

@@ -108,8 +108,12 @@ class EffectsReport:
         declared = {each.name: each for each in self.scene.effects.declared}
         added = [each.name for each in self.rows if each.needed and not each.left_out and each.name in declared]
         covered = {own for name in added for own in declared[name].includes}
-        without = [each.name for each in self.rows if each.left_out and not each.needed]
+        without = [each.name for each in self._spared if each.left_out]
         return tuple(each for each in added if each not in covered), tuple(without)
+
+    @property
+    def _spared(self) -> list[EffectRow]:
+        return [each for each in self.rows if not each.needed and each.how != REFUSED]
 
     def smallest(self) -> Scene:
         """Return the scene with the smallest model that keeps the tolerance.
@@ -126,7 +130,8 @@ class EffectsReport:
     def verdict(self) -> str:
         """The smallest model in one or two sentences."""
         added, without = self.arguments
-        least = sum(each.error for each in self.rows if not each.needed)
+        least = sum(each.error for each in self._spared)
+        refused = [each.name for each in self.rows if each.how == REFUSED]
         declared = {each.name for each in self.scene.effects.declared}
         unnamed = [each for each in self.needed if each not in declared]
         call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
@@ -135,6 +140,7 @@ class EffectsReport:
         return (
             f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{told}: all that is left"
             f" out moves it by {_length(least, self.unit)} at most, errors added up."
+            + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
 
     def cells(self) -> list[tuple[str, ...]]:
