@@ -344,6 +344,18 @@ def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss():
         ({"tolerance": 0.0}, sc.InvalidSetting, "the tolerance must be positive and finite, not 0"),
         ({"drives": 6.0}, sc.InvalidSetting, r"drives must be Drives\(...\) or None, not 6.0"),
         ({"parameters": {"hook": 1.0}}, sc.InvalidModel, "no parameter of an effect is called hook"),
+        ({"plant": {"ours": 3}}, sc.InvalidModel, "the plant ours must be a function that returns a model, not 3"),
+        (
+            {"plant": {"ours": sc.scenes.cars}},
+            sc.InvalidModel,
+            "what the plant ours returns must be a MechanicalSystem",
+        ),
+        (
+            {"plant": {"ours": sc.scenes.cars().model}},
+            sc.InvalidModel,
+            "the plant ours has the inputs u, overhead_crane",
+        ),
+        ({"plant": {"hook": sc.scenes.cars}}, sc.InvalidModel, "hook is an effect of overhead_crane; the plant needs"),
         ({"parameters": {"hook_mass": -1.0}}, sc.InvalidModel, "hook_mass = -1 kg is outside its range"),
     ],
 )

@@ -27,9 +27,18 @@ from servocore.effects.drives import Drives, Gains, gains_of
 from servocore.effects.inverted import Inverted, inverted
 from servocore.effects.report import ESTIMATED, REFUSED, SIMULATED, EffectRow, EffectsReport
 from servocore.effects.rest import at_rest
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError, require_kind, require_real
+from servocore.errors import (
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    ServocoreError,
+    described,
+    require_kind,
+    require_real,
+)
 from servocore.model.effects import Effects
 from servocore.model.scene import ModelFactory, Scene, require_scene
+from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.profiles import polynomial
@@ -154,12 +163,31 @@ class _Study:
                 f"{self.scene.name} does not say what its drives measure: measured=('s', 'l'), one an input"
             )
         known = dict(declared.parameters)
-        for factory in plant.values():
-            known |= {each.name: each for each in factory().parameters.declared}
+        for name, factory in plant.items():
+            known |= {each.name: each for each in self._plant(name, factory).parameters.declared}
         for name, value in self.parameters.items():
             if name not in known:
                 raise InvalidModel(f"no parameter of an effect is called {name}; there are {', '.join(known)}")
             known[name].check(value)
+
+    def _plant(self, name: str, factory: ModelFactory) -> MechanicalSystem:
+        """Return a model of one's own; raise `InvalidModel` if it is none, or not one of this scene."""
+        if not callable(factory):
+            raise InvalidModel(f"the plant {name} must be a function that returns a model, not {described(factory)}")
+        if name in {each.name for each in self.scene.effects.declared}:
+            raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
+        found, model = factory(), self.scene.model()
+        require_kind(found, MechanicalSystem, f"what the plant {name} returns", "a MechanicalSystem", InvalidModel)
+        for what, own, expected in (
+            ("inputs", found.inputs, model.inputs),
+            ("outputs", found.outputs, model.outputs),
+        ):
+            names, known = ([each.name for each in quantities] for quantities in (own, expected))
+            if len(names) != len(known):
+                raise InvalidModel(
+                    f"the plant {name} has the {what} {', '.join(names)}, {self.scene.name} has {', '.join(known)}"
+                )
+        return found
 
     def cases(self, plant: Mapping[str, ModelFactory]) -> list[_Case]:
         """Return all effects, declared ones first."""
