@@ -13,12 +13,16 @@ import casadi as ca
 import numpy as np
 import pytest
 from browser import Page, require_browser
+from command_lines import CommandLine
 
 import servocore as sc
+from servocore.cli.commands import app
 from servocore.problem import Problem
+from servocore.view.drawing import drawn
 from servocore.view.javascript import javascript
 from servocore.view.live import live_model
 
+run = CommandLine(app, "servocore")
 SCENES = sorted(sc.scenes.REGISTRY)
 LIVE = [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm")]
 LARGEST_PAGE = 6_000_000
@@ -44,6 +48,38 @@ def opened(page_of, tmp_path_factory):
     require_browser()
     with Page(page_of("rotary_crane"), tmp_path_factory.mktemp("profile")) as page:
         yield page
+
+
+def own_crane() -> sc.Scene:
+    """Return an overhead crane as a user would write it, without a drawing, on a path through waypoints."""
+    names = ("trolley.x", "load.x", "load.z", "rope")
+    coordinates = sc.Coordinates(*(sc.Quantity(name, "m", positive=name == "rope") for name in names))
+    parameters = sc.Parameters(sc.Parameter("trolley", 10.0, "kg", 1.0), sc.Parameter("load", 50.0, "kg", 1.0))
+    (trolley, x, z, rope), lam, gamma = ca.vertsplit(coordinates.q), ca.SX.sym("lam"), ca.SX.sym("gamma", 2, 25)
+    pull = gamma[:, 2] + ca.vertcat(0, 9.81)
+    above, length = gamma[0, 0] - gamma[1, 0] * pull[0] / pull[1], -gamma[1, 0] * ca.norm_2(pull) / pull[1]
+    system = sc.MechanicalSystem(
+        name="own crane",
+        coordinates=coordinates,
+        parameters=parameters,
+        inputs=(sc.Quantity("F", "N"), sc.Quantity("R", "N")),
+        outputs=(sc.Quantity("x", "m"), sc.Quantity("z", "m")),
+        mass=ca.diag(ca.vertcat(parameters["trolley"], parameters["load"], parameters["load"], 5)),
+        potential=9.81 * parameters["load"] * z,
+        constraints=(x - trolley) ** 2 + z**2 - rope**2,
+        multipliers=lam,
+        input_matrix=-ca.vertcat(ca.horzcat(1, 0, 0, 0), ca.horzcat(0, 0, 0, 1)),
+        output=ca.vertcat(x, z),
+        gamma=gamma,
+        guess=ca.vertcat(above, gamma[0, 0], gamma[1, 0], length),
+        home=(0.0, -3.0),
+        observables={sc.Quantity("tension", "N"): 2 * lam * rope},
+    )
+    path = sc.through([(0.0, -4.0), (3.0, -2.0), (5.0, -3.0)], [0.0, 2.0, 4.0])
+    return sc.Scene("own", {"only": lambda: system}, path)
+
+
+OWN_QUANTITIES = [sc.Quantity(name, "m") for name in ("trolley.x", "load.x", "load.z", "rope")]
 
 
 def told(file) -> dict:
@@ -129,6 +165,46 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path):
     with pytest.raises(sc.InvalidSetting, match=r"view\(solution, path, scene=scene\) says it"):
         sc.view(lost, tmp_path / "cars.html")
     assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
+
+
+def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn():
+    found = drawn(own_crane().model(), OWN_QUANTITIES, None)
+    assert [(part["kind"], part["name"]) for part in found.parts] == [
+        ("bar", ""),
+        ("body", "trolley"),
+        ("body", "load"),
+    ]
+    assert found.flat
+    assert found.parts[-1]["places"] == [found.tracked]
+
+
+@pytest.mark.parametrize(
+    ("drawing", "sentence"),
+    [
+        (lambda v: [sc.Part("body", ((v["nothing"], 0, 0),))], "its drawing asks for 'nothing'; there are"),
+        (lambda v: [sc.Part("body", ((v["rope"], 0, 0),), colour="heat")], "coloured by heat, which is not reported"),
+        (lambda _: ["body"], "must be a sequence of Part"),
+    ],
+)
+def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(drawing, sentence):
+    with pytest.raises(sc.InvalidModel, match=re.escape(sentence)):
+        drawn(own_crane().model(), OWN_QUANTITIES, drawing)
+
+
+def test_a_part_that_is_none_is_refused_with_a_sentence():
+    with pytest.raises(sc.InvalidSetting, match="no part of kind wheel"):
+        sc.Part("wheel", ((0, 0, 0),))
+    with pytest.raises(sc.InvalidSetting, match="a rope is drawn at 2 points"):
+        sc.Part("rope", ((0, 0, 0),))
+
+
+def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run("view", "cars", "--limit", "u=0.5").stdout == "cars.html: cars, live\n"
+    assert told(tmp_path / "cars.html")["limits"] == [{"output": 0, "low": -0.5, "high": 0.5, "rate": False}]
+    assert "mine.html: mass_on_car, as solved: its inputs" in run("view", "mass_on_car", "-o", "mine.html").stdout
+    run.assert_refused(run("view", "cars", "-o", "cars.pdf"), "the name of a page ends with .html")
+    run.assert_refused(run("view", "cars", "--limit", "v=1"), "reports nothing called v")
 
 
 # In a browser ---------------------------------------------------------------------------------------------------------
@@ -247,6 +323,20 @@ def test_the_page_of_every_scene_runs(opened, page_of, name):
     assert opened.run('document.querySelectorAll(".plot .curve").length') >= 3
     if name in LIVE:
         assert float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
+
+
+def test_the_page_of_a_users_own_system_computes_on_a_path_through_waypoints(opened, page_of):
+    opened.errors.clear()
+    opened.open(page_of("own", own_crane()))
+    assert float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
+    settled(opened, SET % ("duration", 5.0))
+    slower = sc.through([(0.0, -4.0), (3.0, -2.0), (5.0, -3.0)], [0.0, 2.5, 5.0])
+    exact = sc.solve(own_crane().with_reference(slower), step=0.0025)
+    paper = sc.solve(own_crane().with_reference(slower), sc.Projected(), sc.BackwardEuler(), step=0.02, checks=False)
+    for attribute, solution, tolerance in (("run", exact, 1e-11), ("paper", paper, 1e-8)):
+        found = opened.run(f"[...servocore.{attribute}.rows[0]]")
+        np.testing.assert_allclose(found, solution["F"], rtol=0.0, atol=tolerance * np.abs(solution["F"]).max())
+    assert opened.errors == []
 
 
 def test_without_scripts_it_says_what_is_missing(opened, page_of):

@@ -36,6 +36,8 @@ from servocore.cli.sensitivities import EXAMPLES as SENSITIVITIES_EXAMPLES
 from servocore.cli.sensitivities import show_sensitivities
 from servocore.cli.sweep import EXAMPLES as SWEEP_EXAMPLES
 from servocore.cli.sweep import sweep_command
+from servocore.cli.view import EXAMPLES as VIEW_EXAMPLES
+from servocore.cli.view import view_scene
 from servocore.errors import InvalidSetting
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
@@ -217,6 +219,7 @@ app.command("plan", cls=PointsCommand, epilog=PLAN_EXAMPLES)(plan_scene)
 app.command("sensitivities", epilog=SENSITIVITIES_EXAMPLES)(show_sensitivities)
 app.command("sweep", epilog=SWEEP_EXAMPLES)(sweep_command(sweep))
 app.command("effects", epilog=EFFECTS_EXAMPLES)(show_effects)
+app.command("view", epilog=VIEW_EXAMPLES)(view_scene)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
 

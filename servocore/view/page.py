@@ -10,6 +10,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import require_places, write_together
@@ -45,6 +46,8 @@ class LivePart:
         Content of a ``<style>``.
     body : str
         The elements, and the scripts that fill them.
+    title : str
+        What the system is called.
     live : bool
         Whether the page computes; else it shows what was solved.
     why : str
@@ -53,6 +56,7 @@ class LivePart:
 
     style: str
     body: str
+    title: str
     live: bool
     why: str
 
@@ -89,11 +93,13 @@ def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, mo
     >>> view(solve(crane), "crane.html")
     """
     file = require_page(path)
-    part = live_part(solution, scene=scene, model=model)
-    name = _problem(solution, scene, model).name
-    text = _template("page.html.j2").render(title=name.replace("_", " "), part=part, route=solution.route)
-    write_together({file: text})
+    write_together({file: page_text(solution, live_part(solution, scene=scene, model=model))})
     return file
+
+
+def page_text(solution: Solution, part: LivePart) -> str:
+    """Return a page with nothing but a live part."""
+    return str(_template("page.html.j2").render(part=part, route=solution.route))
 
 
 def require_page(path: str | Path) -> Path:
@@ -128,6 +134,7 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
     except InvalidModel as error:
         live, why = None, str(error)
     about, source = _written(problem, solution, live)
+    title = problem.name.replace("_", " ")
     scripts = [WEB.joinpath(each).read_text(encoding="utf-8") for each in _SCRIPTS]
     style = WEB.joinpath("live.css").read_text(encoding="utf-8")
     body = _template("live.html.j2").render(
@@ -138,9 +145,9 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
         stepped=bool(about["steps"]),
         flat=about["flat"],
         why=why,
-        title=problem.name.replace("_", " "),
+        title=title,
     )
-    return LivePart(style, body, live is not None, why)
+    return LivePart(style, body, title, live is not None, why)
 
 
 def _problem(solution: Solution, scene: Scene | None, model: str | None) -> Problem:
@@ -173,7 +180,7 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     if live is not None and not _is_exact(problem, solution, live):
         rows = dict(zip((each.name for each in quantities), live.values(problem, times).T, strict=True))
     orders = live.orders if live else 1
-    path, laws = path_of(problem.reference, times, orders)
+    path, laws = path_of(problem.reference, _refined(times) if live else times, orders)
     steps = live.steps if live and _can_march(problem, times, orders) else None
     picture = drawn(system, quantities, problem.drawing)
     names = [each.name for each in quantities]
@@ -205,9 +212,21 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     return about, source
 
 
-def _thinned(t: Array) -> Array:
-    """Return which instants are written: all, or some two thousand evenly among them."""
-    return np.unique(np.linspace(0, len(t) - 1, min(len(t), _MOST_ROWS)).round().astype(np.intp))
+def _thinned(t: Array) -> npt.NDArray[np.intp]:
+    """Return which instants are written: all, or some two thousand among them, evenly apart if their number allows."""
+    last = len(t) - 1
+    stride = -(-last // (_MOST_ROWS - 1))
+    even = [each for each in range(stride, 2 * stride) if last % each == 0]
+    if even or stride <= 1:
+        return np.arange(0, last + 1, even[0] if even else 1)
+    return np.unique(np.linspace(0, last, _MOST_ROWS).round().astype(np.intp))
+
+
+def _refined(t: Array) -> Array:
+    """Return instants of a table of the path: those that are written, and if they are few, some between them."""
+    parts = (_MOST_ROWS - 1) // (len(t) - 1)
+    between = t[:-1, None] + np.diff(t)[:, None] * np.arange(parts) / parts
+    return np.append(between.ravel(), t[-1])
 
 
 def _is_exact(problem: Problem, solution: Solution, live: LiveModel) -> bool:

@@ -156,27 +156,48 @@ class LivePage {
   }
 
   buildControls() {
-    const place = this.part("controls"), { path } = about, changed = (act) => (value) => { act(value); this.change(); };
     this.sliders = [];
-    const add = (options, act) => {
-      const made = slider(options, changed(act));
-      this.sliders.push({ ...made, value: options.value });
-      return made.element;
-    };
-    const { duration } = path, extent = Math.max(...(path.start ?? [0]).map((each, i) => Math.abs(each - path.end[i])), 1e-6);
-    const ends = path.kind === "line" ? ["start", "end"].map((end) => group(end === "start" ? "Start" : "Target", ...path[end].map((value, i) =>
-      add({ label: symbol(about.components[i].name), unit: about.components[i].unit, value, low: Math.min(path.start[i], path.end[i]) - 0.4 * extent,
-            high: Math.max(path.start[i], path.end[i]) + 0.4 * extent, describe: `${end === "start" ? "start" : "target"} ${about.components[i].name}` }, (x) => { this.settings[end][i] = x; })))) : [];
-    const manoeuvre = [add({ label: "duration", unit: "s", value: duration, low: duration / 4, high: duration * 3, lower: 1e-3 * duration, upper: 1e3 * duration }, (x) => { this.settings.duration = x; })];
-    if (path.kind === "line" && path.laws.length > 1) manoeuvre.push(this.lawChoice());
-    if (about.steps) manoeuvre.push(add({ label: "paper's step", unit: "s", value: this.step, low: duration / 4000, high: duration / 20, lower: duration / MOST_STEPS, upper: duration / 4,
-      describe: "step of the paper's scheme" }, (x) => { this.step = x; }));
-    const data = about.parameters.map(({ name, unit, value, lower, upper, description }, i) =>
-      add({ label: name.replaceAll("_", " "), unit, value, ...spread(value, lower, upper), lower: lower ?? -Infinity, upper: upper ?? Infinity, describe: `${name.replaceAll("_", " ")}${description ? `: ${description}` : ""}` },
-          (x) => { this.settings.parameters[i] = x; }));
-    place.append(group("Manoeuvre", ...manoeuvre), ...(data.length ? [group("Data", ...data)] : []), ...ends);
+    const ends = about.path.kind === "line" ? [this.endSliders("start", "Start"), this.endSliders("end", "Target")] : [];
+    this.part("controls").append(group("Manoeuvre", ...this.manoeuvreSliders()), ...this.dataSliders(), ...ends);
     this.part("actions").append(button("Reset", "go back to the numbers that Python wrote", () => this.reset()),
       button("Save as CSV", "save what is shown as a table", () => this.save()));
+  }
+
+  add(options, act) {
+    const made = slider(options, (value) => {
+      act(value);
+      this.change();
+    });
+    this.sliders.push({ ...made, value: options.value });
+    return made.element;
+  }
+
+  manoeuvreSliders() {
+    const { duration, kind, laws } = about.path, least = { value: duration, low: duration / 4, high: 3 * duration, lower: 1e-3 * duration, upper: 1e3 * duration };
+    const found = [this.add({ label: "duration", unit: "s", ...least }, (value) => { this.settings.duration = value; })];
+    if (kind === "line" && laws.length > 1) found.push(this.lawChoice());
+    const range = { low: duration / 4000, high: duration / 20, lower: duration / MOST_STEPS, upper: duration / 4 };
+    const step = { label: "paper's step", unit: "s", value: this.step, describe: "step of the paper's scheme", ...range };
+    if (about.steps) found.push(this.add(step, (value) => { this.step = value; }));
+    return found;
+  }
+
+  dataSliders() {
+    const found = about.parameters.map(({ name, unit, value, lower, upper, description }, i) => {
+      const label = name.replaceAll("_", " "), describe = description ? `${label}: ${description}` : label;
+      const range = { ...spread(value, lower, upper), lower: lower ?? -Infinity, upper: upper ?? Infinity };
+      return this.add({ label, unit, value, describe, ...range }, (x) => { this.settings.parameters[i] = x; });
+    });
+    return found.length ? [group("Data", ...found)] : [];
+  }
+
+  // One end of a straight line, each component as far beyond both ends as the line is long.
+  endSliders(end, title) {
+    const { start, end: last } = about.path, room = 0.4 * Math.max(...start.map((each, i) => Math.abs(each - last[i])), 1e-6);
+    return group(title, ...about.path[end].map((value, i) => {
+      const { name, unit } = about.components[i], range = { low: Math.min(start[i], last[i]) - room, high: Math.max(start[i], last[i]) + room };
+      return this.add({ label: symbol(name), unit, value, describe: `${title.toLowerCase()} ${name}`, ...range }, (x) => { this.settings[end][i] = x; });
+    }));
   }
 
   lawChoice() {
@@ -192,6 +213,7 @@ class LivePage {
   change() {
     const share = (this.now - this.run.t[0]) / (this.run.t[this.run.t.length - 1] - this.run.t[0]);
     this.compute();
+    this.changed = true;
     const { t } = this.run, whole = [t[0], t[t.length - 1]];
     Object.assign(this.view, { from: whole[0], to: whole[1] });
     this.now = whole[0] + share * (whole[1] - whole[0]);
@@ -273,7 +295,8 @@ class LivePage {
     status.classList.toggle("exceeded", broken.length > 0);
     for (const { plot, output } of this.plots) plot.element.classList.toggle("exceeded", output !== null && broken.some((each) => each.output === output));
     if (!about.live) return;
-    this.part("time").textContent = `${this.run.t.length} instants computed in ${this.measured.toFixed(1)} ms.`;
+    // The first time says how long the browser takes to get ready rather than to compute.
+    if (this.changed) this.part("time").textContent = `${this.run.t.length} instants computed in ${this.measured.toFixed(1)} ms.`;
     const paper = this.part("paper");
     if (paper && this.errors) paper.replaceChildren(`At a step of ${written(this.paper.h, 3)} s the paper's scheme is off by `,
       ...this.inputs().flatMap((i, k) => [k ? ", " : "", symbol(about.outputs[i].name), ` ${written(100 * this.errors[k].largest, 2)} %`]), " of its peak. Exact inversion has no step.");
@@ -343,6 +366,8 @@ function begin() {
     if (about.path.kind === "table") Object.assign(about.path, { times: unpacked(about.path.times), jets: unpacked(about.path.jets) });
     if (about.live) document.getElementById("live-check").textContent = String(Number(liveCheck().toPrecision(2)));
     window.servocore = new LivePage(root);
+    const time = /\bt=([\d.]+)/.exec(location.hash);
+    if (time) window.servocore.go(Number(time[1]));
   } catch (error) {
     root.before(made("p", { className: "live-failed", textContent: `The live part of this page does not run in this browser: ${error.message}` }));
     throw error;
