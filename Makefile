@@ -97,6 +97,7 @@ docs: $(INSTALLED)  ## write the site with API reference and gallery to build/do
 pictures: $(INSTALLED)  ## draw the pictures of the documentation again
 	$(BIN)/python docs/make_pictures.py
 	$(BIN)/python docs/draw_icon.py
+	$(BIN)/python docs/draw_live_page.py
 
 clean:  ## remove everything that was made but .venv
 	rm -rf build dist docs/gallery docs/api/generated docs/sg_execution_times.rst "$(OUT)" .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks *.fmu
