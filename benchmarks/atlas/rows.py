@@ -16,6 +16,8 @@ from benchmarks.atlas import (
     row11_variable_steps,
     row12_long_runs,
     row13_elastic_bar,
+    row14_conserved_quantities,
+    row15_flexible_rope,
 )
 from benchmarks.atlas.record import Findings, Row
 
@@ -35,6 +37,8 @@ ROWS: tuple[Row, ...] = tuple(
         row11_variable_steps,
         row12_long_runs,
         row13_elastic_bar,
+        row14_conserved_quantities,
+        row15_flexible_rope,
     )
 )
 
