@@ -30,6 +30,7 @@ from servocore.scenes.hanging_load import ROPE, TENSION, swing_angle
 
 _SMOOTH_WIND = 0.01  # m/s: below it the drag is linear in the velocity, and differentiable at rest
 
+STRETCHED = Quantity("stretched", "m", "elastic rope between its lumps and the trolley, under its load", positive=True)
 ROPE_ABOVE = Quantity("rope_above", "m", "rope between its lumps and the trolley", positive=True)
 
 
@@ -182,15 +183,17 @@ def assemble(
     p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
     own = carriage.quantities(effects)
     above = [Quantity(f"{each}_{axis.name}", "m") for each in chain.names for axis in outputs]
-    c = Coordinates(*own, ROPE, *outputs, *above)
-    points = ca.horzsplit(ca.reshape(c.q[len(own) + 1 :], dimension, -1))
-    rates = ca.horzsplit(ca.reshape(c.v[len(own) + 1 :], dimension, -1))
+    stretched = (STRETCHED,) if "elastic rope" in effects else ()
+    c = Coordinates(*own, ROPE, *stretched, *outputs, *above)
+    first = len(own) + 1 + len(stretched)
+    points = ca.horzsplit(ca.reshape(c.q[first:], dimension, -1))
+    rates = ca.horzsplit(ca.reshape(c.v[first:], dimension, -1))
     rope_mass = p["rope_mass"] * p["rope_piece"] if chain.heavy else 0  # wound up it belongs to the trolley
     frame = carriage.frame(c, p, effects, p["trolley_mass"] - rope_mass)
     winch = ca.SX(0) if "no winch inertia" in effects else p["winch_inertia"] / p["winch_radius"] ** 2
     kinetic = frame.kinetic + winch * c.velocity(ROPE.name) ** 2 / 2
     kinetic += sum(m * ca.sumsqr(rate) / 2 for m, rate in zip(chain.masses, rates, strict=True))
-    rope = _upper_rope(c, p, chain, points, frame.exit, "elastic rope" in effects)
+    rope = _upper_rope(c, p, chain, points, frame.exit)
     links = [ca.sumsqr(a - b) - each**2 for a, b, each in zip(points, points[1:], chain.links, strict=False)]
     weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
     constraints = ca.vertcat(frame.constraints, *links, rope.constraints)
@@ -229,27 +232,27 @@ class _UpperRope:
     potential: ca.SX
     constraints: ca.SX
     above: ca.SX
-    pull: ca.SX  # tension of an elastic rope; of a stiff one it is its multiplier times twice the length
+    taut: ca.SX  # its length under the load: that of an elastic rope is a coordinate
 
 
-def _upper_rope(
-    c: Coordinates, p: Parameters, chain: Chain, points: Sequence[ca.SX], exit_: ca.SX, elastic: bool
-) -> _UpperRope:
-    """Return the rope from the last point to the trolley; its weight is that of what is paid out above the lumps."""
+def _upper_rope(c: Coordinates, p: Parameters, chain: Chain, points: Sequence[ca.SX], exit_: ca.SX) -> _UpperRope:
+    """Return the rope from the last point to the trolley; its weight is that of what is paid out above the lumps.
+
+    How long an elastic rope is under its load is a coordinate without mass. The pull is then a multiplier that follows
+    from the load; as a small difference of lengths times EA it would lose as many digits as the rope stretches little.
+    """
     total = c[ROPE.name]
     above = total - chain.beside
-    potential = ca.SX(0)
+    potential, taut = ca.SX(0), above
     if chain.heavy:
         half = p["rope_piece"] - chain.beside  # of the last lump's piece, above it
         length, top, low = above - half, exit_[-1], points[-1][-1]
         middle = (top + low + (top - low) * half / above) / 2
         potential = p["rope_mass"] * p["gravity"] * length * middle
-    span = points[-1] - exit_
-    if not elastic:
-        return _UpperRope(potential, ca.sumsqr(span) - above**2, above, ca.SX())
-    distance, stiffness = ca.norm_2(span), p["rope_stiffness"] / total
-    potential += stiffness / 2 * (distance - above) ** 2
-    return _UpperRope(potential, ca.SX(0, 1), above, stiffness * (distance - above))
+    if STRETCHED.name in c.names:
+        taut = c[STRETCHED.name]
+        potential += p["rope_stiffness"] / total / 2 * (taut - above) ** 2
+    return _UpperRope(potential, ca.sumsqr(points[-1] - exit_) - taut**2, above, taut)
 
 
 def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: ca.SX, effects: frozenset[str]) -> ca.SX:
@@ -272,7 +275,7 @@ def _observables(
     c: Coordinates, drives: Sequence[Drive], rope: _UpperRope, lam: ca.SX, span: ca.SX, chain: Chain
 ) -> dict[Quantity, ca.SX]:
     own = {each.measured: each.position for each in drives if each.measured.name not in c.names}
-    tension = rope.pull if rope.pull.numel() else 2 * lam[-1] * rope.above
+    tension = 2 * lam[-1] * rope.taut
     swing = Quantity("swing", "rad", "angle of the upper rope from the vertical", nonnegative=span.numel() == 3)
     found = {**own, TENSION: tension, swing: swing_angle(span)}
     return {**found, ROPE_ABOVE: rope.above} if chain.heavy else found
@@ -293,4 +296,5 @@ def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effect
     exit_ = points[-1] + distance * direction
     stretch = 1 + mass * ca.norm_2(pull) / p["rope_stiffness"] if "elastic rope" in effects else 1
     rope = distance / stretch + chain.beside
-    return ca.vertcat(carriage.guess(exit_, p, effects), rope, *points)
+    lengths = (rope, distance) if "elastic rope" in effects else (rope,)
+    return ca.vertcat(carriage.guess(exit_, p, effects), *lengths, *points)
