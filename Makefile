@@ -33,8 +33,12 @@ versions: $(NEWEST)/.installed $(LOWEST)/.installed  ## run the tests on Python 
 hostile: $(INSTALLED)  ## ask each FMU ten thousand random sequences of calls (some 15 minutes)
 	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest -s --durations=0 tests/test_hostile.py
 
-nightly: $(INSTALLED)  ## solve five hundred mechanisms by chance: never silent and wrong (some ten minutes)
-	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py
+nightly: $(INSTALLED)  ## solve five hundred mechanisms by chance, and run the property tests with a fresh seed (some half an hour)
+	@status=0; seed=$${SEED:-$$(date +%s)}; again() { echo "The seed was $$seed: make nightly SEED=$$seed"; status=1; }; \
+	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py || status=1; \
+	echo "Property tests with the seed $$seed"; \
+	$(RUN) pytest -n $(TEST_PROCESSES) -m hypothesis --hypothesis-profile=fresh --hypothesis-seed=$$seed || again; \
+	exit $$status
 
 ivp: $(PEERS)/.installed  ## measure the index-3 problems of the test set of Bari beside scipy_dae, into docs/ivp-test-set.md
 	$(PEERS)/bin/python -m benchmarks.ivp

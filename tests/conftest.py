@@ -42,3 +42,17 @@ def compiler() -> list[str]:
 # The same examples every time, and no stop-watch: compilation makes first examples slow.
 settings.register_profile("repeatable", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("repeatable")
+
+# Other examples every night, and more of them: `make nightly` gives the seed, and says it.
+FRESH, TIMES_AS_MANY = "fresh", 5
+settings.register_profile(FRESH, settings.get_profile("repeatable"), derandomize=False, print_blob=True)
+
+
+def pytest_collection_modifyitems(config, items):
+    if config.getoption("--hypothesis-profile", None) != FRESH:
+        return
+    tests = {getattr(item.obj, "__func__", item.obj) for item in items if hasattr(item, "obj")}
+    for test in tests:
+        own = getattr(test, "_hypothesis_internal_use_settings", None)
+        if own is not None:
+            test._hypothesis_internal_use_settings = settings(own, max_examples=TIMES_AS_MANY * own.max_examples)
