@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import inspect
+import io
 import re
 import subprocess
+import tokenize
 import tomllib
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
@@ -21,6 +23,8 @@ PACKAGES = ("servocore", "crane_fmu")
 SHARED_MODULES = {"servocore.cli.console", "servocore.files"}
 """What programs around the library share with its own command line, and its compiler finder."""
 LONGEST_FUNCTION, LONGEST_FILE = 60, 400
+NUMERICAL_ROOMS = ("formulations", "methods", "numerics", "solvers", "stepping", "structure")
+LEAST_COMMENTS = 2  # per hundred lines that are not blank
 CODE_BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PUBLIC = [(name, getattr(sc, name)) for name in sc.__all__]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
@@ -66,6 +70,21 @@ def lines_without_docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int
     if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
         length -= first.end_lineno - first.lineno + 1
     return length
+
+
+@pytest.mark.parametrize("room", NUMERICAL_ROOMS)
+def test_a_numerical_room_is_commented(room):
+    comments = lines = 0
+    for path in (ROOT / "servocore" / room).glob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        comments += sum(is_comment(each) for each in tokenize.generate_tokens(io.StringIO(text).readline))
+        lines += sum(bool(line.strip()) for line in text.splitlines())
+    assert 100 * comments >= LEAST_COMMENTS * lines, f"{comments} comments in {lines} lines"
+
+
+def is_comment(token: tokenize.TokenInfo) -> bool:
+    """Whether a token is a comment for readers, not one for a tool."""
+    return token.type == tokenize.COMMENT and not re.match(r"# *(noqa|type:|fmt:|-{3})", token.string)
 
 
 def test_crane_fmu_uses_public_names_of_servocore_only():

@@ -31,6 +31,7 @@ class Original:
         """Return q_dot = v, M v_dot = -(bias + G^T lam + B^T u), 0 = g, 0 = c."""
         x, z, unknowns = mechanical_unknowns(system)
         n = len(system.coordinates)
+        # Equation (1)_2 solved for M v_dot; the paper's bias is grad V + gyroscopic forces - f.
         momentum = -(system.bias + system.constraint_forces)
         names = system.coordinates.names
         return Dae(
@@ -39,6 +40,7 @@ class Original:
             z=z,
             H=ca.diagcat(ca.SX.eye(n), system.mass),
             f=ca.vertcat(system.v, momentum),
+            # The constraints stay at the level of positions: that is what makes the index 5, and a step divides by h^4.
             h=ca.vertcat(system.output - system.path[:, 0], system.constraints),
             gamma=system.gamma,
             p=system.p,

@@ -36,14 +36,17 @@ class Projected:
         projection = project(system)
         n, free = projection.D.shape
         forces = system.bias + system.constraint_forces
+        # c'' = 0 gives C v_dot = gamma'' - C_dot v; xi is minus that, and no v_dot is left in the algebraic rows.
         xi = ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v) - system.path[:, 2]
         return Dae(
             name=f"{system.name}, projected",
             x=x,
             z=z,
+            # C D = 0: these rows are the momentum along the directions in which no servo output moves.
             H=ca.diagcat(ca.SX.eye(n), ca.mtimes(projection.D.T, system.mass)),
             f=ca.vertcat(system.v, -ca.mtimes(projection.D.T, forces)),
             h=ca.vertcat(
+                # W^T stands for C M^-1, which does not exist where massless coordinates make M singular.
                 ca.mtimes(projection.W.T, forces) - xi,
                 system.output - system.path[:, 0],
                 system.constraints,
@@ -71,6 +74,7 @@ def _index(system: MechanicalSystem, W: ca.SX) -> int:
     determines all forces: others follow from rows with v_dot.
     """
     signature, n, m = derivative_array(system).signature, len(system.coordinates), len(system.outputs)
+    # C M^-1 B^T: regular means that the algebraic rows determine the inputs without another differentiation.
     by_input = ca.Function("sc_by_input", [system.q, system.p], [ca.mtimes(W.T, system.input_matrix.T)])
     rank = np.linalg.matrix_rank(np.asarray(by_input(*system.home_configuration())))
     forces_follow = rank == m and not system.lam.numel()

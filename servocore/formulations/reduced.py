@@ -62,6 +62,7 @@ class Reduced:
             x=array.column(array.states),
             z=array.column(array.determined),
             H=ca.SX.eye(size_x),
+            # The next derivative of a state is an unknown of the array itself, so that the ODE is explicit: H = 1.
             f=array.column(tuple((j, order + 1) for j, order in array.states)),
             h=array.residual,
             gamma=system.gamma,
@@ -80,6 +81,7 @@ class Reduced:
                 "lam": array.y[n : n + system.lam.numel(), 0],
                 "u": array.y[n + system.lam.numel() :, 0],
             },
+            # All of z follows from the array, whose Jacobian is regular at points that the signature method accepts.
             index=1 if size_x else 0,
         )
 

@@ -35,4 +35,5 @@ class BackwardEuler:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step of (31)."""
+        # One instant more where the first velocity has to be a difference quotient, as in all later steps.
         return backward_differences(dae, [1.0, -1.0], Start.of(dae, 2 if dae.index > 1 else 1))

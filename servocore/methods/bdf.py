@@ -20,6 +20,7 @@ def coefficients(order: int) -> tuple[Fraction, ...]:
     steps = range(order + 1)
     alpha = tuple(sum((Fraction((-1) ** i * comb(j, i), j) for j in steps[1:]), Fraction(0)) for i in steps)
     for degree in steps:
+        # A formula of order k differentiates t^0 ... t^k exactly at t = 0; rationals leave no room for round-off.
         moment = sum(a * Fraction(-i) ** degree for i, a in enumerate(alpha))
         if moment != (degree == 1):
             raise AssertionError(f"BDF{order} does not differentiate degree {degree}")
@@ -46,6 +47,7 @@ class BDF:
     order: int = 2
 
     def __post_init__(self) -> None:
+        # Order 7 and above is not zero-stable: errors would grow at every step size.
         if self.order not in range(1, 7):
             raise InvalidSetting(f"BDF of order {self.order} does not exist or is unstable; use 1 to 6")
 
@@ -61,4 +63,5 @@ class BDF:
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
         alpha = [float(each) for each in coefficients(self.order)]
+        # k + 1 instants make the history; differencing the velocities at each of them takes k more.
         return backward_differences(dae, alpha, Start.of(dae, 2 * self.order + 1))

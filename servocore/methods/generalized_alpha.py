@@ -44,6 +44,7 @@ class GeneralizedAlpha:
     @property
     def parameters(self) -> tuple[float, float, float, float]:
         """Return (alpha_m, alpha_f, beta, gamma) for second order and the spectral radius `rho`."""
+        # The choice of Chung & Hulbert: the largest damping at high frequencies that leaves low ones alone.
         alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
         gamma = 0.5 + alpha_f - alpha_m
         return alpha_m, alpha_f, (gamma + 0.5) ** 2 / 4, gamma
@@ -66,6 +67,7 @@ class GeneralizedAlpha:
         balance = dae.at(ca.mtimes(dae.H, x_dot) - dae.f, dae.x, dae.z, at_end)
         kept = [k for k in range(balance.numel()) if not balance[k].is_zero()]  # q_dot = v holds by construction
         residual = ca.vertcat(
+            # Divided by h^2 and h, so that all three rows are accelerations and one scale fits them.
             (q1 - q0 - h * v0) / h**2 - (0.5 - beta) * a0 - beta * a1,
             (v1 - v0) / h - (1 - gamma) * a0 - gamma * a1,
             (1 - alpha_m) * a1 + alpha_m * a0 - (1 - alpha_f) * rate1 - alpha_f * rate0,
@@ -75,6 +77,7 @@ class GeneralizedAlpha:
         unknown_scale, residual_scale = dae.scales(h)
         accelerations = h**-2 if dae.index > 1 else ca.SX(1)
         unknowns = ca.vertcat(dae.x, dae.z, a1, rate1)
+        # Rows that hold by construction are gone from the residual, so they must not be scaled either.
         rows = [*kept, *range(balance.numel(), residual_scale.numel())]
         equations = SquareSystem(
             unknowns=unknowns,
@@ -86,6 +89,7 @@ class GeneralizedAlpha:
         )
         start, fraction = Start.of(dae), ca.SX.sym("fraction")
         back = (1 - fraction) * h
+        # a approximates v_dot at an instant beside the state's own; at the start only v_dot itself is known.
         first, rate_first = start.values[:, 0], start.rates[places_v]
         return Discretisation(
             equations=equations,

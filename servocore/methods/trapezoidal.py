@@ -30,6 +30,7 @@ class Trapezoidal:
     def orders(self, index: int) -> Orders:
         """Return the orders of convergence on a form of the given index, where nothing disturbs the method."""
         if index > 3:
+            # Every index above 3 costs an order; a negative one means errors that grow as steps fall.
             return Orders(5 - index, 4 - index, 3 - index)
         return Orders(2, 2, 2)
 
@@ -42,6 +43,8 @@ class Trapezoidal:
         H, f = (
             (dae.at(each, old_x, old_z, gamma0) + dae.at(each, dae.x, dae.z, gamma1)) / 2 for each in (dae.H, dae.f)
         )
+        # Algebraic equations hold at the new instant: averaged, what the start leaves of them would alternate.
         residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, dae.at(dae.h, dae.x, dae.z, gamma1))
+        # The column before the start is never known, and only the extrapolated guess of the first step uses it.
         first = ca.repmat(start.values[:, 0], 1, 2)
         return on_history(dae, history, residual, h=h, reference=reference, nodes=(0.0, 1.0), start=start, first=first)

@@ -55,6 +55,7 @@ def alike(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.S
         expressions = [residual[rows], *(each[columns] for each in beside[:-1]), beside[-1][rows]]
         hashes = (each.element_hash() for each in ca.symvar(ca.vertcat(*expressions)))
         known = sorted(places[each] for each in hashes if each in places)
+        # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
         group = found.setdefault(_text(expressions, [unknowns[columns], givens[known]]), Alike([], []))
         group.parts.append(part)
         group.givens.append(known)

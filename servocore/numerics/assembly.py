@@ -51,6 +51,7 @@ class Assembly:
     def flush(self) -> None:
         """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
         if self.explicit:
+            # All at once in one function: their common subexpressions are computed once.
             symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit.values(), strict=True))
             self.explicit = {}
             self.learn(symbols, *self.evaluated("sc_explicit", expressions))
@@ -82,6 +83,7 @@ class Assembly:
         for piece, positions in wanted.items():
             known, at = self._pieces[piece]
             whole = len(positions) == known.numel()
+            # A whole piece needs no indexing: each index would be an operation of its own in the graph.
             symbols.append(known if whole else known[positions])
             values.append(at if whole else at[positions])
         return ca.vertcat(*symbols), ca.vertcat(*values)

@@ -47,6 +47,7 @@ def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     """Return the independent parts of a matrix; an empty row or column is a part of its own."""
     height, width = pattern.shape
     rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
+    # Rows and columns as nodes of one graph with edges both ways: its strong components are the parts.
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
     graph = ca.Sparsity.triplet(height + width, height + width, *(each.tolist() for each in both))
     _, order, ends = graph.scc()
@@ -89,5 +90,6 @@ def singular_values(matrix: Array) -> Array:
         np.linalg.svd(np.stack([matrix[np.ix_(each.rows, each.columns)] for each in same]), compute_uv=False).ravel()
         for same in of_one_shape(parts)
     ]
+    # Empty rows and columns are singular values of zero, which no part brings.
     values = np.sort(np.concatenate([*found, np.zeros(min(matrix.shape))]))[::-1]
     return np.asarray(values[: min(matrix.shape)])

@@ -33,6 +33,7 @@ def time_derivative(expression: ca.SX, *jets: ca.SX) -> ca.SX:
     *jets : casadi.SX
         Symbols, each column the derivative of the one before.
     """
+    # Chain rule: each column of a jet has the next one as its rate.
     terms = (ca.jtimes(expression, ca.vec(jet[:, :-1]), ca.vec(jet[:, 1:])) for jet in jets)
     return sum(terms, ca.SX.zeros(expression.shape))
 
@@ -85,6 +86,7 @@ def _scalar(value: object, what: str) -> ca.SX:
 
 def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
     """Return M_dot v - grad(v^T M v) / 2, which vanishes where M is constant."""
+    # Lagrange: d/dt (M v) - grad(v^T M v / 2) = M v_dot + these; M_dot v is the derivative of M v along v.
     momentum = ca.mtimes(mass, v)
     return ca.jtimes(momentum, q, v) - ca.gradient(ca.dot(v, momentum) / 2, q)
 

@@ -77,9 +77,11 @@ def _result(operation: int, given: list[Bounded]) -> Bounded:
     elif operation == ca.OP_SUB:
         value, error = a - b, a_error + b_error
     elif operation in (ca.OP_MUL, ca.OP_SQ):
+        # First order in the errors, whose product is 1e-30 relative.
         value, error = a * b, abs(a) * b_error + abs(b) * a_error
     elif len(given) == 1:
         value = _elementary(operation, a)
+        # By difference rather than by derivative: right as well where the derivative is infinite, as of sqrt at 0.
         error = abs(_elementary(operation, a + a_error) - value)
     else:
         value = _elementary(operation, a, b)

@@ -28,6 +28,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
             break
         i, j = best
         touched = [k for k in active_rows if pattern[k, j] and k != i]
+        # Structural fill: cancellation is not looked for, which only makes the estimate careful.
         pattern[touched] |= pattern[i]
         constant = {(r, c) for r, c in constant if c != j and not (r in touched and pattern[i, c])}
         active_rows.remove(i)
@@ -36,6 +37,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     torn: list[tuple[ca.SX, ca.SX]] = []
     for i, j in pivots:
         (row,), unknown = substituted(torn, residual[i]), unknowns[j]
+        # Constant, so that dividing by it can hit no zero at run time.
         coefficient = ca.jacobian(row, unknown)
         value = -ca.substitute(row, unknown, ca.SX(0)) / coefficient
         torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]

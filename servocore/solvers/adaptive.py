@@ -128,11 +128,13 @@ def _by_runs(
             peaks = np.abs(fine.values[:, :inputs]).max(axis=0)
             change = np.abs(fine.values - coarse.values)[:, :inputs].max(axis=0)
             ratio = None if last_change is None else last_change / np.maximum(change, 1e-300)
+            # Richardson: with order p the difference of two runs is (2^p - 1) times the error of the finer one.
             estimate = change / (2.0 ** _observed_order(ratio, order) - 1.0)
             unmet = estimate > control.allowed(peaks)
             if not unmet.any():
                 error = float((estimate / np.maximum(peaks, 1e-300)).max())
                 return replace(fine, statistics=replace(fine.statistics, error_estimate=error))
+            # Halving no longer helps: round-off, or errors that nothing damps, have met the error of the method.
             if ratio is not None and ratio[unmet].min() < _STAGNATION:
                 raise IntegrationFailed(
                     _stagnation(problem, program, control, estimate / np.maximum(peaks, 1e-300), count)
@@ -221,6 +223,7 @@ class StepControl:
         """Return the step after one of size `h` with this error: a PI controller after success, smaller otherwise."""
         exponent = 1.0 / self.order
         if error <= 1.0:
+            # PI control (Gustafsson 1991): the error before steadies the step where it lies near its limit.
             factor = _SAFETY * max(error, 1e-10) ** (-0.7 * exponent) * last_error ** (0.4 * exponent)
         else:
             factor = min(1.0, _SAFETY * error**-exponent) if np.isfinite(error) else _LEAST
@@ -261,6 +264,7 @@ def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
     # Share what is left evenly rather than leave a sliver for last.
     h = left / max(1, np.ceil(left / now.h * (1 - 1e-9)))
     control.require_possible(now, h)
+    # Two halves against the whole: needs no embedded method, and the halves are the result.
     whole, halves = (_steps(control, now, h, parts) for parts in (1, 2))
     if whole is None or halves is None:
         return replace(now, rejected=now.rejected + 1, h=control.next_step(h, np.inf, now.last_error))
@@ -284,6 +288,7 @@ def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
 def _steps(control: StepControl, now: Reached, h: float, parts: int) -> Run | None:
     """Take a step in `parts` equal parts; None if one of them fails."""
     program, problem, part = control.program, control.problem, h / parts
+    # Its history is spaced by the last step; on index one interpolation of it costs no order.
     state = program.rescaled(now.state, part / now.spacing)
     iterations, factorisations, residual = 0, 0, 0.0
     for k in range(parts):

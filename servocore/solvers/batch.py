@@ -122,6 +122,7 @@ class Batch:
         if not np.isfinite(found).all():
             found = self._searched(found, references, times, p)
         values, signs = found[:, : len(self.names)], found[:, len(self.names) :]
+        # Written so that NaN counts as the wrong branch.
         if not (signs > 0.0).all():
             values = np.where((signs > 0.0).all(axis=1, keepdims=True), values, np.nan)
         return values.transpose(0, 2, 1)
@@ -140,6 +141,7 @@ class Batch:
         sizes = {values.size for values in columns.values() if values.ndim}
         if len(sizes) > 1 or any(values.ndim > 1 for values in columns.values()):
             raise InvalidSetting("parameters of a batch are single values, or rows of one length")
+        # Where no parameter varies all cases share one row.
         p = np.tile(self._problem.p, (*sizes, 1)) if sizes else self._problem.p.copy()
         for name, values in columns.items():
             p[..., quantities[name]] = values
@@ -147,6 +149,7 @@ class Batch:
 
     def _searched(self, found: Array, references: list[Reference], t: Array, p: Array) -> Array:
         """Solve by Newton's method the instants that the quick function left open."""
+        # The quick function is NaN exactly where its guess was not good enough: only those instants pay for Newton.
         left = np.asarray(~np.isfinite(found).all(axis=1))
         for case in np.flatnonzero(left.any(axis=1)):
             reference = references[case % len(references)] if references else self._problem.reference

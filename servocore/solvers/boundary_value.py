@@ -135,6 +135,7 @@ class _Bounded:
         left, right, size = self.left.stable, self.right.unstable, self.dae.x.numel()
         if self.periodic:
             return np.eye(size), -np.eye(size), np.zeros(size)
+        # On the unstable manifold at the left end, on the stable one at the right: what does both is bounded.
         L, R = np.zeros((size, size)), np.zeros((size, size))
         L[: len(left)], R[len(left) :] = left, right
         return L, R, np.concatenate([left @ self.left.states, right @ self.right.states])
@@ -189,6 +190,7 @@ def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
     if bounded.periodic:
         path = bounded.problem.reference
         return np.linspace(path.start_time, path.end_time, max(1, round(path.duration / step)) + 1)
+    # A mode of rate r has decayed to exp(-r T) = tolerance / e^2 after T = needed / r; the slowest one decides.
     needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
     before_it, after_it = (
         np.array([value.real for value in each.eigenvalues]) for each in (bounded.left, bounded.right)
@@ -211,6 +213,7 @@ def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.
     step = method.discretise(dae)
     right = ca.SX.sym("right", dae.x.numel())
     values = ca.vertcat(step.x, step.equations.unknowns, right)
+    # Continuity of x as equations of their own keeps the Jacobian of the horizon banded.
     residual = ca.vertcat(step.equations.residual, step.next_state[: dae.x.numel()] - right)
     jacobian = ca.jacobian(residual, values)
     arguments = [values, step.reference, step.step, dae.p]
@@ -233,6 +236,7 @@ def _solve_on(bounded: _Bounded, mesh: Array) -> tuple[Array, int]:
     for iteration in range(1, _MOST_ITERATIONS + 1):
         matrix = scipy.sparse.csc_array(assemble(y), shape=(len(y), len(y)))
         try:
+            # A chain of blocks and a few boundary rows: sparse LU fills in little.
             change = scipy.sparse.linalg.splu(matrix).solve(-residual)
         except RuntimeError:  # exactly singular
             break
@@ -275,6 +279,7 @@ def _collocation(
     residuals, jacobians = mapped(one, count), mapped(one_jacobian, count)
     starts = width * np.arange(count)
     take = starts[:, None] + np.arange(width + size_x)
+    # The boundary conditions take the first len x rows.
     global_rows = (height * np.arange(count)[:, None] + rows).ravel() + size_x
     global_columns = (starts[:, None] + columns).ravel()
     L, R, b = bounded.conditions
@@ -303,6 +308,7 @@ def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
     reference, count = bounded.problem.reference, len(mesh) - 1
     h = (mesh[-1] - mesh[0]) / count
     nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
+    # From one rest to the other along with the path: forward integration as a guess would blow up.
     share = np.clip((nodes - reference.start_time) / reference.duration, 0.0, 1.0)
     states = bounded.left.states + share[:, None] * (bounded.right.states - bounded.left.states)
     stage = _algebraic(bounded, nodes, states).T.reshape(count, -1)

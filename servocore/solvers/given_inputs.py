@@ -73,6 +73,7 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
     if (np.diff(known) <= 0.0).any():
         raise InvalidSetting(f"the inputs are given twice at t = {known[int((np.diff(known) <= 0.0).argmax())]:g} s")
     first, last = float(known[0]), float(known[-1])
+    # Times that were written to a file and read again may differ in the last digit.
     slack = _ROUND_OFF * (last - first)
     if t[0] < first - slack or t[-1] > last + slack:
         raise InvalidSetting(

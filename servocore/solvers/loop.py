@@ -123,6 +123,7 @@ def advance(problem: Problem, program: Program, t: Array, step: float, state: Ar
     not full is padded with the final instant; what it gives there is dropped.
     """
     used = len(t) - 1
+    # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
     ends = t[np.minimum(np.arange(1, length + 1), used)]
     nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
     found, counts, worst = chained(program.step, length)(
@@ -133,6 +134,7 @@ def advance(problem: Problem, program: Program, t: Array, step: float, state: Ar
     )
     found, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (found, counts))
     worst = worst.ravel()[:used]
+    # CasADi reports no failure from within a loop: a step that is not solved answers NaN.
     failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:

@@ -155,6 +155,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
     start = _initial_state(problem, float(t[0]))
     states, steps, evaluations = integrated(name, [each.name for each in quantities], rate, start, t, tolerance)
     u = values_at(inputs, t)
+    # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
     return _Motion(t, states, np.array(forces).reshape(len(t), -1), u), steps, evaluations
 
@@ -167,8 +168,10 @@ def _free_motion(resolved: ResolvedSystem) -> Call:
 def _initial_state(problem: Problem, time: float) -> Array:
     """Return (q, v) at a time: that of the exact inversion, with the values of the problem's start in their places."""
     system = problem.system
+    # A whole state needs no exact inversion, and no path that is smooth.
     if len(problem.start) == 2 * len(system.coordinates):
         return moved_to(problem, time, np.zeros(len(problem.start)), problem.start)
+    # Whether a path joins the rest before it smoothly matters at its beginning alone.
     if time == problem.reference.start_time:
         require_smooth(problem)
     state = _inverted(problem, time)
@@ -205,6 +208,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     )
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
+            # Angles are told by atan2, which jumps; a motion goes on.
             row[:] = np.unwrap(row)
     _, _, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
     deviation, rate_deviation = deviations

@@ -66,6 +66,7 @@ class StateSelection:
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
             if better is None and not complete:
                 better = _best_states(problem, array, times[at + good], values[:, good])
+                # Without this a run would restart at the same instant for ever.
                 if better == array.states or restarted_at == at:
                     raise failure(problem, program, part.states[:, good], times[at + good], step)
             reached = replace(part, states=part.states[:, : good + 1])
@@ -101,6 +102,7 @@ def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) ->
     J = _jacobians(problem, t, values)
     for k in np.flatnonzero(_quality(array, J) < _POOR):
         better = choose_states(array.signature, J[k])
+        # A change at the first instant of a chunk would gain no step.
         if k > 0 and better != array.states:
             return int(k), better
     return values.shape[1] - 1, None
@@ -113,6 +115,7 @@ def _best_states(problem: Problem, array: DerivativeArray, time: float, values: 
 def _quality(array: DerivativeArray, J: Array) -> Array:
     """Smallest singular value of the chosen columns relative to that of all candidates, over all levels; shape (N,)."""
     c, d = array.signature.equation_offsets, array.signature.variable_offsets
+    # Rows of one size: units must not decide which states are good.
     scaled = J / np.maximum(np.abs(J).max(axis=2, keepdims=True), 1e-300)
     worst = np.ones(len(J))
     for level in range(1, max(d) + 1):
@@ -120,6 +123,7 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
         candidates = [j for j in range(len(d)) if d[j] >= level]
         chosen = [j for j in candidates if (j, d[j] - level) not in array.states]
         if rows and len(chosen) < len(candidates):
+            # Derivatives that are no states are solved for: their columns must stay far from singular.
             own, best = (np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates))
             worst = np.minimum(worst, np.divide(own, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst

@@ -127,6 +127,7 @@ def _inverse(resolved: ResolvedSystem, formulation: Formulation) -> tuple[Deriva
     array = resolved.array
     if isinstance(formulation, Reduced):
         array = formulation.array(resolved.system)
+    # The usual states share one inversion with everything else that asks for it.
     own = resolved.once(inversion) if array.states == resolved.array.states else compile_inversion(array)
     return array, own, resolved.dae(Reduced(states=array.named_states))
 
@@ -165,6 +166,7 @@ def _compile_following_step(array: DerivativeArray, inverse: Inversion, order: i
     state, h = ca.MX.sym("state", len(array.unknowns)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", system.gamma.size1(), order + 1), ca.MX.sym("p", system.p.numel())
     known = dict(zip(array.unknowns, ca.vertsplit(state), strict=True))
+    # By the derivatives that the array holds of an unknown; the highest ones have none and stay as they are.
     ahead = [
         value + h * known.get((j, k + 1), 0) + h**2 / 2 * known.get((j, k + 2), 0) for (j, k), value in known.items()
     ]
@@ -180,6 +182,7 @@ def _compile_pointwise_step(start: ca.Function) -> ca.Function:
 
 def _compile_guess_residual(step: Discretisation) -> ca.Function:
     equations = step.equations
+    # At the guess, not at the last iterate: where Newton's method has blown up all equations look alike.
     residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
     evaluate = ca.Function("sc_residual", [equations.givens], [ca.densify(residual)])
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])

@@ -70,6 +70,7 @@ def _compile_step(system: MechanicalSystem) -> ca.Function:
     equations, push = conserving_equations(system)
     q0, v0, h = equations.givens[:n], equations.givens[n : 2 * n], equations.givens[-1 - system.p.numel()]
     q1, L1 = equations.unknowns[:n], equations.unknowns[n:]
+    # The midpoint rule for positions, solved for v1: (v0 + v1)/2 = (q1 - q0)/h.
     after = ca.vertcat(q1, 2 * (q1 - q0) / h - v0, L1)
     solver = compile_solver("sc_conserving", equations, [after, ca.dot(push, q1 - q0)])
     sizes = (2 * n + m_h, len(system.inputs), 1, system.p.numel())
@@ -84,6 +85,7 @@ def conserving_equations(system: MechanicalSystem) -> tuple[SquareSystem, ca.SX]
     q0, v0, h, nominal = terms.q0, terms.v0, terms.h, terms.nominal
     q1, L0, L1 = ca.SX.sym("q1", n), ca.SX.sym("L0", m_h), ca.SX.sym("L1", m_h)
     momentum, G, push = ca.substitute([terms.momentum, terms.G, terms.push], [terms.change], [q1 - q0])
+    # Momentum rows are M dq: their size is inertia times coordinate, whatever the step.
     inertia = ca.fabs(ca.diag(system.mass)) * nominal
     heaviest = ca.mmax(inertia)
     equations = SquareSystem(
@@ -92,6 +94,7 @@ def conserving_equations(system: MechanicalSystem) -> tuple[SquareSystem, ca.SX]
         residual=ca.vertcat(momentum + ca.mtimes(G.T, L1) / 2, ca.substitute(system.constraints, system.q, q1)),
         guess=ca.vertcat(q0 + h * v0, L0),
         unknown_scale=ca.vertcat(ca.SX(nominal), heaviest * ca.SX.ones(m_h)),
+        # Massless coordinates have no inertia to measure by; the heaviest keeps their rows finite.
         residual_scale=ca.vertcat(ca.if_else(inertia > 0, inertia, heaviest), ca.SX.ones(m_h)),
     )
     return equations, push
@@ -122,6 +125,7 @@ def _require_conservable(system: MechanicalSystem) -> None:
 
 
 def _at_most_quadratic(expression: ca.SX, q: ca.SX) -> bool:
+    # A constant Hessian is the exact test: no numbers are put in, so nothing vanishes by chance.
     return not ca.depends_on(ca.jacobian(ca.gradient(expression, q), q), q)
 
 
@@ -212,6 +216,7 @@ def _moments(look: Call, coordinates: Coordinates, axis: int, q: Array, p: Array
 def _assembled_elsewhere(system: MechanicalSystem, q: Array, p: Array) -> Array | None:
     """Return another configuration in which the constraints hold, away from `q`; None if none is found."""
     look = Call(ca.Function("sc_g", [system.q, system.p], [ca.densify(system.constraints), ca.densify(system.G)]))
+    # Incommensurate displacements, so that no symmetry of the model hides what changes under a rotation.
     other: Array = q + 0.3 * np.array(system.coordinates.nominal) * np.sin(1.0 + 7.0 * np.arange(len(q)))
     for _ in range(50):
         g, G = look(other, p)

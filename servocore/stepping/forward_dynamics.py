@@ -50,7 +50,9 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
     state, u, slope, d, p = (ca.MX.sym(*each) for each in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
     h = ca.MX.sym("h")
+    # Four stages with the input linear over the step: explicit, so that a plant in an FMU costs the same each step.
     free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
+    # Held inputs are forces of the constraints B v = const: they come out of the bordered system.
     held = _runge_kutta(lambda x, _: held_rate(x, d, p)[0], state, h)
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)
@@ -80,10 +82,13 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     """
     q, v, G, B = system.q, system.v, system.G, system.input_matrix
     a = STABILISATION_RATE
+    # Of gamma's components constraints may hold the time alone, and its rate is one.
     g_dot = ca.substitute(system.constraint_rate, system.gamma[:, 1], ca.SX.ones(system.gamma.size1()))
     g_ddot = ca.jtimes(g_dot, q, v) + ca.jtimes(g_dot, system.time, ca.SX.ones(system.time.shape))
+    # Baumgarte: g'' + 2 a g' + a^2 g = 0 lets violations die out like (1 + a t) exp(-a t); g'' = 0 alone drifts.
     stabilised = g_ddot + 2 * a * g_dot + a**2 * system.constraints
     d = ca.SX.sym("d", len(system.outputs))
+    # A disturbance d works along the servo outputs, so that its generalised force is C^T d.
     momentum = system.bias - ca.mtimes(system.C.T, d)
     m_h, m = system.lam.numel(), len(system.inputs)
     if held:
@@ -93,11 +98,13 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
         bordered = G
         right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilised)
     corner = ca.SX(bordered.size1(), bordered.size1())
+    # [M A^T; A 0] is regular for a singular M as well if M is definite on ker A; eliminating by M^-1 is not.
     matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])
     state, given, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
     terms = ca.Function("sc_plant_terms", [state, *given, d, system.p, *clock], [matrix, -right], {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
     bordered_mass, forces_on_it = terms(*arguments)
+    # As an expression of SX the solution would be written out entry by entry; MX calls a sparse QR.
     found = ca.solve(bordered_mass, forces_on_it, "qr")
     n = len(system.coordinates)
     forces = found[n + m_h : n + m_h + m] if held else arguments[1]
@@ -136,6 +143,7 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     add(system.coordinates.quantities, q)
     add(system.coordinates.quantities, v, "_dot", "/s")
     for quantity, expression in system.observables.items():
+        # A plant follows no path: what needs one cannot be observed.
         if not ca.depends_on(ca.SX(expression), system.gamma):
             add((quantity,), ca.SX(expression))
     add(system.inputs, system.u)
@@ -143,6 +151,7 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     rows.append((Quantity("energy", "J", "kinetic and potential energy"), energy))
     unique: dict[str, tuple[Quantity, ca.SX]] = {}
     for channel, expression in rows:
+        # The first of a name wins: an output that is a coordinate as well is listed once.
         unique.setdefault(channel.name, (channel, expression))
     values = ca.vertcat(*[expression for _, expression in unique.values()])
     arguments = [ca.vertcat(q, v), v_dot, system.lam, system.u, system.p]

@@ -55,6 +55,7 @@ def started(how: How, problem: Problem, gamma: Array, step: float, order: int) -
     search, guess = problem.resolved.once(_search, named)
     now = gamma[0, : problem.array.reference_order + 1].T
     values = guess(now, problem.p)[0]
+    # Pinned: with these as states the array determines all others from them.
     values[problem.array.places(states)] = list(problem.start.values())
     found, _, residual = search(now, problem.p, values)
     if not np.isfinite(found).all():
@@ -145,11 +146,14 @@ def moved_to(problem: Problem, time: float, state: Array, start: Start) -> Array
     rows, rates = problem.resolved.once(_constraint_rows)
     clock = problem.reference.jet(time, 1).T
     for function, own in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
+        # Positions first: the constraints of velocities hold G at the positions.
         moves = free[own] * nominal
         for _ in range(_ITERATIONS):
             residual, jacobian = function(moved, clock, problem.p)
+            # Rows of one length, in units of nominal magnitudes, so that one tolerance serves metres and radians.
             scale = np.maximum(np.abs(jacobian * nominal).max(axis=1, initial=0.0), 1e-300)
             jacobian = jacobian * moves / scale[:, None]
+            # The least-norm step; redundant rows make the Jacobian rank deficient, which lstsq tolerates.
             change = moves * np.linalg.lstsq(jacobian, -residual.ravel() / scale, rcond=1e-12)[0]
             moved[own] += change
             if not np.abs(change).max(initial=0.0) > 1e-15 * np.abs(moved[own]).max(initial=0.0):

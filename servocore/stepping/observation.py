@@ -37,6 +37,7 @@ def compile_observation(
     physical = ca.vertcat(*[dae.physical[name] for name in ("q", "v", "lam", "u")])
     expressions = ca.vertcat(*[expression for _, expression in known])
     violations = violations_of(system)
+    # Two substitutions in this order: the first brings in the unknowns of the form, which the second replaces.
     expressions, violations = ca.substitute([expressions, violations], [symbols], [physical])
     unknowns = ca.vertcat(dae.x, dae.z)
     expressions, violations = ca.substitute([expressions, violations], [unknowns], [ca.vertcat(step.x, step.z)])
@@ -50,6 +51,7 @@ def violations_of(system: MechanicalSystem) -> ca.SX:
     """Return |c|, |dc/dt|, |g|, |dg/dt| in the maximum norm."""
     groups = (
         system.output - system.path[:, 0],
+        # Violated rates show drift first: positions integrate them.
         ca.mtimes(system.C, system.v) - system.path[:, 1],
         system.constraints,
         system.constraint_rate,

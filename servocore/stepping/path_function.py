@@ -55,6 +55,7 @@ class PathFunction:
         """Return the results at the instants `t` (N,), shape (rows, N) each."""
         reference = problem.reference
         chosen, formula = self._on_path(reference, len(t), called=True)
+        # Times that are not finite go the other way, where the path refuses them by name.
         if formula is not None and chosen.ready(len(t), called=True) and np.isfinite(t).all():
             return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
         return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
@@ -91,6 +92,7 @@ class PathFunction:
         """
         formula, calls = reference.formula, self.resolved.once(_calls, self)
         calls[0] += called
+        # To put a path inside means to write and to compile a function: a single call is over before.
         once = self.native is None and calls[0] < _SECOND and count < MANY
         if once or self.native is False or formula is None or not self.function.is_a("SXFunction"):
             return self.resolved.once(_of_jets, self), None

@@ -138,6 +138,7 @@ class Program:
             The state, shape (state_size,), and how the start went.
         """
         jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
+        # CasADi maps column by column: (instants, orders, m) becomes (m, orders * instants).
         used = jets[:, : self.start_order + 1]
         return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
 
@@ -177,6 +178,7 @@ class Program:
         ndarray, shape (state_size,)
             The state from which to go on.
         """
+        # Interpolating a history at its own instants would cost round-off for nothing.
         return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
@@ -244,6 +246,7 @@ class Program:
             Of the values, in s, for the message.
         """
         for channel, value in zip(self.channels, values, strict=True):
+            # Newton's method may land on a mirror image, such as a rope that pushes; only signs tell.
             if channel.positive and not value > 0.0:
                 helps = channel.unit != "N" and self.smaller_steps_help
                 cure = "; a smaller step keeps to its own" if helps else ""
@@ -313,6 +316,7 @@ class Program:
 def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:
     """Raise `InvalidReference` for the first margin that is not positive (NaN included)."""
     for limit, margin in zip(limits, margins, strict=True):
+        # Written so that NaN is refused: it is neither above nor below.
         if not margin > 0.0:
             raise InvalidReference(
                 f"at t = {time:.6g} s {limit.reason}: {limit.quantity} is {margin + limit.bound:.4g} {limit.unit},"
@@ -321,6 +325,7 @@ def require_margins(limits: Sequence[LimitText], margins: Array, time: float) ->
 
 
 def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
+    # CasADi's fast_newton takes NaN for convergence, and failed blocks answer NaN: look at the numbers.
     converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
     most, total = (round(each) if np.isfinite(each) else 0 for each in counts)
     return state, StepReport(converged, most, total, float(residual[0]))

@@ -52,9 +52,11 @@ def step_terms(system: MechanicalSystem) -> StepTerms:
     """Return the terms of a step of a system whose mass is constant."""
     n, q, v = len(system.coordinates), system.q, system.v
     q0, v0, change, h = (ca.SX.sym(name, size) for name, size in (("q0", n), ("v0", n), ("change", n), ("h", 1)))
+    # In the middle quadratic constraints have the gradient of their difference: G(q_m) (q1 - q0) = g1 - g0.
     middle, rate, q1 = q0 + change / 2, change / h, q0 + change
     G, B, force = ca.substitute([system.G, system.input_matrix, system.force], [q, v], [middle, rate])
     push = force - ca.mtimes(B.T, system.u)
+    # M (v1 - v0) = h (...) with v1 = 2 change/h - v0, times h/2: nothing is divided by h.
     momentum = ca.mtimes(system.mass, change - h * v0) + h**2 / 2 * (_conservative(system, q0, q1) - push)
     return StepTerms(
         q0, v0, change, h,
@@ -73,8 +75,10 @@ def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
     """Return the discrete gradient of the potential between two configurations, shape (n,)."""
     q, middle = system.q, (q0 + q1) / 2
     quadratic, stored = summands(system.potential)
+    # Of a quadratic function the gradient in the middle is a discrete gradient already.
     found = ca.substitute(ca.gradient(quadratic, q), q, middle)
     for each in stored:
         before, after = (ca.substitute(each.invariant, q, place) for place in (q0, q1))
+        # Gonzalez: the difference quotient of W along its invariant makes the balance of energy exact for any step.
         found += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
     return found

@@ -111,6 +111,7 @@ class Stepper:
             The state at the initial time, and how it was found.
         """
         jets = self._jets(reference_jet, len(self.start_instants), self.start_order)
+        # h = 0 tells the start that it has one instant only, and must not form difference quotients.
         return self.program.begin(jets, self.parameters, self.step if jets.ndim == 3 else 0.0)
 
     def advance(self, state: Array, reference_jet: Array) -> tuple[Array, StepReport]:
@@ -145,6 +146,7 @@ class Stepper:
         found = numbers_of(jets, "reference jets")
         components = len(self.system.outputs)
         one = found.ndim == 2
+        # More derivatives than needed are allowed: a user may feed all routes from one source.
         if found.ndim not in (2, 3) or found.shape[-1] != components or found.shape[-2] <= order:
             raise InvalidReference(
                 f"a reference jet of {self.system.name} has shape ({order + 1}, {components}) or more rows, once or for"

@@ -93,6 +93,7 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
         for order in range(orders):
+            # A symbol each, named as derivatives are on paper: what is printed can be read.
             y[j, order] = ca.SX.sym(name + "'" * order)
     current = ca.substitute(equations.residual, equations.y, y[:, : equations.y.size2()])
     rows: list[tuple[int, int]] = []
@@ -133,6 +134,7 @@ def choose_states(found: Signature, J: Array) -> tuple[tuple[int, int], ...]:
     for level in range(1, max(d) + 1):
         rows = [i for i in range(len(c)) if c[i] >= level]
         candidates = [j for j in chosen if d[j] >= level]
+        # Nested: below a derivative that is a state all lower ones are states as well, each the integral of the next.
         picked = pivot_columns(J[np.ix_(rows, candidates)])
         chosen = sorted(candidates[k] for k in picked)
         states += [(j, d[j] - level) for j in range(len(d)) if d[j] >= level and j not in chosen]

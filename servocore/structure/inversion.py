@@ -181,6 +181,7 @@ def _longest(function: ca.Function, array: DerivativeArray) -> int:
         return total
     arguments = function.sx_in()
     unknowns = function(*arguments)[0]
+    # Parts of one shape are as long as each other: one of each kind is measured.
     kinds = {(len(part.rows), len(part.entries)): part.columns.tolist() for part in parts}
     lengths = (ca.Function("sc_part", arguments, [unknowns[each]]).n_instructions() for each in kinds.values())
     return max(map(int, lengths))
@@ -201,6 +202,7 @@ def _equations(array: DerivativeArray) -> _Equations:
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
     guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     scale = np.array([nominal(system, j) for j, _ in array.determined])
+    # States keep the value of their guess: what follows from step to step is not to be solved for.
     pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
     equations = SquareSystem(
         unknowns=array.column(array.determined),
@@ -221,6 +223,7 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
     """
     system = array.system
     n, gamma = len(system.coordinates), system.gamma[:, : array.reference_order + 1]
+    # At rest momentum reads G^T lam + B^T u = -bias: linear in the forces, with at least as many rows.
     at_rest = [ca.substitute(each, system.v, ca.SX.zeros(n)) for each in (
         ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
     configuration = ca.SX.sym("q", n)

@@ -180,6 +180,7 @@ def _smallest_offsets(
     rows = np.arange(len(sigma))
     c = np.zeros(len(sigma), dtype=np.int64)
     while True:
+        # Pryce's fixed point iteration: c and d only grow, and reach the smallest pair after finitely many rounds.
         d = np.maximum(floor, np.where(sigma == ABSENT, ABSENT, sigma + c[:, None]).max(axis=0))
         new = d[transversal] - sigma[rows, transversal]
         if (new == c).all():
@@ -193,6 +194,7 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
     for order in range(equations.y.size2()):
         part = ca.jacobian(equations.residual, equations.y[:, order])
         rows, columns = (np.array(each, dtype=np.intp) for each in part.sparsity().get_triplet())
+        # Entries below d_j - c_i are of lower order and do not belong to the leading Jacobian.
         kept = np.flatnonzero(leading[rows, columns] == order)
         pattern = ca.Sparsity.triplet(*J.shape, rows[kept].tolist(), columns[kept].tolist())
         J += ca.SX(pattern, part.nz[kept.tolist()])

@@ -38,6 +38,7 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
     """
     system.require_independent_constraints()
     equations = second_order_equations(system)
+    # Cheapest first: what the equations say as they stand needs no remedy.
     for remedy in (None, leave_out_vanishing, combine):
         changed = equations if remedy is None else remedy(system, equations)
         if changed is None:
@@ -111,6 +112,7 @@ def combine(system: MechanicalSystem, equations: SecondOrderEquations) -> Second
         + ca.jtimes(ca.mtimes(system.C, system.v), system.q, system.v)
         - system.path[:, 2]
     )
+    # Subtracting multiples of c'' = 0 changes no solution, only the structure that sigma sees.
     factors = ca.solve(ca.densify(system.C[:, dependent]), servo)
     taken = ca.mtimes(system.mass[unactuated, dependent], factors)
     residual = ca.SX(equations.residual)

@@ -64,6 +64,7 @@ class Linearisation:
         result = np.full((len(values), len(own)), np.nan)
         result[own] = np.eye(len(own))
         with contextlib.suppress(np.linalg.LinAlgError):
+            # Implicit function theorem: R(z(x), x) = 0 gives dz/dx = -(dR/dz)^-1 dR/dx.
             result[others] = -np.linalg.solve(by_rest, by_states)
         return result
 
@@ -92,11 +93,13 @@ def internal_equilibrium(linear: Linearisation, p: Array, output: Array) -> Equi
         if not np.abs(rate).max() > 1e-12 or not np.isfinite(A).all():
             break
         guess = values
+        # Newton on x_dot(x) = 0. Least squares, since an integrator among the states makes A singular there.
         guess[own] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
     if not np.isfinite(A).all():
         unknown = np.full(len(own), np.nan)
         return Equilibrium(unknown, tuple(map(complex, unknown)), np.zeros((0, len(own))), np.zeros((0, len(own))))
     eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
+    # Round-off moves undamped modes off the imaginary axis by its own size: they must not count as unstable.
     growing = sum(value.real > DAMPED * abs(value) for value in eigenvalues)
     stable, unstable = (_left_space(A, growing, stable=each) for each in (True, False))
     return Equilibrium(guess[own], eigenvalues, stable, unstable)
@@ -116,5 +119,6 @@ def _left_space(A: Array, growing: int, *, stable: bool) -> Array:
     def wanted(real: float, imaginary: float = 0.0) -> bool:  # noqa: ARG001 - the signature SciPy calls
         return real <= limit if stable else real > limit
 
+    # The Schur form of A^T orders left invariant spaces without eigenvectors, which defective matrices lack.
     _, basis, count = scipy.linalg.schur(A.T, output="real", sort=wanted)
     return np.asarray(basis[:, :count].T, dtype=np.float64)
