@@ -121,16 +121,8 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     """
     array, system = resolved.array, resolved.system
     limits = [(Limit("", "", -np.inf, "", expression), rate) for expression, rate in wanted]
+    values, y = limited_expressions(resolved, [(each.on(system), rate) for each, rate in limits])
     rows = array.y.size1()
-    y = ca.horzcat(array.y, ca.SX.sym("next", rows))
-    n = len(system.coordinates)
-    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
-    values = ca.substitute(
-        [each.on(system) for each, _ in limits], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])]
-    )
-    values = [
-        time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in zip(values, limits, strict=True)
-    ]
     needs, used = [], set[tuple[int, int]]()
     top = dict(array.unknowns)  # the highest of each comes last
     for each in values:
@@ -144,6 +136,22 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     order = max([*needs, array.reference_order + bool(beyond)])
     wraps = tuple(counts_turns(expression, rate, system) for expression, rate in wanted)
     return Watched(_watching(array, y, ca.vertcat(*values), beyond, order), order, tuple(needs), wraps)
+
+
+def limited_expressions(
+    resolved: ResolvedSystem, expressions: Sequence[tuple[ca.SX, bool]]
+) -> tuple[list[ca.SX], ca.SX]:
+    """Return expressions of a system, and rates of those marked, by the symbols y of its derivative array, and these.
+
+    y has one column more than the array: what is differentiated once more may stand there.
+    """
+    array, system = resolved.array, resolved.system
+    y = ca.horzcat(array.y, ca.SX.sym("next", array.y.size1()))
+    n = len(system.coordinates)
+    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
+    values = ca.substitute([each for each, _ in expressions], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
+    marked = zip(values, expressions, strict=True)
+    return [time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in marked], y
 
 
 def _watching(

@@ -44,7 +44,7 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     InvalidReference
         If a limit is broken at rest somewhere on the path: then no duration helps.
     InvalidModel
-        If no formula gives the motion from the path.
+        If a limit is on the rate of something that is differentiated already.
     PlanningFailed
         If no duration was found.
     """

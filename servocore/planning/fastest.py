@@ -75,7 +75,7 @@ def fastest(
     InvalidReference
         If a limit cannot be kept at any speed, because it is broken at rest, or the way is none.
     InvalidModel
-        If the model has internal dynamics, or no formula gives its motion from the path.
+        If the model has internal dynamics, or a limit is on the rate of something that is differentiated already.
     InvalidSetting
         If there are no limits, or something asked for makes no sense.
     PlanningFailed

@@ -13,7 +13,8 @@ from servocore.planning.transcription import Task
 from servocore.references.profiles import DEGREE9, DEGREE13, PolynomialProfile, Profile, polynomial, three_phase
 from servocore.references.timed_path import TimedPath
 
-_COARSE, _FINE, _DRAWN = 201, 2001, 400
+_FINE, _DRAWN = 2001, 400
+_LOOKED_AT, _SEARCHED_AT = (201, 2001), (61, 601)  # instants, coarse and fine: by a formula, by Newton's method
 _FACTOR = 1.04
 _TRIED = 120
 _LONGEST = 1e6  # s
@@ -57,7 +58,7 @@ def polynomial_path(path: TimedPath, duration: float, length: int) -> TimedPath:
 
 def shortest(task: Task, shape: Shape) -> float:
     """Return the shortest duration at which a law keeps all limits; infinite if there is none."""
-    coarse, fine = (_jets(task, shape, count) for count in (_COARSE, _FINE))
+    coarse, fine = (_jets(task, shape, count) for count in _instants(task))
     return shortest_kept(partial(_kept, task, fine), partial(_kept, task, coarse))
 
 
@@ -100,7 +101,7 @@ def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
 
 def _shortest_near(task: Task, shape: Shape, near: float) -> float:
     """Return roughly the shortest duration at which a law keeps all limits, if it is not far above `near`."""
-    jets = _jets(task, shape, _COARSE)
+    jets = _jets(task, shape, _instants(task)[0])
     for duration in near * _FACTOR ** np.arange(-_TRIED // 4, _TRIED // 8):
         if _kept(task, jets, duration):
             return _between(partial(_kept, task, jets), duration / _FACTOR, float(duration), _HALVINGS // 3)
@@ -112,6 +113,10 @@ def _between(kept: Callable[[float], bool], bad: float, good: float, halvings: i
         middle = (bad + good) / 2.0
         bad, good = (bad, middle) if kept(middle) else (middle, good)
     return good
+
+
+def _instants(task: Task) -> tuple[int, int]:
+    return _LOOKED_AT if task.inner is None else _SEARCHED_AT
 
 
 def _jets(task: Task, shape: Shape, count: int) -> Array:

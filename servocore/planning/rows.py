@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel, LimitBroken
+from servocore.checks.motion_limits import compile_watched, limited_expressions
+from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.planning.rounded import rounded
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
 
-_ROUNDED = 1e-5  # a length that counts as none: a cone is rounded off so far from its tip
+_SLIGHT = 1e-3  # of derivatives: where the guess of a motion is no formula, it is off by then
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,11 @@ class Rows:
     lower : ndarray, shape (rows,)
         -1, or -inf where there is no lower bound.
     moving : tuple of bool
-        Whether each depends on more than the place.
+        Whether each may depend on more than the place.
+    lifted : casadi.Function or None
+        (gamma, unknowns, p) -> rows, equations that are zero. None where a formula gives the motion from the path.
+    start : casadi.Function or None
+        (gamma, p) -> these unknowns.
     """
 
     limits: tuple[Limit, ...]
@@ -42,11 +49,37 @@ class Rows:
     order: int
     lower: Array
     moving: tuple[bool, ...]
+    lifted: ca.Function | None = None
+    start: ca.Function | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """What each row compares."""
         return tuple(each.quantity for each in self.limits)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lifted:
+    """Unknowns of an instant beside the path, and what holds them.
+
+    Attributes
+    ----------
+    unknowns, equations : casadi.SX
+        Symbols, and as many expressions of them, gamma and p that are zero: the derivative array, and where a limit is
+        on the rate of what stands last in it, that array differentiated once more.
+    values : tuple of casadi.SX
+        What limits compare.
+    start : casadi.Function
+        (gamma (m, order + 1), p) -> unknowns, by Newton's method.
+    order : int
+        Of the path's derivatives in gamma.
+    """
+
+    unknowns: ca.SX
+    equations: ca.SX
+    values: tuple[ca.SX, ...]
+    start: ca.Function
+    order: int
 
 
 def limit_rows(problem: Problem, rest: Array) -> Rows:
@@ -62,7 +95,7 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     Raises
     ------
     InvalidModel
-        If its inversion is no expression of the path.
+        If a limit is on the rate of something that is differentiated already.
     """
     return problem.resolved.once(_compile_rows, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
@@ -89,35 +122,65 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
         bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
         if not len(bad):
             continue
-        found = float(value[bad[0]])
+        place, found = ", ".join(f"{each:.4g}" for each in places[bad[0]]), float(value[bad[0]])
+        if not np.isfinite(found):
+            raise InvalidReference(f"{problem.name}: no motion is found that rests at ({place})")
         below = found - limit.bound < limit.upper - found
         side, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
-        place = ", ".join(f"{each:.4g}" for each in places[bad[0]])
         raise LimitBroken(
             f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {found:.6g}"
             f" {limit.unit}, and its {side} limit is {bound:.6g} {limit.unit}"
         )
 
 
-def quantities(resolved: ResolvedSystem, limits: Sequence[Limit]) -> tuple[list[ca.SX], ca.SX]:
-    """Return what limits compare as expressions of the symbols (gamma, p) of a system, and gamma's columns.
+def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
+    """Whether an expression gives the motion from the path: near a place of rest, the guess of its model is exact."""
+    explicit = resolved.once(inversion).expression
+    if explicit is None:
+        return False
+    gamma = np.full((len(rest), resolved.array.reference_order + 1), _SLIGHT)
+    gamma[:, 0] = rest
+    return bool(np.isfinite(np.asarray(explicit(gamma, p)[0])).all())
+
+
+def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequence[ca.SX]) -> _Lifted:
+    """Return the motion of a system as unknowns, with what limits compare, of which `expressions` are without rates.
 
     Raises
     ------
     InvalidModel
-        If the exact inversion is no expression.
+        If a limit is on the rate of something that is differentiated already.
     """
     array, system = resolved.array, resolved.system
-    explicit = resolved.once(inversion).expression
-    if explicit is None:
-        raise InvalidModel(
-            f"{system.name}: no formula gives its motion from the path, and planning needs one; another model of the"
-            f" same scene may have it"
-        )
-    gamma, n = system.gamma, len(system.coordinates)
-    known = dict(
-        zip(array.unknowns, ca.vertsplit(explicit(gamma[:, : array.reference_order + 1], system.p)[0]), strict=True)
+    order = resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits)).order
+    values, y = limited_expressions(
+        resolved, [(each, limit.rate) for each, limit in zip(expressions, limits, strict=True)]
     )
+    column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
+    entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
+    beyond = [each for each in {(c % y.size1(), c // y.size1()) for c in entries} if each not in array.unknowns]
+    G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())
+    state = resolved.once(inversion).function(G[:, : array.reference_order + 1], p)[0]
+    if not beyond:
+        start = ca.Function("sc_lifted", [G, p], [state])
+        return _Lifted(column, array.residual, tuple(values), start, order)
+    rates = ca.SX.sym("rates", column.numel())
+    next_of = [rates[k] for k in array.places((j, k - 1) for j, k in beyond)]
+    values = ca.substitute(values, [y[j, k] for j, k in beyond], next_of)
+    J, moved = ca.jacobian(array.residual, column), time_derivative(array.residual, system.gamma)
+    matrix, right = ca.Function("sc_next", [column, gamma, system.p], [J, -moved], {"cse": True})(state, G, p)
+    start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, ca.solve(matrix, right, "qr"))])
+    equations = ca.vertcat(array.residual, ca.mtimes(J, rates) + moved)
+    return _Lifted(ca.vertcat(column, rates), equations, tuple(values), start, order)
+
+
+def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> list[ca.SX]:
+    """Return what limits compare as expressions of gamma and p, of which `smooth` are without rates."""
+    array, system = resolved.array, resolved.system
+    gamma, n = system.gamma, len(system.coordinates)
+    formula = cast("ca.Function", resolved.once(inversion).expression)
+    unknowns = formula(gamma[:, : array.reference_order + 1], system.p)[0]
+    known = dict(zip(array.unknowns, ca.vertsplit(unknowns), strict=True))
 
     def entry(j: int, order: int) -> ca.SX:
         if (j, order) not in known:
@@ -130,32 +193,58 @@ def quantities(resolved: ResolvedSystem, limits: Sequence[Limit]) -> tuple[list[
         *[entry(j, 0) for j in range(n)], *[entry(j, 1) for j in range(n)], *[entry(n + j, 0) for j in range(forces)]
     )
     found = []
-    for each in limits:
-        smooth = each.on(system) if not _has_tip(resolved, each) else rounded(each.on(system))
-        value = ca.substitute(smooth, symbols, values)
+    for each, expression in zip(limits, smooth, strict=True):
+        value = ca.substitute(expression, symbols, values)
         found.append(time_derivative(value, gamma) if each.rate else value)
-    return found, gamma
+    return found
 
 
 def _compile_rows(
     resolved: ResolvedSystem, limits: tuple[Limit, ...], rest: tuple[float, ...], p: tuple[float, ...]
 ) -> Rows:
-    system = resolved.system
-    found, gamma = quantities(resolved, limits)
+    system, gamma = resolved.system, resolved.system.gamma
+    tips = [_has_tip(resolved, each) for each in limits]
+    smooth = [rounded(each.on(system)) if tip else each.on(system) for each, tip in zip(limits, tips, strict=True)]
+    held = None if _is_explicit(resolved, np.array(rest), np.array(p)) else _lifted(resolved, limits, smooth)
+    found = _explicit(resolved, limits, smooth) if held is None else list(held.values)
     order = max(resolved.array.reference_order, *(highest_derivative(each, gamma) for each in found))
+    order = order if held is None else max(order, held.order)
     still = np.zeros((len(rest), order + 1))
     still[:, 0] = rest
     given = [gamma[:, : order + 1], system.p]
-    values = ca.Function("sc_values", given, [ca.densify(ca.vertcat(*found))], {"cse": True})
+    values = _of_path(given, found, held)
     at_rest = np.asarray(values(still, p)).ravel()
     rows, lower = [], []
-    for limit, value, here in zip(limits, found, at_rest, strict=True):
-        row, low = _row(limit, value, float(here), _has_tip(resolved, limit))
+    for limit, value, here, tip in zip(limits, found, at_rest, tips, strict=True):
+        row, low = _row(limit, value, float(here), tip)
         rows.append(row)
         lower.append(low)
-    function = ca.Function("sc_rows", given, [ca.densify(ca.vertcat(*rows))], {"cse": True})
-    moving = tuple(highest_derivative(each, gamma) > 0 for each in found)
-    return Rows(limits, function, values, order, np.array(lower), moving)
+    function = _of_path(given, rows, held)
+    if held is None:
+        moving = tuple(highest_derivative(each, gamma) > 0 for each in found)
+        return Rows(limits, function, values, order, np.array(lower), moving)
+    both = ca.Function(
+        "sc_lifted_rows",
+        [given[0], held.unknowns, given[1]],
+        [ca.densify(ca.vertcat(*rows)), ca.densify(held.equations)],
+        {"cse": True},
+    )
+    return Rows(limits, function, values, order, np.array(lower), (True,) * len(limits), both, _start(given, held))
+
+
+def _of_path(given: list[ca.SX], found: list[ca.SX], held: _Lifted | None) -> ca.Function:
+    """Compile (gamma, p) -> expressions, of unknowns as well that are searched for."""
+    values = [ca.densify(ca.vertcat(*found))]
+    if held is None:
+        return ca.Function("sc_rows", given, values, {"cse": True})
+    gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
+    direct = ca.Function("sc_direct", [given[0], held.unknowns, given[1]], values, {"cse": True})
+    return ca.Function("sc_rows", [gamma, p], [direct(gamma, _start(given, held)(gamma, p), p)])
+
+
+def _start(given: list[ca.SX], held: _Lifted) -> ca.Function:
+    gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))
+    return ca.Function("sc_start", [gamma, p], [held.start(gamma[:, : held.order + 1], p)])
 
 
 def _row(limit: Limit, value: ca.SX, here: float, tip: bool) -> tuple[ca.SX, float]:
@@ -179,27 +268,3 @@ def _has_tip(resolved: ResolvedSystem, limit: Limit) -> bool:
     expression = limit.on(system)
     function = ca.Function("sc_tip", ca.symvar(expression), [expression])
     return any(function.instruction_id(k) == ca.OP_SQRT for k in range(function.n_instructions()))
-
-
-def rounded(expression: ca.SX) -> ca.SX:
-    """Return an expression with every square root rounded off at zero, a little larger than it was."""
-    symbols = ca.symvar(expression)
-    function = ca.Function("sc_rounded", symbols, [expression])
-    work: dict[int, ca.SX] = {}
-    result = ca.SX(0)
-    for k in range(function.n_instructions()):
-        operation, into = function.instruction_id(k), function.instruction_output(k)
-        given = function.instruction_input(k)
-        if operation == ca.OP_INPUT:
-            work[into[0]] = symbols[given[0]][given[1]]
-        elif operation == ca.OP_CONST:
-            work[into[0]] = ca.SX(function.instruction_constant(k))
-        elif operation == ca.OP_OUTPUT:
-            result = work[given[0]]
-        elif operation == ca.OP_SQRT:
-            work[into[0]] = ca.sqrt(work[given[0]] + _ROUNDED**2)
-        elif len(given) == 1:
-            work[into[0]] = ca.SX.unary(operation, work[given[0]])
-        else:
-            work[into[0]] = ca.SX.binary(operation, work[given[0]], work[given[1]])
-    return result

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TypeAlias
 
@@ -18,7 +19,7 @@ from servocore.planning.curves import along, slopes_at, through_points
 from servocore.planning.laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
 from servocore.planning.rows import Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
-from servocore.planning.transcription import Task
+from servocore.planning.transcription import Inner, Task
 from servocore.problem import Problem
 from servocore.references.base import Reference, points
 from servocore.references.piecewise import PiecewisePolynomial
@@ -78,8 +79,8 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
     s = ca.SX.sym("s", 1, orders)
     inner = [s[:, k] for k in range(orders)]
     gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), inner))
-    found, lower = _kept_rows(every, corners, gamma, moving_only=True)
-    return _task(s, found, lower, np.zeros(1), np.ones(1), length, forward=True)
+    kept = _kept(every, corners, s, gamma, moving_only=True)
+    return _task(s, kept, np.zeros(1), np.ones(1), length, forward=True)
 
 
 def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
@@ -89,35 +90,60 @@ def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int,
         require_at_rest(rows, each, np.array([start, end]), _ROOM)
     orders = max(2, length, *(each.order for each in every)) + 1
     gamma = ca.SX.sym("gamma", len(start), orders)
-    found, lower = _kept_rows(every, corners, gamma, moving_only=False)
+    kept = _kept(every, corners, gamma, gamma, moving_only=False)
     system = corners[0].system
     clear = ca.Function("sc_clear", [system.gamma, system.p], [space.rows(system.gamma, system.parameters)])
     padded = ca.horzcat(gamma, ca.SX.zeros(len(start), system.gamma.size2() - orders))
     away = clear(padded, corners[0].p)
-    lower.append(np.full(away.numel(), -np.inf))
-    return _task(gamma, [*found, away], lower, start, end, length, forward=False)
+    kept = replace(kept, rows=[*kept.rows, away], lower=[*kept.lower, np.full(away.numel(), -np.inf)])
+    return _task(gamma, kept, start, end, length, forward=False)
 
 
-def _kept_rows(
-    every: Sequence[Rows], corners: Sequence[Problem], gamma: ca.SX, *, moving_only: bool
-) -> tuple[list[ca.SX], list[Array]]:
-    found, lower = [], []
+@dataclass(frozen=True)
+class _Kept:
+    """Rows of all corners with their lower bounds; unknowns beside the path, equations, and jets -> these unknowns."""
+
+    rows: list[ca.SX]
+    lower: list[Array]
+    unknowns: ca.SX
+    equations: list[ca.SX]
+    start: ca.Function
+
+
+def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
+    of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
+    found, lower, symbols, equations, begun = [], [], [ca.SX(0, 1)], [], [ca.MX(0, 1)]
     for rows, each in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
-        found.append(rows.function(gamma[:, : rows.order + 1], each.p)[kept.tolist()])
+        here = gamma[:, : rows.order + 1]
+        if rows.lifted is not None and rows.start is not None:
+            symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
+            values, zero = rows.lifted(here, symbols[-1], each.p)
+            equations.append(zero)
+            begun.append(rows.start(of_jets(given)[:, : rows.order + 1], each.p))
+        else:
+            values = rows.function(here, each.p)
+        found.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
-    return found, lower
+    start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])
+    return _Kept(found, lower, ca.vertcat(*symbols), equations, start)
 
 
-def _task(
-    jets: ca.SX, rows: list[ca.SX], lower: list[Array], start: Array, end: Array, length: int, *, forward: bool
-) -> Task:
-    bounds = np.concatenate(lower)
+def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, forward: bool) -> Task:
+    bounds, rows = np.concatenate(kept.lower), ca.densify(ca.vertcat(*kept.rows))
     way = float(np.linalg.norm(end - start))
     sizes = peaks(shape_of(smooth_polynomial(length)), length)[:, None] * np.full(len(start), way)
     sizes[0] = np.maximum(np.maximum(np.abs(start), np.abs(end)), way)
+    inner = None
+    if kept.equations:
+        local = ca.Function("sc_local_rows", [jets, kept.unknowns], [rows, ca.vertcat(*kept.equations)], {"cse": True})
+        inner = Inner(local, kept.start)
+        given = ca.MX.sym("jets", *jets.shape)
+        function = ca.Function("sc_task", [given], [local(given, kept.start(given))[0]])
+    else:
+        function = ca.Function("sc_task", [jets], [rows], {"cse": True})
     return Task(
-        rows=ca.Function("sc_task", [jets], [ca.densify(ca.vertcat(*rows))], {"cse": True}),
+        rows=function,
         lower=np.where(np.isfinite(bounds), -1.0 + _ROOM, -np.inf),
         upper=np.full(len(bounds), 1.0 - _ROOM),
         start=start,
@@ -125,6 +151,7 @@ def _task(
         length=length,
         peaks=sizes,
         forward=forward,
+        inner=inner,
     )
 
 

@@ -24,7 +24,47 @@ _OPTIONS = {
     "ipopt.tol": 1e-6,
 }
 _SHORTEST, _LONGEST = 0.02, 50.0  # theta
+_SAMPLES = 12  # intervals of a law that says how large inner unknowns are
+_NOTHING = 1e-9  # an unknown that stays smaller has no size
 SOLVED = "Solve_Succeeded"
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    """What a motion consists of besides its path, where no formula tells it: unknowns at every point looked at.
+
+    Attributes
+    ----------
+    local : casadi.Function
+        (jets of the chains, unknowns) -> rows, equations that are zero.
+    start : casadi.Function
+        (jets) -> unknowns that solve the equations.
+    """
+
+    local: ca.Function
+    start: ca.Function
+
+    @property
+    def size(self) -> int:
+        """How many unknowns there are, and equations."""
+        return int(self.start.size1_out(0))
+
+    def at(self, jets: Array) -> Array:
+        """Return the unknowns (size, n) of jets (C, orders, n)."""
+        given = jets.transpose(0, 2, 1)
+        count = given.shape[1]
+        return mapped(self.start, count)(given.reshape(len(given), -1))[0].reshape(-1, count, order="F")
+
+    def scales(self, jets: Array) -> tuple[Array, Array]:
+        """Return what unknowns and equations are divided by: their sizes along jets (C, orders, n)."""
+        found = self.at(jets)
+        sizes = np.nanmax(np.abs(found), axis=1, initial=0.0)
+        sizes = np.where(sizes > _NOTHING, sizes, 1.0)
+        jet, unknowns = ca.SX.sym("jet", *self.local.size_in(0)), ca.SX.sym("unknowns", self.size)
+        slopes = ca.Function("sc_slopes", [jet, unknowns], [ca.jacobian(self.local(jet, unknowns)[1], unknowns)])
+        each = [np.abs(np.asarray(slopes(jets[:, :, k], found[:, k]))) @ sizes for k in range(found.shape[1])]
+        large = np.nanmax(np.array(each), axis=0, initial=0.0)
+        return sizes, np.where(large > 0.0, large, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +85,8 @@ class Task:
         Largest derivatives of a polynomial law of duration one.
     forward : bool
         Whether no chain turns back.
+    inner : Inner or None
+        Where no formula tells the motion, what tells it.
     """
 
     rows: ca.Function
@@ -55,6 +97,7 @@ class Task:
     length: int
     peaks: Array
     forward: bool
+    inner: Inner | None = None
 
     @property
     def orders(self) -> int:
@@ -107,13 +150,15 @@ class Transcription:
     checks: int
     scale: float
     _solver: ca.Function
+    _sizes: Array | None
 
     @classmethod
     def of(cls, task: Task, intervals: int, checks: int, scale: float, iterations: int = 300) -> Transcription:
         """Write the program down."""
-        problem = _program(task, intervals, checks, scale)
+        sizes = None if task.inner is None else task.inner.scales(_looked_at(task, _typical(task, scale), _SAMPLES))
+        problem = _program(task, intervals, checks, scale, sizes)
         solver = ca.nlpsol("sc_plan", "ipopt", problem, {**_OPTIONS, "ipopt.max_iter": iterations})
-        return cls(task, intervals, checks, scale, solver)
+        return cls(task, intervals, checks, scale, solver, None if sizes is None else sizes[0])
 
     @property
     def parts(self) -> Array:
@@ -135,7 +180,9 @@ class Transcription:
         if progress is not None:
             progress(f"solving on {self.intervals} intervals")
         lower, upper = self._bounds()
-        defects = np.zeros(self.intervals * self.task.length * len(self.task.start))
+        size = 0 if self.task.inner is None else self.task.inner.size
+        zeros = self.intervals * (self.task.length * len(self.task.start) + self.checks * size)
+        defects = np.zeros(zeros)
         low = (self.task.lower[:, None] + tightened).ravel(order="F")
         high = (self.task.upper[:, None] - tightened).ravel(order="F")
         found = self._solver(
@@ -156,13 +203,18 @@ class Transcription:
 
     def _packed(self, law: Law) -> Array:
         states = np.concatenate([law.states(), law.snaps[None]])  # (K + 1, N + 1, C)
-        return np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
+        path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
+        if self.task.inner is None or self._sizes is None:
+            return path
+        found = self.task.inner.at(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
+        return np.append(path, np.nan_to_num(found).ravel(order="F"))
 
     def _unpacked(self, unknowns: Array) -> Law:
         task = self.task
-        table = unknowns[:-1].reshape(self.intervals + 1, len(task.start), task.length + 1)
+        size = (self.intervals + 1) * len(task.start) * (task.length + 1)
+        table = unknowns[:size].reshape(self.intervals + 1, len(task.start), task.length + 1)
         snaps = table[:, :, -1] * self._scales()[-1]
-        return Law(float(unknowns[-1]) * self.scale, task.start, task.end, snaps, task.length).resting()
+        return Law(float(unknowns[size]) * self.scale, task.start, task.end, snaps, task.length).resting()
 
     def _bounds(self) -> tuple[Array, Array]:
         task = self.task
@@ -173,11 +225,25 @@ class Transcription:
         for knot, place in ((0, task.start), (-1, task.end)):
             low[knot] = high[knot] = 0.0
             low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
-        return np.append(low.ravel(), _SHORTEST), np.append(high.ravel(), _LONGEST)
+        inner = np.full(0 if task.inner is None else self.intervals * self.checks * task.inner.size, np.inf)
+        return np.concatenate([low.ravel(), [_SHORTEST], -inner]), np.concatenate([high.ravel(), [_LONGEST], inner])
 
 
-def _program(task: Task, intervals: int, checks: int, scale: float) -> dict[str, ca.MX]:
-    """Return x, f, g of the program for CasADi's solvers."""
+def _typical(task: Task, duration: float) -> Law:
+    """Return a smooth law on a few intervals."""
+    still = np.zeros((_SAMPLES + 1, len(task.start)))
+    return Law(duration, task.start, task.end, still, task.length).resting()
+
+
+def _looked_at(task: Task, law: Law, checks: int) -> Array:
+    """Return the jets (C, orders, N * checks) of a law at the points of its grid where rows are kept."""
+    return law.jets(np.arange(checks) / checks)[:, : task.orders]
+
+
+def _program(
+    task: Task, intervals: int, checks: int, scale: float, sizes: tuple[Array, Array] | None
+) -> dict[str, ca.MX]:
+    """Return x, f, g of the program for CasADi's solvers; `sizes` divide inner unknowns and their equations."""
     C, K = len(task.start), task.length
     scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
     here, there, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
@@ -186,17 +252,25 @@ def _program(task: Task, intervals: int, checks: int, scale: float) -> dict[str,
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
     defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
     step = ca.Function("sc_step", [here, there, h], [ca.vec(defect.T)])
-    looked = []
-    for part in np.arange(checks) / checks:
-        jets = ca.horzcat(*advanced(states, u, change, float(part), h)[: task.orders])
-        looked.append(task.rows(jets))
-    local = ca.Function("sc_local", [here, there, h], [ca.vertcat(*looked)], {"cse": True})
+    looked, zero, size = [], [ca.SX(0, 1)], 0 if task.inner is None else task.inner.size
+    inner = ca.SX.sym("inner", size * checks)
+    for k in range(checks):
+        jets = ca.horzcat(*advanced(states, u, change, k / checks, h)[: task.orders])
+        if task.inner is None or sizes is None:
+            looked.append(task.rows(jets))
+        else:
+            rows, equations = task.inner.local(jets, inner[k * size : (k + 1) * size] * sizes[0])
+            looked.append(rows)
+            zero.append(equations / sizes[1])
+    local = ca.Function("sc_local", [here, there, h, inner], [ca.vertcat(*zero), ca.vertcat(*looked)], {"cse": True})
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
+    inside = ca.MX.sym("inside", size * checks, intervals)
     length = ca.repmat(theta * (scale / intervals), 1, intervals)
     given = knots[:, :-1], knots[:, 1:], length
-    steps, rows = step.map(intervals)(*given), local.map(intervals)(*given)
+    steps = step.map(intervals)(*given)
+    held, local_rows = local.map(intervals)(*given, inside)
     return {
-        "x": ca.vertcat(ca.vec(knots), theta),
+        "x": ca.vertcat(ca.vec(knots), theta, ca.vec(inside)),
         "f": ca.log(theta),
-        "g": ca.vertcat(ca.vec(steps), ca.vec(rows)),
+        "g": ca.vertcat(ca.vec(steps), ca.vec(held), ca.vec(local_rows)),
     }
