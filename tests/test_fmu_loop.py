@@ -8,8 +8,11 @@ from fmu_host import Host
 from loop_information import smallest_distance
 from loop_stability import laws, sensitivity, transition_norms
 from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, jets_of, random_case
+from scipy.linalg import expm, logm
 
 import servocore as sc
+from crane_fmu.build.feedback_law import hanging
+from crane_fmu.build.sampling import SHORT_TURN, advance, sampled
 
 MASTERS = ("start", "end")
 GUSTS = ("gust[1]", "gust[2]")
@@ -151,3 +154,35 @@ def test_a_jump_of_crackle_costs_what_no_jacobi_master_can_save():
     jump = float(np.linalg.norm(path.jet(np.zeros(1), 5)[0, 5]))
     found = 1e-3 * deviation(Case(path), 0.1) / (jump * 0.1**5)
     assert 1.33 < found < 16.0
+
+
+# Short steps ---------------------------------------------------------------------------------------------------------
+
+SWINGING = np.array([5.0, 1.0, 5.3, 0.8, -4.0, 0.2, 0.4, 0.1, 0.3, -0.2])
+"""Places and velocities of trolley and load."""
+UNDER = (np.array([30.0, 20.0, -40.0]), np.array([3.0, -2.0, 1.0]), list(CRANE.parameter_values().values()))
+"""Inputs, force on the load, parameters."""
+
+
+def test_a_short_step_is_computed_with_less_work_and_the_same_result():
+    u, d, p = UNDER
+    h = SHORT_TURN / fastest(Case())
+    step, slope = advance(hanging(CRANE.model("points")), 3), [100.0, 50.0, 20.0]
+    short, other = (np.array(step(each, SWINGING, u, slope, d, p, h)).ravel() for each in (1, 0))
+    assert 0.0 < np.abs(short - other).max() < 1e-6
+
+
+def test_the_linearised_crane_over_a_step_is_that_of_the_matrix_exponential():
+    u, d, p = UNDER
+    model, turn = sampled(hanging(CRANE.model("points")), 3), fastest(Case())
+    for is_short, h in ((1, SHORT_TURN / turn), (0, 1.0 / turn)):
+        A, first, second = (np.array(each) for each in model(is_short, SWINGING, u, d, p, h))
+        tiny, begun, _ = (np.array(each) for each in model(0, SWINGING, u, d, p, 1e-3))
+        rate = logm(tiny).real / 1e-3
+        B = np.linalg.solve(tiny - np.eye(10), rate) @ begun
+        whole = np.zeros((16, 16))  # of state, inputs and their slope: its exponential has all three
+        whole[:10, :10], whole[:10, 10:13], whole[10:13, 13:] = rate, B, np.eye(3)
+        exact = expm(whole * h)
+        assert np.abs(A - exact[:10, :10]).max() < 1e-3 * np.abs(exact[:10, :10]).max()
+        assert np.abs(first - exact[:10, 10:13]).max() < 1e-3 * np.abs(first).max()
+        assert np.abs(second - exact[:10, 13:] / h).max() < 1e-3 * np.abs(second).max()

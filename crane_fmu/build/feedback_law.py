@@ -24,7 +24,6 @@ load tell the whole motion, so the path gets an offset that begins with the meas
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -34,6 +33,7 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
+from crane_fmu.build.sampling import SHORT_TURN, advance, either, function, resting, sampled
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
 LAW_MODEL = "points"
@@ -49,8 +49,8 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
-"""By which the cost-to-go is brought up to date in a step, and before the first."""
+SHORT_RICCATI_STEPS, RICCATI_STEPS, FIRST_RICCATI_STEPS = 2, 3, 400
+"""By which the cost-to-go is brought up to date in a short step, in any other, and before the first."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
@@ -67,7 +67,6 @@ offset y_0 ... y_3 and the rates a at which it ends."""
 _N, _M, _HALF = 10, 3, 5
 _LOAD = 2  # where the load's place begins in the coordinates
 _JET = DIMENSION * len(ORDERS)
-_TERMS = 4  # of the matrix exponential's series: 1e-3 where a pendulum turns 1 rad in a step, and for the gains alone
 
 
 def feedback_text(functions: Mapping[str, ca.Function]) -> str:
@@ -91,12 +90,12 @@ def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:
         For each input time T ``begin_T``, (jet, measured, p, h) -> memory, and ``feedback_T``, (memory, jet, jet
         before, measured, acting, feedforward, p, h, share, limits) -> (memory, inputs).
     """
-    parts = _parts(_hanging(system))
+    parts = _parts(hanging(system))
     functions = (each(parts, time) for time in ("start", "end") for each in (_begin, _feedback))
     return {each.name(): each for each in functions}
 
 
-def _hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
+def hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
     """Return the crane in coordinates in which the load's place is linear, near the axis too: trolley and load."""
     coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in ("p_x", "p_y", "x", "y", "z")))
     place, load = coordinates.q[:2], coordinates.q[2:]
@@ -109,9 +108,11 @@ def _hanging(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
 class _Parts:
     """Pieces of the law.
 
-    flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (state, u, u_dot, d, p, h) -> state.
-    sampled: (state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. riccati: (M, A, B, B', f, W) -> M, K.
-    resisting: (state, p) -> the mass by which the load resists forces.
+    flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
+    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. riccati: (M, A, B,
+    B', f, W) -> M, K. further: (whether the step is short, M, K, A, B, B', f, W) -> M, K after further Riccati steps.
+    resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
+    which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
 
     flat: ca.Function
@@ -119,66 +120,32 @@ class _Parts:
     advance: ca.Function
     sampled: ca.Function
     riccati: ca.Function
+    further: ca.Function
     resisting: ca.Function
+    resting: ca.Function
+    offset: ca.Function
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
+    riccati = _riccati_step()
     return _Parts(
-        flat_motion(), measured_state(), _advance(system), _sampled(system), _riccati_step(), _resisting(system)
+        flat=flat_motion(),
+        measured=measured_state(),
+        advance=advance(system, _M),
+        sampled=sampled(system, _M),
+        riccati=riccati,
+        further=_further(riccati),
+        resisting=_resisting(system),
+        resting=resting(_HALF, _LOAD, _M),
+        offset=offset(),
     )
-
-
-def _function(name: str, arguments: list[Any], results: list[Any]) -> ca.Function:
-    return ca.Function(name, arguments, results, {"cse": True})
-
-
-def _advance(system: sc.MechanicalSystem) -> ca.Function:
-    """Return two classical Runge-Kutta steps under inputs that run linearly."""
-    x, u, slope, d, h = (ca.SX.sym(*each) for each in (("x", _N), ("u", _M), ("u_dot", _M), ("d", _M), ("h", 1)))
-    p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
-    v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
-    rate = _function("rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)])
-    after, half = x, h / 2
-    for begin in (0, half):
-        inputs = [u + slope * (begin + k * half / 2) for k in range(3)]
-        first = rate(after, inputs[0], d, p)
-        second = rate(after + half / 2 * first, inputs[1], d, p)
-        third = rate(after + half / 2 * second, inputs[1], d, p)
-        fourth = rate(after + half * third, inputs[2], d, p)
-        after = after + half / 6 * (first + 2 * second + 2 * third + fourth)
-    return _function("advance", [x, u, slope, d, p, h], [after])
-
-
-def _sampled(system: sc.MechanicalSystem) -> ca.Function:
-    """Return the crane linearised, over a step; phi_k are the functions behind the matrix exponential."""
-    p, h, a, d = system.p, ca.SX.sym("h"), ca.SX.sym("a", _HALF), ca.SX.sym("d", _M)
-    forces = system.bias + system.input_matrix.T @ system.u - system.C.T @ d
-    factors = ca.ldl(system.mass)
-    balance = ca.horzcat(*(ca.jacobian(system.mass @ a + forces, each) for each in (system.q, system.v)))
-    balance = ca.substitute(balance, a, ca.ldl_solve(-forces, *factors))
-    lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
-    K, D, B = ca.horzsplit(lower, [0, _HALF, _N, _N + _M])
-    B = ca.vertcat(ca.SX(_HALF, _M), B)
-
-    def times(F: ca.SX) -> ca.SX:
-        top, bottom = F[:_HALF, :], F[_HALF:, :]
-        return ca.vertcat(h * bottom, h * (K @ top + D @ bottom))
-
-    one = ca.SX.eye(_N)
-    phi_2 = one / math.factorial(_TERMS + 2)
-    for k in reversed(range(_TERMS)):
-        phi_2 = one / math.factorial(k + 2) + times(phi_2)
-    phi_1 = one + times(phi_2)
-    results = one + times(phi_1), h * phi_1 @ B, h * phi_2 @ B
-    given = [ca.vertcat(system.q, system.v), system.u, d, p, h]
-    return _function("sampled", given, [ca.densify(each) for each in results])
 
 
 def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     """Return the inverse of the accelerations that forces give to the load."""
     given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
     state = ca.vertcat(system.q, system.v)
-    return _function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
+    return function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
 
 
 def _riccati_step() -> ca.Function:
@@ -206,6 +173,17 @@ def _riccati_step() -> ca.Function:
     return ca.Function("riccati", [cost, A, new, old, efforts, weights], results, {"cse": True})
 
 
+def _further(riccati: ca.Function) -> ca.Function:
+    """Return the Riccati steps that only steps take which are not short."""
+    given = [ca.MX.sym("M", _N, _N), ca.MX.sym("K", _M, _N)]
+    given += [ca.MX.sym(f"i{k}", riccati.sparsity_in(k)) for k in range(1, riccati.n_in())]
+    cost, gain, *model = given
+    found = [cost, gain]
+    for _ in range(RICCATI_STEPS - SHORT_RICCATI_STEPS):
+        found = riccati.call([found[0], *model])
+    return either("further", given, [cost, gain], found)
+
+
 def _efforts(p: Any, s: Any) -> Any:
     """Return the inputs worth 1 m/s2 of bridge (at the trolley), trolley, winch with load, as freely as wanted."""
     bridge, trolley, load, winch, radius = (p[k] for k in range(5))
@@ -220,11 +198,11 @@ def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
 
 
 def _over_a_step(
-    parts: _Parts, jet: ca.MX, force: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str
+    parts: _Parts, jet: ca.MX, force: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str, short: ca.MX
 ) -> tuple[Any, ...]:
     """Return A, B, B', f, W about a point of the path."""
     state, inputs = parts.flat(jet, p)
-    A, first, second = parts.sampled(state, inputs, force, p, h)
+    A, first, second = parts.sampled(short, state, inputs, force, p, h)
     new, old = (second, first - second) if time == "end" else (first + second, -second)
     return A, new, old, _efforts(p, ca.norm_2(state[:_LOAD])), _weights(h, strain)
 
@@ -233,7 +211,7 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
     p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
-    A, new, old, efforts, weights = _over_a_step(parts, jet, ca.MX.zeros(_M), p, h, ca.MX(0), time)
+    A, new, old, efforts, weights = _over_a_step(parts, jet, ca.MX.zeros(_M), p, h, ca.MX(0), time, ca.MX(0))
     given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, efforts, weights))]
     cost = ca.MX.sym("M", _N, _N)
     one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
@@ -256,28 +234,32 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
     path = [given["jet_before"], jet, crackle]
     led = known["offset"], known["return"]
+    pendulum = ca.fmax(p[5] + given["jet_before"][8], 0) / measured[2] * (1 + p[2] / p[1])
+    short = ca.sqrt(pendulum) * h <= SHORT_TURN  # as of `fastest_pendulum`
     state = parts.measured(measured)
     force = _learnt(parts, known, state, p, h)
     (here, u_here), (there, u_there), beyond, middle = _places(parts, path, led, force, p, h, time)
-    A, new, old, efforts, weights = _over_a_step(parts, middle, force, p, h, known["strain"], time)
+    A, new, old, efforts, weights = _over_a_step(parts, middle, force, p, h, known["strain"], time, short)
     cost = ca.reshape(known["cost"], _N, _N)
-    for _ in range(RICCATI_STEPS):
-        cost, gain = parts.riccati(cost, A, new, old, efforts, weights)
+    model = A, new, old, efforts, weights
+    for _ in range(SHORT_RICCATI_STEPS):
+        cost, gain = parts.riccati(cost, *model)
+    cost, gain = parts.further(short, cost, gain, *model)
     slope = (u_there - u_here) / h
     if time == "end":
         e, origin, target = state - here, (here, u_here), there
     else:
         ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
-        after = parts.advance(state, acting, ran, force, p, h)
+        after = parts.advance(short, state, acting, ran, force, p, h)
         e, origin, target = after - there, (there, u_there), beyond
-    delta = parts.advance(*origin, slope, force, p, h) - target
-    e_d, w_d = _rest(A, new + old, delta)
+    delta = parts.advance(short, *origin, slope, force, p, h) - target
+    e_d, w_d = parts.resting(A, new + old, delta)
     wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
     wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
     inputs, strain = _within(limits, feedforward, share * (wanted - feedforward), known["strain"] - RECOVERY * h)
     if time == "end":
-        after = parts.advance(state, acting, (inputs - acting) / h, force, p, h)
-    offset_then = forgotten(offset(*led, h)[0])
+        after = parts.advance(short, state, acting, (inputs - acting) / h, force, p, h)
+    offset_then = forgotten(parts.offset(*led, h)[0])
     knew = ca.MX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
     remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, knew, offset_then, led[1])
     return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
@@ -307,22 +289,16 @@ def _places(
     """
     before, jet, crackle = path
     pulled = ca.vertcat(ca.MX.zeros(2 * DIMENSION), -force / p[2], ca.MX.zeros(2 * DIMENSION))
-    now, then = (offset(*led, steps * h)[1] + pulled for steps in (0, 1))
+    now, then = (parts.offset(*led, steps * h)[1] + pulled for steps in (0, 1))
     if time == "end":
         none = ca.MX.zeros(DIMENSION)
         before, jet = before + now, jet + then
         middle = (continued(before, none, h / 2) + continued(jet, none, -h / 2)) / 2
         return parts.flat(before, p), parts.flat(jet, p), None, middle
-    there, beyond, middle = (continued(jet, crackle, k * h) + offset(*led, k * h)[1] + pulled for k in (1, 2, 1.5))
+    there, beyond, middle = (
+        continued(jet, crackle, k * h) + parts.offset(*led, k * h)[1] + pulled for k in (1, 2, 1.5)
+    )
     return parts.flat(jet + now, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
-
-
-def _rest(A: ca.MX, B: ca.MX, push: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Return state and inputs with which a constant push leaves the load where it is."""
-    trolley, _, rates = ca.horzsplit(A - ca.MX.eye(_N), [0, _LOAD, _HALF, _N])
-    found = ca.solve(ca.horzcat(trolley, rates, B), -push, "qr")
-    none = ca.MX.zeros(_M)
-    return ca.vertcat(found[:_LOAD], none, found[_LOAD : _LOAD + _HALF]), found[_LOAD + _HALF :]
 
 
 def _learnt(parts: _Parts, known: dict[str, ca.MX], state: ca.MX, p: ca.MX, h: ca.MX) -> ca.MX:

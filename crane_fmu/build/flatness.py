@@ -106,11 +106,18 @@ def forgotten(y: ca.MX) -> ca.MX:
     return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, ca.MX.zeros(y.numel()))
 
 
-def offset(y: ca.MX, a: ca.MX, tau: Any) -> tuple[ca.MX, ca.MX]:
-    """Return y_0 ... y_3 and the jet of the motion off the path so much later."""
-    rows = ca.vertsplit(y, DIMENSION)
-    later = [
-        ca.exp(-a * tau) * sum(tau**i / math.factorial(i) * each for i, each in enumerate(rows[k:])) for k in range(4)
-    ]
-    jet = [sum(math.comb(k, j) * (-a) ** (k - j) * later[j] for j in range(min(k, 3) + 1)) for k in range(len(ORDERS))]
-    return ca.vertcat(*later), ca.vertcat(*jet)
+def offset() -> ca.Function:
+    """Return (y, a, tau) -> y_0 ... y_3 and the jet of the motion off the path so much later."""
+    y, a, tau = ca.SX.sym("y", 4 * DIMENSION), ca.SX.sym("a", DIMENSION), ca.SX.sym("tau")
+    rows, fading = ca.vertsplit(y, DIMENSION), ca.exp(-a * tau)
+    later: list[ca.SX] = []
+    for k in range(4):
+        value = rows[3]
+        for j in reversed(range(k, 3)):  # Horner, for powers cost much
+            value = rows[j] + tau / (j - k + 1) * value
+        later.append(fading * value)
+    powers = [ca.SX.ones(DIMENSION)]
+    for _ in ORDERS[1:]:
+        powers.append(powers[-1] * -a)
+    jet = [sum(math.comb(k, j) * powers[k - j] * later[j] for j in range(min(k, 3) + 1)) for k in range(len(ORDERS))]
+    return ca.Function("offset", [y, a, tau], [ca.vertcat(*later), ca.vertcat(*jet)], {"cse": True})

@@ -1,0 +1,143 @@
+"""The crane over a step, nonlinear and linearised, with less work where a step is short.
+
+A step is short where the fastest pendulum turns little in it. There one Runge-Kutta step does what two do elsewhere,
+and fewer terms of a series. What is not needed is not computed: functions branch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import casadi as ca
+
+import servocore as sc
+
+SHORT_TURN = 0.1
+"""Up to this turn of the fastest pendulum, in rad, a step is short."""
+
+_TERMS = {False: 4, True: 1}
+"""Of the matrix exponential's series, where steps are short or not: to 1e-3 where a pendulum turns 0.1 rad in a short
+step, or 1 rad in another, and for the gains alone."""
+
+
+def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    """Return a function of expressions in which nothing is computed twice."""
+    return ca.Function(name, arguments, results, {"cse": True})
+
+
+def either(name: str, given: list[ca.MX], short: list[ca.MX], other: list[ca.MX]) -> ca.Function:
+    """Return a function of whether a step is short, and of what is given: one of two results, the other is left out."""
+    return ca.Function.if_else(
+        name, ca.Function(f"{name}_short", given, short), ca.Function(f"{name}_other", given, other)
+    )
+
+
+def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+    """Return (whether the step is short, state, u, u_dot, d, p, h) -> state under inputs that run linearly."""
+    n, m = 2 * system.q.numel(), system.u.numel()
+    x, u, slope, d, h = (ca.SX.sym(*each) for each in (("x", n), ("u", m), ("u_dot", m), ("d", forces), ("h",)))
+    p, right = system.p, system.C.T @ d - system.bias - system.input_matrix.T @ system.u
+    v_dot = ca.ldl_solve(right, *ca.ldl(system.mass))
+    rate = function("rate", [ca.vertcat(system.q, system.v), system.u, d, p], [ca.vertcat(system.v, v_dot)])
+    inputs = [u + slope * (k * h / 2) for k in range(3)]
+    first = rate(x, inputs[0], d, p)
+    second = rate(x + h / 2 * first, inputs[1], d, p)
+    third = rate(x + h / 2 * second, inputs[1], d, p)
+    fourth = rate(x + h * third, inputs[2], d, p)
+    after = x + h / 6 * (first + 2 * second + 2 * third + fourth)
+    step = function("runge_kutta", [x, u, slope, d, p, h], [after])
+    given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
+    state, u_begin, u_dot, *others, whole = given
+    half = step(state, u_begin, u_dot, *others, whole / 2)
+    twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
+    return either("advance", given, [step(*given)], [twice])
+
+
+def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+    """Return (whether the step is short, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B of the linearised crane.
+
+    phi_k are the functions behind the matrix exponential.
+    """
+    linear, begin, term, driven = _linearised(system, forces), *_series(system.q.numel(), system.u.numel())
+    rates = [ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(("K", "D", "B"))]
+    h = ca.MX.sym("h")
+    K, D, B = rates
+
+    def results(terms: int) -> list[ca.MX]:
+        phi = begin(K, D, h, 1 / math.factorial(terms + 1), 1 / math.factorial(terms + 2))
+        for k in reversed(range(terms - 1)):
+            phi = term(phi, K, D, h, 1 / math.factorial(k + 2))
+        phi_1 = term(phi, K, D, h, 1)
+        return [term(phi_1, K, D, h, 1), *driven(phi_1, phi, B, h)]
+
+    found = either("series", [*rates, h], results(_TERMS[True]), results(_TERMS[False]))
+    given = [ca.MX.sym(f"i{k}", linear.sparsity_in(k)) for k in range(linear.n_in())]
+    is_short = ca.MX.sym("short")
+    arguments = [is_short, *linear.call(given), h]
+    return ca.Function("sampled", [is_short, *given, h], found.call(arguments))
+
+
+def _linearised(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+    """Return (state, u, d, p) -> K, D, B of the accelerations K q + D v + B u about a state."""
+    n = system.q.numel()
+    p, a, d = system.p, ca.SX.sym("a", n), ca.SX.sym("d", forces)
+    load = system.bias + system.input_matrix.T @ system.u - system.C.T @ d
+    factors = ca.ldl(system.mass)
+    balance = ca.horzcat(*(ca.jacobian(system.mass @ a + load, each) for each in (system.q, system.v)))
+    balance = ca.substitute(balance, a, ca.ldl_solve(-load, *factors))
+    lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
+    given = [ca.vertcat(system.q, system.v), system.u, d, p]
+    return function(
+        "linearised", given, [ca.densify(each) for each in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
+    )
+
+
+def _series(n: int, m: int) -> tuple[ca.Function, ca.Function, ca.Function]:
+    """Return what sums up powers of X = h [0 1; K D], and what applies the sums to inputs.
+
+    (K, D, h, c, c') -> c + c' X; (F, K, D, h, c) -> c + X F; (phi_1, phi_2, B, h) -> h phi_1 [0; B], h phi_2 [0; B].
+    """
+    F, other = ca.SX.sym("F", 2 * n, 2 * n), ca.SX.sym("F'", 2 * n, 2 * n)
+    K, D, B = ca.SX.sym("K", n, n), ca.SX.sym("D", n, n), ca.SX.sym("B", n, m)
+    h, c, more = (ca.SX.sym(name) for name in ("h", "c", "c'"))
+    one = ca.SX.eye(2 * n)
+
+    def times(of: ca.SX) -> ca.SX:
+        top, bottom = of[:n, :], of[n:, :]
+        return ca.vertcat(h * bottom, h * (K @ top + D @ bottom))
+
+    results: dict[str, tuple[list[ca.SX], list[ca.SX]]] = {
+        "begun": ([K, D, h, c, more], [c * one + more * times(one)]),
+        "term": ([F, K, D, h, c], [c * one + times(F)]),
+        "driven": ([F, other, B, h], [h * each[:, n:] @ B for each in (F, other)]),
+    }
+    begin, term, driven = (
+        function(name, given, [ca.densify(each) for each in found]) for name, (given, found) in results.items()
+    )
+    return begin, term, driven
+
+
+def resting(n: int, places: int, m: int) -> ca.Function:
+    """Return (A, B, push) -> state and inputs with which a constant push leaves the last coordinates where they are.
+
+    The first `places` of n coordinates give way, and all rates. Rates follow from the upper rows, where a step's length
+    is on the diagonal: elimination needs no pivots there.
+    """
+    A, B, push = ca.SX.sym("A", 2 * n, 2 * n), ca.SX.sym("B", 2 * n, m), ca.SX.sym("push", 2 * n)
+    away = A - ca.SX.eye(2 * n)
+    rates, right = away[:, n:], ca.horzcat(away[:, :places], B, -push)
+    table = ca.horzcat(rates, right)
+    rows = [table[k, :] for k in range(2 * n)]
+    for k in range(n):
+        for j in range(k + 1, 2 * n):
+            rows[j] = rows[j] - rows[j][k] / rows[k][k] * rows[k]
+    lower = ca.vertcat(*rows[n:])[:, n:]
+    others = ca.solve(lower[:, : places + m], lower[:, -1])
+    found: list[Any] = [None] * n
+    for k in reversed(range(n)):
+        row = rows[k]
+        known = ca.mtimes(row[n : n + places + m], others) + sum(row[j] * found[j] for j in range(k + 1, n))
+        found[k] = (row[-1] - known) / row[k]
+    state = ca.vertcat(others[:places], ca.SX.zeros(n - places), *found)
+    return function("resting", [A, B, push], [ca.densify(state), others[places:]])
