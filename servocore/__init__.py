@@ -6,6 +6,9 @@
 ((201,), 'N.m')
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from servocore import scenes
 from servocore.analysis import StructureReport, analyse
 from servocore.dae import Dae, Equation, Unknown
@@ -23,12 +26,6 @@ from servocore.errors import (
     ServocoreError,
     ServocoreWarning,
 )
-from servocore.export.estimates import SampledEstimates
-from servocore.export.feedback import SampledFeedback
-from servocore.export.fmu import export_fmu, export_plant, export_trajectory
-from servocore.export.plant_model import PlantWishes
-from servocore.export.trajectory_model import TrajectoryWishes
-from servocore.export.wasm import export_wasm
 from servocore.formulations import Formulation, Original, Projected, Reduced
 from servocore.methods import (
     BDF,
@@ -55,13 +52,6 @@ from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
-from servocore.planning.durations import shortest_duration
-from servocore.planning.fastest import fastest
-from servocore.planning.flat_system import to_control
-from servocore.planning.report import PlanReport
-from servocore.planning.sensitivities import Sensitivities, sensitivities
-from servocore.planning.space import Box, Space, Sphere
-from servocore.planning.sweep import sweep
 from servocore.problem import Problem
 from servocore.references import (
     DEGREE3,
@@ -100,6 +90,21 @@ from servocore.stepping.program import Program, StepReport
 from servocore.stepping.rotation_update import RotationUpdate
 from servocore.stepping.stepper import Stepper
 from servocore.view.page import LivePart, live_part, view
+
+if TYPE_CHECKING:
+    from servocore.export.estimates import SampledEstimates
+    from servocore.export.feedback import SampledFeedback
+    from servocore.export.fmu import export_fmu, export_plant, export_trajectory
+    from servocore.export.plant_model import PlantWishes
+    from servocore.export.trajectory_model import TrajectoryWishes
+    from servocore.export.wasm import export_wasm
+    from servocore.planning.durations import shortest_duration
+    from servocore.planning.fastest import fastest
+    from servocore.planning.flat_system import to_control
+    from servocore.planning.report import PlanReport
+    from servocore.planning.sensitivities import Sensitivities, sensitivities
+    from servocore.planning.space import Box, Space, Sphere
+    from servocore.planning.sweep import sweep
 
 __version__ = "0.2.0"
 
@@ -218,3 +223,39 @@ __all__ += [
     "c_compiler",
     "generalise",
 ]
+
+# Plans and exports are a quarter of what there is to import, and most programs make neither.
+_LATER = {
+    "Box": "servocore.planning.space",
+    "PlanReport": "servocore.planning.report",
+    "PlantWishes": "servocore.export.plant_model",
+    "SampledEstimates": "servocore.export.estimates",
+    "SampledFeedback": "servocore.export.feedback",
+    "Sensitivities": "servocore.planning.sensitivities",
+    "Space": "servocore.planning.space",
+    "Sphere": "servocore.planning.space",
+    "TrajectoryWishes": "servocore.export.trajectory_model",
+    "export_fmu": "servocore.export.fmu",
+    "export_plant": "servocore.export.fmu",
+    "export_trajectory": "servocore.export.fmu",
+    "export_wasm": "servocore.export.wasm",
+    "fastest": "servocore.planning.fastest",
+    "sensitivities": "servocore.planning.sensitivities",
+    "shortest_duration": "servocore.planning.durations",
+    "sweep": "servocore.planning.sweep",
+    "to_control": "servocore.planning.flat_system",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first asked for."""
+    if name not in _LATER:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found: object = getattr(import_module(_LATER[name]), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    """List the public names, those that are imported later too."""
+    return sorted({*globals(), *__all__})

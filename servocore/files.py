@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -81,6 +80,8 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
     InvalidSetting
         If a folder does not exist or cannot be written.
     """
+    import tempfile  # noqa: PLC0415 - few programs write files
+
     try:
         with ExitStack() as leftovers:
             waiting = []

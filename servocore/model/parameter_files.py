@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -50,6 +49,8 @@ def read_parameters(path: Path, scene: Scene, more: Iterable[Parameter] = ()) ->
 
 def read_table(path: Path) -> dict[str, object]:
     """Return what a TOML file holds; raises `InvalidModel` if it cannot be read."""
+    import tomllib  # noqa: PLC0415 - few programs read such files
+
     path = Path(path)
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import secrets
 import stat
 import time
 from contextlib import suppress
@@ -88,7 +87,7 @@ class CodeCache:
                 return None
             self._trim(len(contents))
             path = self.folder / f"{key}-{_hash(contents)}{_SUFFIX}"
-            beside = self.folder / f"{secrets.token_hex(8)}.part"
+            beside = self.folder / f"{os.urandom(8).hex()}.part"
             try:
                 beside.write_bytes(contents)
                 beside.replace(path)

@@ -13,18 +13,20 @@ import os
 import platform
 import shlex
 import shutil
-import subprocess
-import tempfile
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import casadi as ca
 
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import CodeCache
+
+if TYPE_CHECKING:
+    import subprocess
 
 COMPILERS = ("cc", "gcc", "clang")
 AUTOMATIC = "SERVOCORE_MACHINE_CODE"
@@ -119,6 +121,8 @@ class _Processes:
 
     def run(self, command: list[str], folder: Path) -> tuple[int, str]:
         """Run a compiler; return its exit code and what it says."""
+        import subprocess  # noqa: PLC0415 - what was built before is loaded without
+
         if self.closed:
             return -1, "the process ends"
         with subprocess.Popen(
@@ -163,6 +167,8 @@ def built(build: Build) -> Path:
     contents = _compiled_contents(build, command)
     path = kept.store(key, contents)
     if path is None:
+        import tempfile  # noqa: PLC0415
+
         path = Path(tempfile.mkdtemp(prefix="servocore_")) / "program.so"
         atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
         path.write_bytes(contents)
@@ -170,6 +176,8 @@ def built(build: Build) -> Path:
 
 
 def _compiled_contents(build: Build, command: list[str]) -> bytes:
+    import tempfile  # noqa: PLC0415 - what was built before is loaded without
+
     with tempfile.TemporaryDirectory(prefix="servocore_") as name:
         folder = Path(name)
         (folder / "program.c").write_text(build.source, encoding="utf-8")

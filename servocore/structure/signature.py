@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel
+from servocore.numerics.assignment import largest_assignment
 from servocore.numerics.components import Part, filled, of_one_shape, parts_of
 from servocore.numerics.rounding import UNIT, Array, evaluate
 
@@ -150,16 +151,13 @@ def signature(equations: SecondOrderEquations) -> Signature:
     InvalidModel
         If no transversal exists: the equations are structurally singular.
     """
-    import scipy.optimize  # noqa: PLC0415 - kept out of the run time of an FMU
-
     sigma = np.full((len(equations.names),) * 2, ABSENT)
     for order in range(equations.y.size2()):
         sigma[ca.jacobian_sparsity(equations.residual, equations.y[:, order]).get_triplet()] = order
     size = len(sigma)
     weights = np.where(sigma == ABSENT, -4 * (size + 1), sigma)
-    rows, columns = scipy.optimize.linear_sum_assignment(weights, maximize=True)
-    missing = [(equations.equations[i], equations.names[j]) for i, j in zip(rows, columns, strict=True)
-               if sigma[i, j] == ABSENT]  # fmt: skip
+    columns = largest_assignment(weights)
+    missing = [(equations.equations[i], equations.names[j]) for i, j in enumerate(columns) if sigma[i, j] == ABSENT]
     if missing:
         equation, variable = missing[0]
         raise InvalidModel(
