@@ -1,4 +1,4 @@
-"""A batch gives for every case what an exact inversion of that case gives."""
+"""A batch gives for every case what an inversion of that case gives."""
 
 from dataclasses import replace
 
@@ -74,5 +74,71 @@ def test_what_is_wrong_is_named():
         batch(T, {"load_mass": MASSES}, paths(3))
     with pytest.raises(sc.InvalidModel, match="rotary_crane reports no colour; it has"):
         sc.Batch(CRANE, ("colour",))
-    with pytest.raises(sc.InvalidModel, match="has internal dynamics: its cases are solved one by one"):
-        sc.Batch(scene("mass_on_car"))
+    with pytest.raises(sc.InvalidModel, match="follows a branch: its cases are solved one by one"):
+        sc.Batch(replace(CRANE, follow_branch=True))
+
+
+# Internal dynamics ---------------------------------------------------------------------------------------------------
+
+CAR = scene("mass_on_car")
+INSTANTS = np.linspace(0.0, 4.0, 33)
+STIFFNESS = CAR.model().parameters.values({})[2] * np.array([0.8, 1.0, 1.3])
+
+
+def rides(count: int) -> list[sc.Reference]:
+    path = CAR.reference
+    start, end = path.jet(np.array([path.start_time, path.end_time]), 0)[:, 0]
+    return [sc.rest_to_rest(start, end * (1.0 + k / 10), path.duration) for k in range(count)]
+
+
+def alone(car: sc.Scene, **how: object) -> np.ndarray:
+    return sc.DynamicInversion(car, native=False, **how)(INSTANTS)
+
+
+@pytest.mark.parametrize("native", [False, True])
+@pytest.mark.usefixtures("compiler")
+def test_internal_dynamics_of_every_case_have_the_bits_of_their_own_inversion(native):
+    batch = sc.Batch(CAR, native=native)
+    stiffened = [CAR.with_parameters(stiffness=each) for each in STIFFNESS]
+    np.testing.assert_array_equal(batch(INSTANTS, {"stiffness": STIFFNESS}), [alone(each) for each in stiffened])
+    moved = [alone(CAR.with_reference(each)) for each in rides(3)]
+    np.testing.assert_array_equal(batch(INSTANTS, paths=rides(3)), moved)
+    both = [alone(each.with_reference(path)) for each, path in zip(stiffened, rides(3), strict=True)]
+    np.testing.assert_array_equal(batch(INSTANTS, {"stiffness": STIFFNESS}, rides(3)), both)
+    np.testing.assert_array_equal(batch(INSTANTS)[0], alone(CAR))
+
+
+def test_paths_of_several_kinds_and_durations_go_together():
+    longer = sc.rest_to_rest((0.0,), (1.0,), 5.0)
+    t = np.linspace(0.0, 4.0, 80)
+    table = sc.sampled(t, CAR.reference.jet(t, 0)[:, 0])
+    own = [CAR.reference, longer, table, rides(2)[1]]
+    found = sc.Batch(CAR, tolerance=1e-8)(INSTANTS, paths=own)
+    for each, values in zip(own, found, strict=True):
+        known = alone(CAR.with_reference(each), tolerance=1e-8)
+        np.testing.assert_allclose(values, known, atol=1e-7 * np.abs(known).max())
+
+
+def test_a_start_and_quantities_by_name_are_those_of_solve():
+    start = {"s": 0.1, "s_dot": -0.2}
+    known = sc.solve(CAR, sc.Reduced(), sc.RadauIIA(7), step=0.0125, start=start)
+    (found,) = sc.Batch(CAR, ("x", "s", "u"), tolerance=1e-9, start=start)(known.t)
+    for column, name in zip(found.T, ("x", "s", "u"), strict=True):
+        np.testing.assert_allclose(column, known[name], atol=1e-7 * np.abs(known[name]).max())
+
+
+def test_a_case_takes_smaller_steps_where_it_needs_them_and_gives_no_numbers_where_they_do_not_help():
+    found = sc.Batch(CAR)(INSTANTS, {"stiffness": [*STIFFNESS, 300 * STIFFNESS[1], 1e9]})
+    np.testing.assert_array_equal(found[:3], sc.Batch(CAR)(INSTANTS, {"stiffness": STIFFNESS}))
+    known = alone(CAR.with_parameters(stiffness=300 * STIFFNESS[1]))
+    np.testing.assert_allclose(found[3], known, atol=3e-6 * np.abs(known).max())
+    assert np.isnan(found[4]).all()
+
+
+def test_what_is_wrong_with_internal_dynamics_is_named():
+    with pytest.raises(sc.InvalidReference, match=r"case 1 of a batch: its path runs from 0 s to 2 s, and the times"):
+        sc.Batch(CAR)(INSTANTS, paths=[CAR.reference, sc.rest_to_rest((0.0,), (1.0,), 2.0)])
+    with pytest.raises(sc.InvalidSetting, match="takes no start"):
+        sc.Batch(CRANE, start={"s": 0.1})
+    with pytest.raises(sc.InvalidSetting, match="between 0 and 1"):
+        sc.Batch(CAR, tolerance=2.0)

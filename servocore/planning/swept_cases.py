@@ -22,8 +22,8 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.calls import Array, at_instants
 from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
 from servocore.problem import Problem
-from servocore.solvers.batch import compile_reading
 from servocore.stepping.observation import observed
+from servocore.stepping.reading import compile_reading
 
 _Expression = TypeVar("_Expression", ca.SX, ca.MX)
 

@@ -1,25 +1,23 @@
-"""Exact inversion of many cases in one call: other parameters, other paths, arrays in and arrays out."""
+"""Inversions of many cases in one call: other parameters, other paths, arrays in and arrays out."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind
-from servocore.formulations.reduced import Reduced
-from servocore.methods.base import instantaneous
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference, numbers_of
-from servocore.stepping.observation import compile_observation, observed
+from servocore.solvers.dynamic_inversion import DynamicCases
+from servocore.stepping.given_starts import require_start
+from servocore.stepping.observation import observed
 from servocore.stepping.path_function import PathFunction
-from servocore.structure.inversion import inversion
+from servocore.stepping.reading import compile_reading
 
 
 class Batch:
@@ -27,16 +25,21 @@ class Batch:
 
     A case has parameter values of its own, a path of its own, or both. Machine code goes through all instants of all
     cases at the price of an instant of a single one, in as many threads as there are processors. Limits are not looked
-    at: ask for the quantities that are limited and compare.
+    at: ask for the quantities that are limited and compare. With internal dynamics every case is stepped as
+    `DynamicInversion` does, from its start, and compared with smaller steps.
 
     Parameters
     ----------
     scene : Scene
-        Without internal dynamics.
+        Without internal dynamics, or with stable ones.
     quantities : sequence of str, optional
         Names of what is wanted, of those that `solve` reports; the inputs when not given.
     model : str, optional
         Model of the scene; its smallest when not given.
+    tolerance : float
+        With internal dynamics: largest error of any input, relative to its peak.
+    start : mapping of str to float, optional
+        With internal dynamics: their initial values, as for `solve`.
     native : bool, optional
         Whether as machine code; see `ExactInversion`.
 
@@ -48,7 +51,9 @@ class Batch:
     Raises
     ------
     InvalidModel
-        If the scene has internal dynamics or follows a branch, or no quantity of a name.
+        If the scene follows a branch, or has no quantity of a name.
+    ServocoreError
+        Whatever `DynamicInversion` refuses a scene with internal dynamics for.
 
     Examples
     --------
@@ -66,20 +71,25 @@ class Batch:
         quantities: Sequence[str] | None = None,
         model: str | None = None,
         *,
+        tolerance: float = 1e-6,
+        start: Mapping[str, float] | None = None,
         native: bool | None = None,
     ) -> None:
         require_scene(scene, "Batch")
-        self._problem = problem = Problem.of(scene, model)
-        if not problem.flat or problem.follow_branch:
-            why = "follows a branch" if problem.flat else "has internal dynamics"
-            raise InvalidModel(f"{scene.name} {why}: its cases are solved one by one, with solve")
+        self._problem = problem = Problem.of(scene, model, start)
+        if problem.follow_branch:
+            raise InvalidModel(f"{scene.name} follows a branch: its cases are solved one by one, with solve")
+        if problem.start:
+            require_start(problem)
         known = {each.name for each, _ in observed(problem.system)}
         self.names = tuple(quantities or (each.name for each in problem.system.inputs))
         wrong = [each for each in self.names if each not in known]
         if wrong:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
-        self._quick, self._seeking = problem.resolved.once(_compile_cases, self.names, native)
-        self._quick.prepare(problem.reference)
+        self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
+        if problem.flat:
+            self._quick, self._seeking = problem.resolved.once(_compile_cases, self.names, native)
+            self._quick.prepare(problem.reference)
 
     def __call__(
         self,
@@ -101,14 +111,15 @@ class Batch:
         Returns
         -------
         ndarray, shape (cases, N, quantities)
-            NaN where an instant is not solved, or on another branch of the equations than the one wanted.
+            NaN where an instant is not solved, or on another branch of the equations than the one wanted; with internal
+            dynamics, for a case that does not keep the tolerance.
 
         Raises
         ------
         InvalidModel
             If there is no such parameter, or a value lies outside its bounds.
         InvalidReference
-            If a path lacks derivatives.
+            If a path lacks derivatives; with internal dynamics, if a time lies outside a path.
         InvalidSetting
             If parameters and paths are of different number.
         """
@@ -118,6 +129,8 @@ class Batch:
             require_kind(each, Reference, "each path of a batch", "a Reference", InvalidReference)
         if p.ndim == 2 and references and len(references) != len(p):
             raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
+        if self._dynamic is not None:
+            return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
         found = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
         if not np.isfinite(found).all():
             found = self._searched(found, references, times, p)
@@ -169,22 +182,3 @@ def _compile_cases(
         resolved, [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
     )
     return PathFunction(resolved, quick or seeking, native), seeking
-
-
-def compile_reading(
-    resolved: ResolvedSystem, wanted: list[tuple[Quantity, ca.SX]]
-) -> tuple[ca.Function | None, ca.Function]:
-    """Compile (gamma, p) -> quantities by exact inversion: as one expression, and by Newton's method.
-
-    The first is NaN where the guess is not exact; None where `Inversion` has no such expression.
-    """
-    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
-    order = resolved.array.reference_order
-    read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-
-    def reading(name: str, inverted: ca.Function, kind: Any) -> ca.Function:
-        gamma, p = kind.sym("gamma", system.gamma.size1(), order + 1), kind.sym("p", system.p.numel())
-        return ca.Function(name, [gamma, p], [read(inverted(gamma, p)[0], gamma, p)[0]], {"cse": kind is ca.SX})
-
-    quick = inverse.expression and reading("sc_quick_cases", inverse.expression, ca.SX)
-    return quick, reading("sc_cases", inverse.function, ca.MX)

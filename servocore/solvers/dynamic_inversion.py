@@ -1,21 +1,33 @@
-"""Inputs of a scene with internal dynamics, prepared once: explicit steps of order eight, and machine code."""
+"""Inputs of a scene with internal dynamics, prepared once: explicit steps of order eight, and machine code.
+
+Of many cases, too, with other parameters and other paths, for `Batch`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
+from servocore.errors import (
+    InconsistentStart,
+    IntegrationFailed,
+    InvalidModel,
+    InvalidReference,
+    InvalidSetting,
+    require_real,
+)
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array
+from servocore.numerics.calls import Array, mapped, side_by_side
 from servocore.problem import Problem
-from servocore.references.base import numbers_of
+from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
 from servocore.solvers.loop import begin
 from servocore.solvers.solve import solve
@@ -25,6 +37,11 @@ from servocore.stepping.explicit_steps import Along, ExplicitSteps, compile_expl
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _INSTANTS = 201  # at which they are compared
 _ASTRAY = 1e-3  # of the peak of an input: so much beside the checked solution is another motion
+_COMPARED = 51  # instants at which a case is compared with twice as many steps
+_MOST_DOUBLINGS = 6  # of the steps that the scene itself takes
+_FORM = Reduced(), BackwardEuler()
+
+Cases = npt.NDArray[np.intp]
 
 
 class DynamicInversion:
@@ -93,9 +110,7 @@ class DynamicInversion:
         self.inputs = tuple(each.name for each in problem.system.inputs)
         self._steps: ExplicitSteps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
-        first, _ = begin(
-            problem, program_of(problem, Reduced(), BackwardEuler()), 0.0, given_start_of(Reduced(), BackwardEuler())
-        )
+        first, _ = begin(problem, program_of(problem, *_FORM), 0.0, given_start_of(*_FORM))
         self._start = first[: len(problem.array.states)]
         self._known: dict[tuple[int, bytes], Along] = {}
         self.steps = self._enough(checked, tolerance)
@@ -159,3 +174,121 @@ class DynamicInversion:
             f"{self._problem.system.name}: {_MOST} explicit steps do not keep a tolerance of {tolerance:g}: the"
             " internal dynamics are stiff, and solve with RadauIIA steps them"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicCases:
+    """What `Batch` asks for where there are internal dynamics.
+
+    Every case is compared with a run of twice as many steps, and takes these where it does not keep the tolerance.
+
+    Attributes
+    ----------
+    problem : Problem
+        The scene's own.
+    names : tuple of str
+        What is wanted.
+    tolerance : float
+        Largest error of any input, relative to its peak.
+    steps : int
+        What the scene itself takes.
+    native : bool or None
+        See `Vectorised`.
+    """
+
+    problem: Problem
+    names: tuple[str, ...]
+    tolerance: float
+    steps: int
+    native: bool | None
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        model: str | None,
+        names: tuple[str, ...],
+        tolerance: float,
+        start: Mapping[str, float] | None,
+        native: bool | None,
+    ) -> DynamicCases:
+        """Prepare, with the checks of `DynamicInversion`; raises what that raises."""
+        prepared = DynamicInversion(scene, model, tolerance=tolerance, start=start, native=native)
+        return cls(Problem.of(scene, model, start), names, tolerance, prepared.steps, native)
+
+    def __call__(self, references: Sequence[Reference], t: Array, p: Array) -> Array:
+        """Return the quantities, shape (cases, names, N), NaN for a case that is not solved.
+
+        There is one path a case, or one for all; `p` has shape (cases, size), or (size,) for all.
+        """
+        count = len(p) if p.ndim == 2 else len(references)
+        p = np.broadcast_to(p, (count, p.shape[-1]))
+        paths = [*references] if len(references) == count else [references[0]] * count
+        found = np.full((count, len(self.names), len(t)), np.nan)
+        groups: dict[object, list[int]] = {}
+        for case, path in enumerate(paths):
+            if len(t) and not (t.min() >= path.start_time and t.max() <= path.end_time):
+                raise InvalidReference(
+                    f"case {case} of a batch: its path runs from {path.start_time:g} s to {path.end_time:g} s, and the"
+                    f" times from {t.min():g} s to {t.max():g} s"
+                )
+            groups.setdefault((path.formula, path.start_time, path.end_time), []).append(case)
+        for group in groups.values():
+            alone = all(paths[case] is paths[group[0]] for case in group)
+            own = [paths[group[0]]] if alone else [paths[case] for case in group]
+            self._solve(found, np.array(group), own, t, np.ascontiguousarray(p[group]))
+        return found
+
+    def _solve(self, found: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
+        """Write into `found` what cases with paths of one kind give; steps are doubled for those that need it."""
+        start, count = self._starts(paths, p), self.steps
+        left = np.flatnonzero(np.isfinite(start).all(axis=1))
+        for _ in range(_MOST_DOUBLINGS):
+            good = self._kept(_of(paths, left), count, p[left], start[left])
+            taken = left[good]
+            if len(taken):
+                values = self._read(_of(paths, taken), t, count, p[taken], start[taken])
+                signs, wanted = np.split(values[:, len(self.problem.system.inputs) :], [-len(self.names)], axis=1)
+                found[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
+            left, count = left[~good], 2 * count
+            if not len(left):
+                return
+
+    def _kept(self, paths: list[Reference], count: int, p: Array, start: Array) -> npt.NDArray[np.bool_]:
+        """Whether so many steps keep the tolerance, case by case, to judge by twice as many."""
+        inputs, path = len(self.problem.system.inputs), paths[0]
+        t = np.linspace(path.start_time, path.end_time, _COMPARED)
+        with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
+            coarse, fine = (self._read(paths, t, count * many, p, start)[:, :inputs] for many in (1, 2))
+            peaks = np.maximum(np.abs(fine).max(axis=2), 1e-300)
+            kept: npt.NDArray[np.bool_] = (np.abs(fine - coarse).max(axis=2) <= self.tolerance * peaks).all(axis=1)
+        return kept
+
+    def _read(self, paths: list[Reference], t: Array, count: int, p: Array, start: Array) -> Array:
+        """Return inputs, what must be positive and what is wanted, (cases, columns, N), by so many steps."""
+        steps = self.problem.resolved.once(compile_explicit_steps, paths[0].formula, self.native, self.names)
+        along = steps.along_all(paths, t, count)
+        return steps.inputs_along(along.of_one() if len(paths) == 1 else along, p, start)
+
+    def _starts(self, paths: list[Reference], p: Array) -> Array:
+        """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""
+        problem, size = self.problem, len(self.problem.array.states)
+        program = program_of(problem, *_FORM)
+        if problem.start:
+            found = np.full((len(p), size), np.nan)
+            for case, values in enumerate(p):
+                own = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
+                with suppress(InconsistentStart):
+                    found[case] = begin(own, program, 0.0, given_start_of(*_FORM))[0][:size]
+            return found
+        instants = len(program.start_instants)
+        jets = np.concatenate([each.jet(np.full(instants, each.start_time), program.start_order) for each in paths])
+        jets = np.tile(jets, (len(p) // len(paths), 1, 1))
+        states, _, residual = mapped(program.start, len(p))(side_by_side(jets), np.zeros(len(p)), p.T)
+        found = states.reshape(-1, len(p), order="F")[:size].T
+        return np.where(np.isfinite(residual).reshape(-1, 1), found, np.nan)
+
+
+def _of(paths: list[Reference], cases: Cases) -> list[Reference]:
+    """Return the paths of some cases; one for all stays one."""
+    return paths if len(paths) == 1 else [paths[case] for case in cases]

@@ -7,6 +7,7 @@ the path at the same instant.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from servocore.numerics.vectorised import Vectorised
 from servocore.problem import ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
+from servocore.stepping.observation import observed
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_explicit
 
@@ -115,6 +117,11 @@ class Along(NamedTuple):
     instants: Array
     between: Between
 
+    def of_one(self) -> Along:
+        """Return the same without the axis of cases, for a single one."""
+        steps, instants = (each[0] if each.ndim > 2 else each for each in (self.steps, self.instants))
+        return self._replace(numbers=self.numbers[0], steps=steps, instants=instants)
+
 
 @dataclass(frozen=True, eq=False)
 class ExplicitSteps:
@@ -125,7 +132,8 @@ class ExplicitSteps:
     steps : Vectorised
         (states, path at the nodes, numbers, [h; p]) -> (states after a step, rates before it), in a row.
     inputs : Vectorised
-        (states, path, numbers, p) -> inputs and what must be positive, from states at their own instants.
+        (states, path, numbers, p) -> inputs, what must be positive, and what else is wanted, from states at their own
+        instants.
     order : int
         Derivatives of the path that the equations take.
     formula : Formula or None
@@ -142,18 +150,24 @@ class ExplicitSteps:
 
     def along(self, reference: Reference, t: Array, count: int) -> Along:
         """Prepare for a path, for instants of it (N,), and for so many steps from its start to its end."""
+        return self.along_all([reference], t, count).of_one()
+
+    def along_all(self, references: Sequence[Reference], t: Array, count: int) -> Along:
+        """Prepare for paths of one kind with the same start and end: what differs has an axis of cases in front."""
+        reference = references[0]
         h = reference.duration / count
         starts: Array = reference.start_time + h * np.arange(count + 1.0)
-        numbers: Array = np.zeros(1)
-        tables: list[Array]
-        if self.formula is not None and reference.formula is not None:
-            numbers = np.array(reference.formula.numbers(self.order))
-            tables = [starts[None], t[None]]
-        else:
-            nodes = (starts[:, None] + h * self.nodes).ravel()
-            jets = (reference.jet(each, self.order) for each in (nodes, t))
-            tables = [each.reshape(size, -1).T for each, size in zip(jets, (count + 1, len(t)), strict=True)]
-        return Along(h, numbers, tables[0], tables[1], Between.of((t - reference.start_time) / h, count))
+        between = Between.of((t - reference.start_time) / h, count)
+        formulas = [each.formula for each in references if each.formula is not None]
+        if self.formula is not None and formulas:
+            numbers = np.array([each.numbers(self.order) for each in formulas])
+            return Along(h, numbers, starts[None], t[None], between)
+        nodes = (starts[:, None] + h * self.nodes).ravel()
+        tables = [
+            np.stack([each.jet(times, self.order).reshape(size, -1).T for each in references])
+            for times, size in ((nodes, count + 1), (t, len(t)))
+        ]
+        return Along(h, np.zeros((len(references), 1)), tables[0], tables[1], between)
 
     def run(self, along: Along, p: Array, start: Array) -> tuple[Array, Array]:
         """Step from the start of a path to its end; return states and rates (states, count + 1).
@@ -166,13 +180,15 @@ class ExplicitSteps:
         return np.concatenate([start[..., None], ends[..., :-1]], axis=-1), rates
 
     def inputs_along(self, along: Along, p: Array, start: Array) -> Array:
-        """Return inputs and what must be positive at the instants, (columns, N), or (cases, columns, N)."""
+        """Return what `inputs` gives at the instants, (columns, N), or (cases, columns, N)."""
         states = along.between.states(*self.run(along, p, start), along.h)
         return self.inputs(states, along.instants, along.numbers, p)[0]
 
 
-def compile_explicit_steps(resolved: ResolvedSystem, formula: Formula | None, native: bool | None) -> ExplicitSteps:
-    """Compile steps and inputs; meant for `ResolvedSystem.once`.
+def compile_explicit_steps(
+    resolved: ResolvedSystem, formula: Formula | None, native: bool | None, names: tuple[str, ...] = ()
+) -> ExplicitSteps:
+    """Compile steps and inputs, and quantities of some names; meant for `ResolvedSystem.once`.
 
     Raises
     ------
@@ -204,7 +220,7 @@ def compile_explicit_steps(resolved: ResolvedSystem, formula: Formula | None, na
     step = ca.Function("sc_explicit_step", [x, path, numbers, hp], [after, rates[0]], {"cse": True})
     q = ca.SX.sym("p", system.p.numel())
     now = tables[0] if formula is None else ca.horzcat(*formula.jet(time, ca.vertsplit(numbers), order))
-    results = _read_off(resolved, found(now, q, x), now, q)
+    results = _read_off(resolved, found(now, q, x), now, q, names)
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
@@ -217,12 +233,13 @@ def compile_explicit_steps(resolved: ResolvedSystem, formula: Formula | None, na
     )
 
 
-def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX) -> ca.SX:
-    """Return inputs and what must be positive as expressions of the unknowns of the array, the path and parameters."""
+def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX, names: tuple[str, ...]) -> ca.SX:
+    """Return what is read as expressions of the unknowns of the array, the path and parameters."""
     system, array, dae = resolved.system, resolved.array, resolved.dae(Reduced())
     positive = [each for quantity, each in system.observables.items() if quantity.positive]
+    known = {quantity.name: each for quantity, each in observed(system)}
     wanted = ca.substitute(
-        ca.vertcat(system.u, *positive),
+        ca.vertcat(system.u, *positive, *(known[name] for name in names)),
         ca.vertcat(system.q, system.v, system.lam, system.u),
         ca.vertcat(*(dae.physical[name] for name in ("q", "v", "lam", "u"))),
     )
