@@ -120,3 +120,14 @@ def test_without_the_limits_another_branch_is_refused_with_the_time():
 def test_times_that_are_no_numbers_are_refused():
     with pytest.raises(sc.InvalidReference, match="time number 1 is nan"):
         sc.ExactInversion(CRANE)([0.0, float("nan")])
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
+def test_few_instants_and_many_calls_give_the_same_bits(name):
+    """From the second call on few instants are evaluated together with the path, without NumPy."""
+    some = scene(name)
+    t = np.linspace(-1.0, some.reference.end_time + 1.0, 37)
+    inputs = sc.ExactInversion(some, native=False)
+    first = inputs(t)
+    np.testing.assert_array_equal(inputs(t), first)
+    np.testing.assert_array_equal(inputs(np.repeat(t, 10))[::10], first)

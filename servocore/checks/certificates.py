@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -26,7 +25,7 @@ from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.methods.damping import damps
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
 
@@ -181,22 +180,21 @@ def _standing_out(solution: Solution, steps: npt.NDArray[np.intp]) -> str:
     return f"the step from t = {solution.t[k]:.6g} s to {solution.t[k + 1]:.6g} s is much larger than its neighbours"
 
 
-def is_far(problem: Problem, solution: Solution, inputs_at: ca.Function, everywhere: bool) -> bool:
+def is_far(problem: Problem, solution: Solution, inputs_at: Callable[[Array], Array], everywhere: bool) -> bool:
     """Whether inputs may be far from the exact ones, which are known at every instant.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         Without internal dynamics, and what was found.
-    inputs_at : casadi.Function
-        (gamma, p) -> inputs and more; NaN where it does not know.
+    inputs_at : callable
+        Instants (N,) -> inputs and more, shape (rows, N); NaN where it does not know.
     everywhere : bool
         Whether it is cheap; else some instants are looked at, with less patience.
     """
     inputs = solution.values[:, : len(problem.system.inputs)]
     at = np.arange(len(inputs)) if everywhere else _samples(inputs)
-    jets = problem.reference.jet(solution.t[at], problem.array.reference_order)
-    exact = at_instants(inputs_at, jets=jets, p=problem.p)[0][: inputs.shape[1]].T
+    exact = inputs_at(solution.t[at])[: inputs.shape[1]].T
     allowed = LARGEST_UNWARNED if everywhere else _SUSPICIOUS
     # Not <=, so that what is not known is looked at again.
     return not bool((np.abs(inputs[at] - exact).max(axis=0) <= allowed * np.abs(exact).max(axis=0)).all())

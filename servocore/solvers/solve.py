@@ -130,7 +130,7 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
 
 def _native(route: Route, t: Array) -> bool | None:
     """Whether checks may use machine code; see `Vectorised`."""
-    return route.native if isinstance(route, Pointwise) and len(t) > _MANY else False
+    return route.native if isinstance(route, Pointwise | Stepped) and len(t) > _MANY else False
 
 
 def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
@@ -255,7 +255,8 @@ def _branch(problem: Problem, route: Route, solution: Solution) -> str:
     how = (route.formulation, route.method)
     if problem.flat:
         everywhere = problem.resolved.once(inversion).expression is not None
-        doubtful = is_far(problem, solution, problem.resolved.once(compile_inputs).quick.function, everywhere)
+        quick = problem.resolved.once(compile_inputs, _native(route, solution.t)).quick
+        doubtful = is_far(problem, solution, lambda t: quick(problem, t)[0], everywhere)
     elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         doubtful = False  # its user was warned before the run
     elif isinstance(route, ToTolerance):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from functools import partial
 
+import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import look_between, suspects
 from servocore.checks.motion_limits import (
     States,
+    Watched,
     compile_watched,
     judged,
     limited_values,
@@ -22,11 +23,12 @@ from servocore.checks.motion_limits import (
 from servocore.errors import IntegrationFailed
 from servocore.model.limits import Limit, Named
 from servocore.numerics.calls import Array, at_instants, side_by_side
-from servocore.problem import Problem
+from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
 from servocore.solvers.following import BranchTable, prepared_table, system_jacobians
+from servocore.stepping.path_function import PathFunction
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+from servocore.structure.inversion import inversion
 
 
 def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
@@ -139,19 +141,19 @@ def survey_between(
     if not problem.flat:
         _require_regular(problem, solution, beside(problem, solution), suspected)
         return False
-    known = solution.channels
-    channels = list(dict.fromkeys(channel for channel, _ in suspected))
-    coordinates = problem.system.coordinates.quantities  # where one turns back, inputs are suspected
-    channels += [k for k, each in enumerate(known) if each in coordinates and k not in channels]
-    names = tuple(known[channel].name for channel in channels)
-    watched = problem.resolved.once(compile_watched, tuple((Named(name), False) for name in names))
+    channels = _looked_into(problem, solution, suspected)
+    names = tuple(solution.channels[channel].name for channel in channels)
+    watched = problem.resolved.once(_compile_named, names)
 
     def exact(states: States, t: Array) -> Array:
         jets = problem.reference.jet(t, watched.order)
         return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
 
     # Where the guess of the model is exact, most suspects are cleared without looking at branches.
-    if not _confirmed(problem, solution, suspected, channels, exact(partial(_guessed, problem), solution.t)):
+    guessed = problem.resolved.once(_compile_guessed, names, native)
+    known = guessed(problem, solution.t)[0] if guessed else np.full((len(channels), len(solution.t)), np.nan)
+    left = _confirmed(problem, solution, suspected, channels, known)
+    if not left:
         return False
     try:
         table = prepared_table(problem)
@@ -162,17 +164,35 @@ def survey_between(
     def values(channel: int, t: Array) -> Array:
         return np.asarray(exact(followed, t)[channels.index(channel)])
 
-    left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
+    if table is not None or not np.isfinite(known).all():
+        left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
     return look_between(solution, left, values)
 
 
-def _guessed(problem: Problem, t: Array) -> Array:
-    """Return the exact inversion (size, N) if the guess of the model is exact at all instants, and else NaN."""
-    inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, problem.array.reference_order)
-    if inverse.expression is None:
-        return np.full((len(problem.array.unknowns), len(t)), np.nan)
-    states, _, residual = at_instants(inverse.expression, jets=jets, p=problem.p)
-    return np.where((residual < LARGEST_RESIDUAL).all(), states, np.nan)
+def _looked_into(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
+    """Return the channels of suspects, and coordinates: where one turns back, inputs are suspected."""
+    channels = list(dict.fromkeys(channel for channel, _ in suspected))
+    coordinates = problem.system.coordinates.quantities
+    return channels + [k for k, each in enumerate(solution.channels) if each in coordinates and k not in channels]
+
+
+def _compile_named(resolved: ResolvedSystem, names: tuple[str, ...]) -> Watched:
+    return compile_watched(resolved, tuple((Named(name), False) for name in names))
+
+
+def _compile_guessed(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> PathFunction | None:
+    """Compile (gamma, p) -> quantities by exact inversion, NaN where the guess of the model is not exact.
+
+    None where the inversion is not one expression.
+    """
+    flat, watched = resolved.once(inversion).expression, resolved.once(_compile_named, names)
+    if flat is None or not watched.function.is_a("SXFunction"):
+        return None
+    gamma = ca.SX.sym("gamma", resolved.system.gamma.size1(), watched.order + 1)
+    p = ca.SX.sym("p", resolved.system.p.numel())
+    unknowns, _, _ = flat(gamma[:, : resolved.array.reference_order + 1], p)
+    values = ca.densify(watched.function(unknowns, gamma, p))
+    return PathFunction(resolved, ca.Function("sc_guessed", [gamma, p], [values], {"cse": True}), native)
 
 
 def _confirmed(

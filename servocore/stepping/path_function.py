@@ -15,6 +15,7 @@ from servocore.references.base import Reference
 from servocore.references.formula import Formula
 
 _SECOND = 2  # call from which on machine code is worth a look
+_FEW = 150  # instants: for so many the interpreter evaluates the path in less time than NumPy
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +57,12 @@ class PathFunction:
         reference = problem.reference
         chosen, formula = self._on_path(reference, len(t), called=True)
         # Times that are not finite go the other way, where the path refuses them by name.
-        if formula is not None and chosen.ready(len(t), called=True) and np.isfinite(t).all():
-            return chosen(t[None], np.array(formula.numbers(self.order)), problem.p)
+        if formula is not None and np.isfinite(t).all():
+            arguments = t[None], np.array(formula.numbers(self.order)), problem.p
+            if chosen.ready(len(t), called=True):
+                return chosen(*arguments)
+            if len(t) <= _FEW:
+                return chosen.interpreted(*arguments)
         return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
 
     def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
@@ -93,8 +98,9 @@ class PathFunction:
         formula, calls = reference.formula, self.resolved.once(_calls, self)
         calls[0] += called
         # To put a path inside means to write and to compile a function: a single call is over before.
-        once = self.native is None and calls[0] < _SECOND and count < MANY
-        if once or self.native is False or formula is None or not self.function.is_a("SXFunction"):
+        once = not self.native and calls[0] < _SECOND and count < MANY
+        many = self.native is False and count > _FEW
+        if once or many or formula is None or not self.function.is_a("SXFunction"):
             return self.resolved.once(_of_jets, self), None
         return self.resolved.once(_of_time, self, formula), formula
 
