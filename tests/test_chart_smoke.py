@@ -82,7 +82,7 @@ def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke):
 def test_a_run_writes_what_size_costs(smoke):
     assert (smoke / "scale.csv").read_text(encoding="utf-8").splitlines()[0] == "what,size,quantity,value,unit"
     points = scale.read_points(smoke)
-    assert {each.what for each in points} == {scale.CRANE, scale.BAR}
+    assert {each.what for each in points} == {scale.CRANE, scale.CHAIN, scale.BAR}
     assert all(each.value > 0.0 for each in points)
     assert (smoke / scale.PAGE).read_text(encoding="utf-8") == scale.scale_page(points)
 

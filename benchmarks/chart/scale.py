@@ -1,10 +1,10 @@
-"""What size costs: cranes side by side, an elastic bar in ever more pieces, and a cold start; `scale.csv` and its page.
+"""What size costs: cranes side by side, a closed chain, an elastic bar, and a cold start; `scale.csv` and its page.
 
 Gantry cranes of 6 coordinates each stand in one system, independent of one another: what they cost together should be
 what they cost one by one, an exponent of one. Beside them stand SUNDIALS' idas on the same reduced form, with all
-derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy. Times are processor times, the smallest
-of several; solves are interpreted. A cold start is that of a process of its own, with Python's bytecode as an
-installation has it.
+derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy. A closed chain of bars, each a body of
+three coordinates with hinges as constraints, does not fall apart. Times are processor times, the smallest of several;
+solves are interpreted. A cold start is that of a process of its own, with Python's bytecode as an installation has it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
+from benchmarks.chains import closed_chain
 from benchmarks.chart.tables import markdown
 from benchmarks.chart.timing import processor_time
 from benchmarks.copies import cranes
@@ -33,8 +34,9 @@ from servocore.structure.inversion import inversion
 
 FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
-CRANES, BARS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000)
+CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16)
 CRANE, BAR, COLD, MANY = "gantry cranes in one system", "elastic bar, space marching", "cold start", "10,000 instants"
+CHAIN = "bodies in a closed chain"
 MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes
 STEPS, INSTANTS, LARGE = 200, 1000, 10_000
 REPEATS = 5
@@ -68,8 +70,10 @@ def measure_scale(smoke: bool = False) -> list[Point]:
     """Measure everything."""
     sc.analyse(sc.scenes.gantry_crane())  # what is imported when first needed
     if smoke:
-        return [*_cranes(CRANES[0]), *(point for pieces in BARS[:2] for point in _bar(pieces))]
+        bars = [point for pieces in BARS[:2] for point in _bar(pieces)]
+        return [*_cranes(CRANES[0]), *_chain(CHAINS[0]), *bars]
     found = [point for count in CRANES for point in _cranes(count)]
+    found += [point for bodies in CHAINS for point in _chain(bodies)]
     found += [point for pieces in BARS for point in _bar(pieces)]
     return [*found, *_many_instants(), *_cold_start(3)]
 
@@ -128,6 +132,23 @@ def _idas(scene: sc.Scene) -> Callable[[], object]:
     jet = scene.reference.jet(t[:1], order)[0].T
     z0 = np.asarray(problem.resolved.once(inversion).function(jet, problem.p)[0]).ravel()
     return lambda: integrate(np.zeros(1), z0)
+
+
+def _chain(bodies: int) -> Iterator[Point]:
+    """Measure bars hinged one to the next, both ends to the ground: what they cost hangs together, all of it."""
+    scene = closed_chain(bodies)
+    path = scene.reference
+    t, step = np.linspace(path.start_time, path.end_time, INSTANTS), path.duration / STEPS
+    yield Point(CHAIN, bodies, "analyse", _seconds(lambda: sc.analyse(scene), 1), "s")
+    inputs = sc.ExactInversion(scene, native=False)
+    inputs(t)
+    value = _seconds(lambda: inputs(t)) / INSTANTS * 1e6
+    yield Point(CHAIN, bodies, "ExactInversion, interpreted", value, "us an instant")
+    default = partial(sc.solve, scene, step=step, native=False)
+    stepped = partial(sc.solve, scene, sc.Projected(), sc.BackwardEuler(), step=step, native=False)
+    for name, run in (("solve", default), ("projected backward Euler", stepped)):
+        run()
+        yield Point(CHAIN, bodies, f"{name}, {STEPS} steps", 1e3 * _seconds(run), "ms")
 
 
 def _bar(pieces: int) -> Iterator[Point]:

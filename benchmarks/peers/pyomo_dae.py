@@ -45,7 +45,7 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
     for formulation, variant in (("projected", ""), ("reduced", DERIVATIVE_ARRAY)):
         form = make_form(problem, model, formulation, variant, plain_path=True)
         few = effort.smoke or form.problem.scene.closed_form is None  # a setting of the arm takes a minute to build
-        for elements, points in [(200, (3,))] if few else POINTS.items():
+        for elements, points in [(100, (3,))] if few else POINTS.items():
             found += [
                 Candidate(problem, NAME, model, formulation, named(f"collocation, radau {count}", form),
                           f"{elements} elements", partial(prepare, form, count, elements), limit=12.0)
