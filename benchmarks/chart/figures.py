@@ -90,8 +90,9 @@ def _overview(record: Record, scene: str) -> Figure:
                      label="the formulas in C, one thread")  # fmt: skip
     default = [row for row in rows if (row.solver, row.method, row.setting) == (NAME, SOLVED, "200 steps")]
     if default and default[0].solved:
-        point = default[0].seconds, max(default[0].error or 0.0, OLDEST)
-        axis.annotate("default: sc.solve(scene)", point, (12, 40), textcoords="offset points", fontsize=9,
+        point = default[0].point[0], max(default[0].point[1], OLDEST)
+        axis.plot([point[0]], [point[1]], marker="*", color=COLOURS[0], markersize=11)
+        axis.annotate("default: sc.solve(scene)", point, (-46, 40), textcoords="offset points", fontsize=9,
                       arrowprops={"arrowstyle": "->", "linewidth": 1.6})  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
              ylabel="largest error of any input / its peak [1]",
@@ -162,10 +163,10 @@ def _family(method: str) -> dict[str, Any]:
         if method.startswith(start):
             member = "".join(each for each in method.removesuffix(", adaptive") if each.isdigit())
             return {
-                "color": COLOURS[k],
+                "color": COLOURS[k + 1],  # black and the last belong to exact inversions, as in the overview
                 "linestyle": (0, (1, 1)) if adaptive else dash,
                 "marker": MARKERS[int(member or 0) % len(MARKERS)],
-                "markerfacecolor": "white" if k % 2 or adaptive else COLOURS[k],
+                "markerfacecolor": "white" if k % 2 or adaptive else COLOURS[k + 1],
                 "markersize": 5,
                 "linewidth": 1.1,
             }
@@ -186,11 +187,13 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
     for method, marker, words in ((SOLVED, "*", "exact inversion by solve"), (INVERTED, "P", "ExactInversion"),
                                   (INVERTED + COMPILED, "X", "ExactInversion, machine code")):  # fmt: skip
         exact = [row for row in own if (row.model, row.method) == (model, method)]
-        axis.plot([row.point[0] for row in exact], [row.point[1] for row in exact], marker + ":", color="black",
-                  markersize=9, label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip
+        axis.plot([row.point[0] for row in exact], [row.point[1] for row in exact], marker + ":",
+                  color=COLOURS[-1 if COMPILED in method else 0], markersize=9,
+                  label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
              ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),
-             title=f"{scene.replace('_', ' ')}, model {model}: methods of servocore on the projected form")  # fmt: skip
+             title=f"{scene.replace('_', ' ')}, {model}: "
+             "projected form, and exact inversion on the reduced form")  # fmt: skip
     figure.legend(loc="outside right center")
     return figure
 
