@@ -73,7 +73,7 @@ def bessel(count, load_mass, line_mass, length, above, gravity=9.81):
         top = tension * slope[:, 1] + bears / above * w[:, 1]
         return np.linalg.det([bottom, top])
 
-    grid = np.linspace(0.05, 400.0, 40_001)
+    grid = np.linspace(0.1, 150.0, 1500)
     values = np.array([gap(each) for each in grid])
     signs = np.flatnonzero(np.diff(np.sign(values)))[:count]
     return np.array([scipy.optimize.brentq(gap, grid[k], grid[k + 1]) for k in signs])
