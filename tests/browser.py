@@ -117,6 +117,15 @@ class Page:
         for kind in ("keyDown", "keyUp"):
             self.ask("Input.dispatchKeyEvent", type=kind, key=key, code=key)
 
+    def drag(self, *places: tuple[float, float]) -> None:
+        """Move the mouse to the first place, and with its button pressed on to the others."""
+        for k, (x, y) in enumerate(places):
+            self.ask("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, buttons=int(k > 0), button="left")
+            if k == 0 and len(places) > 1:
+                self.ask("Input.dispatchMouseEvent", type="mousePressed", x=x, y=y, button="left", clickCount=1)
+        if len(places) > 1:
+            self.ask("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
+
     def ask(self, method: str, **parameters: object) -> dict:
         """Send one command and return its answer."""
         self._number += 1

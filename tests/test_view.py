@@ -18,6 +18,7 @@ from command_lines import CommandLine
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.problem import Problem
+from servocore.stepping.observation import observed
 from servocore.view.drawing import drawn
 from servocore.view.javascript import javascript
 from servocore.view.live import live_model
@@ -179,6 +180,16 @@ def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn
 
 
 @pytest.mark.parametrize(
+    ("name", "effect"),
+    [("rotary_crane", "flexible bridge"), ("overhead_crane", "hook"), ("gantry_crane", "flexible bridge")],
+)
+def test_cranes_with_more_physics_are_drawn_as_well(name, effect):
+    scene = sc.scenes.REGISTRY[name]().with_effects(effect)
+    found = drawn(scene.model(), [each for each, _ in observed(scene.model())], scene.drawing)
+    assert {"trolley", "load"} <= {part["name"] for part in found.parts}
+
+
+@pytest.mark.parametrize(
     ("drawing", "sentence"),
     [
         (lambda v: [sc.Part("body", ((v["nothing"], 0, 0),))], "its drawing asks for 'nothing'; there are"),
@@ -294,6 +305,34 @@ def test_keys_move_the_time_zoom_and_orbit(opened):
     azimuth = opened.run('document.querySelector("canvas").focus(), servocore.stage.look.azimuth')
     opened.press("ArrowLeft")
     assert opened.run("servocore.stage.look.azimuth") != azimuth
+
+
+def middle_of(page, selector: str) -> tuple[float, float, float]:
+    """Return where the middle of an element is in the window, and a quarter of its width."""
+    box = page.run(
+        f"(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: 'center' }});"
+        " const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2, b.width / 4]; })()"
+    )
+    return tuple(box)
+
+
+def test_the_mouse_reads_values_zooms_and_orbits(opened):
+    settled(opened, "servocore.go(0)")
+    x, y, quarter = middle_of(opened, ".plot svg")
+    opened.drag((x, y))
+    time = opened.run("servocore.plots[0].plot.now")
+    assert 8.0 < time < 12.0
+    exact = sc.ExactInversion(sc.scenes.rotary_crane())(time)[0]
+    shown = opened.run('document.querySelector(".plot .value.exact").textContent')
+    assert float(shown.replace("−", "-")) == pytest.approx(exact, rel=1e-3)
+    opened.drag((x - quarter, y), (x, y), (x + quarter, y))
+    assert 8.0 < opened.run("servocore.view.to - servocore.view.from") < 14.0
+    settled(opened, "servocore.zoom()")
+    before = opened.run("servocore.stage.look.azimuth")
+    x, y, quarter = middle_of(opened, "canvas")
+    opened.drag((x, y), (x + quarter, y))
+    assert opened.run("servocore.stage.look.azimuth") < before
+    settled(opened, f"servocore.stage.look.azimuth = {before}; scrollTo(0, 0)")
 
 
 @pytest.mark.parametrize("width", [375, 1280])

@@ -9,7 +9,7 @@ import typer
 
 from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress
-from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName
+from servocore.cli.options import LimitsFile, LimitTexts, Model, Parameters, ReferenceFile, SceneName
 from servocore.files import require_places, write_together
 from servocore.model.limit_files import limits_given
 from servocore.solvers.solve import solve
@@ -27,9 +27,6 @@ Output = Annotated[
 ]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
-]
-LimitTexts = Annotated[
-    list[str] | None, typer.Option("--limit", metavar="NAME=VALUE", help="Light up beyond F=60, swing=5deg, ...")
 ]
 
 

@@ -207,7 +207,9 @@ LIMITS = (
 
 def drawing(v: Mapping[str, Any]) -> list[Part]:
     """Return bridge, trolley, rope and load."""
-    axis, trolley = (0, 0, 0), (v["s"] * ca.cos(v["phi"]), v["s"] * ca.sin(v["phi"]), 0)
+    axis = (0, 0, 0)
+    by_points = "p_x" in v  # a bridge that bends has no angle of its own
+    trolley = (v["p_x"], v["p_y"], 0) if by_points else (v["s"] * ca.cos(v["phi"]), v["s"] * ca.sin(v["phi"]), 0)
     load = (v["x"], v["y"], v["z"])
     return [
         Part("post", (axis,)),
