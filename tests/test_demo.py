@@ -125,7 +125,7 @@ def _make_light(monkeypatch, done):
         (folder / "RotaryCrane.fmu").write_bytes((done.folder / "RotaryCrane.fmu").read_bytes())
         return done.folder / "system" / "Crane.ssp"
 
-    def counted(folder, sections):
+    def counted(folder, _, sections):
         (folder / "report.html").write_text(f"{len(sections)} sections")
 
     monkeypatch.setattr(crane_fmu.demo, "build_system", copied)
