@@ -123,6 +123,11 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
     model : str, optional
         Model of that scene; its smallest when not given.
 
+    Returns
+    -------
+    LivePart
+        Style and elements, with the scripts that fill them.
+
     Raises
     ------
     InvalidSetting, InvalidModel
