@@ -75,6 +75,14 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
     assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
 
 
+def test_a_file_that_would_lack_derivatives_is_refused_before_the_work():
+    run.assert_refused(
+        run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--path", "way.csv"),
+        "--path: a file holds 4 derivatives of a path, but elastic_bar needs 6",
+    )
+    assert not list(Path().iterdir())
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [

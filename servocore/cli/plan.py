@@ -31,8 +31,9 @@ from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
+from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import csv_of, from_csv
+from servocore.references.csv_file import PREFIXES, csv_of, from_csv
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
 
@@ -124,6 +125,8 @@ def plan_scene(
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference])
     require_picture(plot)
+    if path_file is not None:
+        _require_a_path_file(subject, model)
     bounds = limits_given(limit, limits)
     way = _way(subject, start, end, between or [], reference)
     if keep_out and not free:
@@ -141,6 +144,16 @@ def plan_scene(
     if path_file is not None:
         contents[path_file] = csv_of(path, [each.name for each in subject.model(model).outputs])
     deliver(_table(subject, solution, model), output, contents, report)
+
+
+def _require_a_path_file(scene: Scene, model: str | None) -> None:
+    """Refuse to write a path whose file would lack derivatives that the scene's inputs hold."""
+    needed, written = Problem.of(scene, model).array.reference_order, len(PREFIXES) - 1
+    if needed > written:
+        raise InvalidSetting(
+            f"--path: a file holds {written} derivatives of a path, but {scene.name} needs {needed}, or its inputs are"
+            " wrong"
+        )
 
 
 def planned_motion(
