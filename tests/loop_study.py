@@ -1,4 +1,6 @@
-"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]]``.
+"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--native]``.
+
+With ``--native`` native FMUs run every manoeuvre themselves, and nothing but the distributions is told.
 
 Random manoeuvres run in machine code (`compiled_loop`); the default manoeuvre and one case in twenty also in the FMUs,
 which have to agree. Distributions and the loop's stability go to the standard output, every run into feedback.csv, the
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 import csv
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -69,7 +71,12 @@ def jump(case: Case) -> float:
     return float(np.linalg.norm(np.concatenate([ends, both[1] - both[0]]), axis=1).max())
 
 
-def runs(count: int) -> Iterator[list[Run]]:
+def by_native(case: Case, h: float, at: str, share: float = 1.0) -> float:
+    """Return what `compiled_deviation` does, by native FMUs."""
+    return deviation(case, h, at, native=True, feedback=share)
+
+
+def runs(count: int, measured: Callable[..., float] = compiled_deviation) -> Iterator[list[Run]]:
     """Yield the runs of each kind, master and step."""
     for kind in (NOMINAL, ANY, HARD, DISTURBED, DISTURBED_ANY):
         cases = cases_of(kind, count)
@@ -80,8 +87,8 @@ def runs(count: int) -> Iterator[list[Run]]:
                 found = []
                 for case, jumped in zip(cases, jumps, strict=True):
                     if fastest(case) * h <= LARGEST_TURN:
-                        distance = compiled_deviation(case, h, at)
-                        without = compiled_deviation(case, h, at, 0.0) if is_disturbed(kind) else np.nan
+                        distance = measured(case, h, at)
+                        without = measured(case, h, at, 0.0) if is_disturbed(kind) else np.nan
                         found.append(Run(kind, master, h, case.name, jumped, distance, without))
                 yield found
 
@@ -199,6 +206,17 @@ def main(count: int, folder: Path) -> int:
     return status | (not agreement(count)) | (not stability())
 
 
+def native(count: int) -> int:
+    """Run native FMUs, and print; returns 1 if a bound is broken."""
+    status = 0
+    for found in runs(count, by_native):
+        print(sentence(found), flush=True)
+        status |= broken(found)
+    return status
+
+
 if __name__ == "__main__":
-    given = sys.argv[1:]
+    given = [each for each in sys.argv[1:] if each != "--native"]
+    if "--native" in sys.argv:
+        sys.exit(native(int(given[0]) if given else 200))
     sys.exit(main(int(given[0]) if given else 200, Path(given[1]) if given[1:] else TARGET))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from fmu_host import JET, Host, fmu_file
+from native_fmu import native_file
 
 import servocore as sc
 from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_INPUTS
@@ -38,15 +39,17 @@ class Case:
 
 
 class Loop:
-    """Two instances that are used for one run."""
+    """Two instances that are used for one run: of the FMUs with Python, or of the native ones."""
 
-    def __init__(self, case: Case, at: str = "start", **settings: float | str) -> None:
+    def __init__(self, case: Case, at: str = "start", native: bool = False, **settings: float | str) -> None:
         self.case, self.at = case, at
+        names = ("RotaryCrane", "CranePlant"), ("rotary_crane loop", "rotary_crane plant")
+        crane_file, plant_file = [native_file(name, 2) for name in names[1]] if native else map(fmu_file, names[0])
         path = case.reference
         start = path.jet(path.start_time, 0)[0]
         places = {f"start.position[{k + 1}]": float(start[k]) for k in range(3)}
-        self.crane = Host().set(input_time=at, **case.crane, **settings)
-        self.plant = Host(fmu_file("CranePlant"), name="plant")
+        self.crane = Host(crane_file).set(input_time=at, **case.crane, **settings)
+        self.plant = Host(plant_file, name="plant")
         self.plant.set(input_time=at, **(case.crane | places | case.disturbance))
         crane, plant = self.crane.references, self.plant.references
         self._jet, self._given = [crane[name] for name in JET], [crane[name] for name in FEEDBACK_INPUTS]
@@ -86,10 +89,10 @@ class Loop:
         return np.array(self.measured()[6:9])
 
 
-def deviation(case: Case, h: float, at: str = "start", **settings: float | str) -> float:
+def deviation(case: Case, h: float, at: str = "start", native: bool = False, **settings: float | str) -> float:
     """Largest distance in mm of the load from its path, also a second after it."""
     jets = jets_of(case.reference, h)
-    with Loop(case, at, **settings) as loop:
+    with Loop(case, at, native, **settings) as loop:
         places = [loop.step(jets, k, h) for k in range(len(jets) - 1)]
         assert not loop.crane.messages, loop.crane.messages
     return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())

@@ -35,6 +35,12 @@ def test_random_manoeuvres_hold_at_long_steps(at, any_crane):
                 assert deviation(case, h, at) < BOUNDS[h] * (3.0 if any_crane else 1.0), case.name
 
 
+@pytest.mark.parametrize("at", MASTERS)
+def test_native_fmus_keep_the_load_as_near_as_those_with_python(at):
+    python, native = (deviation(Case(), 0.1, at, each) for each in (False, True))
+    assert native == pytest.approx(python, rel=1e-6)
+
+
 NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three_phase())
 """The trolley passes the axis at 1.4 m, on a rope of 6.7 m."""
 
