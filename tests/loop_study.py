@@ -25,7 +25,7 @@ import numpy as np
 from compiled_loop import compiled_deviation
 from loop_information import smallest_distance
 from loop_stability import laws, sensitivity, transition_norms
-from loops import BOUNDS, STEPS, Case, deviation, fastest, random_case
+from loops import BOUNDS, STEPS, Case, PlantRefusedError, deviation, fastest, random_case
 
 from crane_fmu.slave.interface import LARGEST_TURN
 
@@ -72,8 +72,11 @@ def jump(case: Case) -> float:
 
 
 def by_native(case: Case, h: float, at: str, share: float = 1.0) -> float:
-    """Return what `compiled_deviation` does, by native FMUs."""
-    return deviation(case, h, at, native=True, feedback=share)
+    """Return what `compiled_deviation` does, by native FMUs; infinite where the plant refuses to go on."""
+    try:
+        return deviation(case, h, at, native=True, feedback=share)
+    except PlantRefusedError:
+        return float("inf")
 
 
 def runs(count: int, measured: Callable[..., float] = compiled_deviation) -> Iterator[list[Run]]:

@@ -38,6 +38,10 @@ class Case:
     name: str = "default"
 
 
+class PlantRefusedError(AssertionError):
+    """The load has left where a plant can go, as with a slack rope."""
+
+
 class Loop:
     """Two instances that are used for one run: of the FMUs with Python, or of the native ones."""
 
@@ -85,7 +89,8 @@ class Loop:
             self._tell_plant()
             self.crane.fmu.setReal(self._jet, jets[k].ravel().tolist())
             assert self.crane.step(t, h), self.crane.messages
-        assert self.plant.step(t, h), self.plant.messages
+        if not self.plant.step(t, h):
+            raise PlantRefusedError(self.plant.messages[-1])
         return np.array(self.measured()[6:9])
 
 
