@@ -33,7 +33,7 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
-from crane_fmu.build.sampling import SHORT_TURN, advance, either, function, resting, sampled
+from crane_fmu.build.sampling import SHORT_TURN, advance, function, resting, sampled
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
 LAW_MODEL = "points"
@@ -49,8 +49,8 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-SHORT_RICCATI_STEPS, RICCATI_STEPS, FIRST_RICCATI_STEPS = 2, 3, 400
-"""By which the cost-to-go is brought up to date in a short step, in any other, and before the first."""
+RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
+"""By which the cost-to-go is brought up to date in a step, and before the first."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
@@ -110,7 +110,7 @@ class _Parts:
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
     u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. riccati: (M, A, B,
-    B', f, W) -> M, K. further: (whether the step is short, M, K, A, B, B', f, W) -> M, K after further Riccati steps.
+    B', f, W) -> M, K.
     resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
     which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
@@ -120,21 +120,18 @@ class _Parts:
     advance: ca.Function
     sampled: ca.Function
     riccati: ca.Function
-    further: ca.Function
     resisting: ca.Function
     resting: ca.Function
     offset: ca.Function
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
-    riccati = _riccati_step()
     return _Parts(
         flat=flat_motion(),
         measured=measured_state(),
         advance=advance(system, _M),
         sampled=sampled(system, _M),
-        riccati=riccati,
-        further=_further(riccati),
+        riccati=_riccati_step(),
         resisting=_resisting(system),
         resting=resting(_HALF, _LOAD, _M),
         offset=offset(),
@@ -171,17 +168,6 @@ def _riccati_step() -> ca.Function:
         earlier[: k + 1, k] = quadratic[: k + 1, k] - N[: k + 1, :] @ gain[:, k]
     results = [ca.triu2symm(earlier), gain]
     return ca.Function("riccati", [cost, A, new, old, efforts, weights], results, {"cse": True})
-
-
-def _further(riccati: ca.Function) -> ca.Function:
-    """Return the Riccati steps that only steps take which are not short."""
-    given = [ca.MX.sym("M", _N, _N), ca.MX.sym("K", _M, _N)]
-    given += [ca.MX.sym(f"i{k}", riccati.sparsity_in(k)) for k in range(1, riccati.n_in())]
-    cost, gain, *model = given
-    found = [cost, gain]
-    for _ in range(RICCATI_STEPS - SHORT_RICCATI_STEPS):
-        found = riccati.call([found[0], *model])
-    return either("further", given, [cost, gain], found)
 
 
 def _efforts(p: Any, s: Any) -> Any:
@@ -242,9 +228,8 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     A, new, old, efforts, weights = _over_a_step(parts, middle, force, p, h, known["strain"], time, short)
     cost = ca.reshape(known["cost"], _N, _N)
     model = A, new, old, efforts, weights
-    for _ in range(SHORT_RICCATI_STEPS):
+    for _ in range(RICCATI_STEPS):
         cost, gain = parts.riccati(cost, *model)
-    cost, gain = parts.further(short, cost, gain, *model)
     slope = (u_there - u_here) / h
     if time == "end":
         e, origin, target = state - here, (here, u_here), there
