@@ -107,7 +107,7 @@ class TestDemo:
         _make_light(monkeypatch, done)
         demo(done.folder, steps=STEPS)
         assert (done.folder / "notes.txt").read_text() == "mine"
-        assert (done.folder / "report.html").read_text() == "10 sections"
+        assert (done.folder / "report.html").read_text() == "11 sections"
         (done.folder / "notes.txt").unlink()
 
     def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(self, done, tmp_path, monkeypatch):
@@ -115,7 +115,7 @@ class TestDemo:
         monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
         result = demo(tmp_path / "out", steps=STEPS)
         assert "working cycle" in result.notes[0]
-        assert (result.folder / "report.html").read_text() == "9 sections"
+        assert (result.folder / "report.html").read_text() == "10 sections"
 
 
 def _make_light(monkeypatch, done):
