@@ -19,6 +19,7 @@ from outside.systems import elbow_arm, vtol
 
 import servocore as sc
 from servocore.cli.commands import app
+from servocore.planning import pools
 from servocore.planning.grid import Grid, drawn
 from servocore.planning.sweep_store import Zarr
 from servocore.planning.sweep_tables import Parquet
@@ -216,21 +217,65 @@ def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
-def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path):
+@pytest.fixture(scope="module")
+def cluster():
     distributed = pytest.importorskip("distributed")
-    cluster = distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50)
-    with cluster, distributed.Client(cluster) as client:
-        killed = []
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as found:
+        yield found
 
-        def kill(done, _):
-            if done >= 6 and not killed:
-                killed.append(next(iter(cluster.workers.values())))
-                killed[0].process.process.kill()
-                time.sleep(0.1)
 
-        found = sc.sweep(CRANE, VARIED, distributed=client, store=tmp_path / "s.zarr", chunk=1, progress=kill)
+@pytest.fixture
+def client(cluster):
+    cluster.scale(2)
+    with cluster.get_client() as found:
+        found.wait_for_workers(1, timeout=60)
+        yield found
+
+
+def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path, cluster, client):
+    killed = []
+
+    def kill(done, _):
+        if done >= 6 and not killed:
+            killed.append(next(iter(cluster.workers.values())))
+            killed[0].process.process.kill()
+            time.sleep(0.1)
+
+    found = sc.sweep(CRANE, VARIED, distributed=client, store=tmp_path / "s.zarr", chunk=1, progress=kill)
     assert killed
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
+def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_without_it(
+    tmp_path, monkeypatch, cluster, client
+):
+    store, done = tmp_path / "s.zarr", []
+    monkeypatch.setattr(pools, "PATIENCE", 1.0)
+
+    def dismiss(count, _):
+        done.append(count)
+        cluster.scale(0)
+        while client.ncores():
+            time.sleep(0.05)
+
+    with pytest.raises(sc.InvalidSetting, match=r"had no worker for 1 s; .* of 21 cases are done: resume=True") as lost:
+        sc.sweep(CRANE, VARIED, distributed=client, store=store, chunk=1, progress=dismiss)
+    assert f" {done[-1]} of 21" in str(lost.value)
+    found = sc.sweep(CRANE, VARIED, store=store, chunk=1, resume=True, progress=lambda count, _: done.append(count))
+    assert sorted(set(done)) == list(range(1, 22))
+    assert len(done) == 21  # no case twice
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
+def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch, cluster, client):
+    monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
+
+    def kill(*_):
+        for each in cluster.workers.values():
+            each.process.process.kill()
+
+    with pytest.raises(sc.InvalidSetting, match=r"the executor gave up: KilledWorker: .* only a sweep with a store"):
+        sc.sweep(CRANE, {"load_mass": np.linspace(50.0, 150.0, 2000)}, distributed=client, chunk=1, progress=kill)
 
 
 @pytest.mark.parametrize(
@@ -249,6 +294,7 @@ def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path):
         ({"parameters": 5}, "a table of cases is a data frame"),
         ({"references": CRANE.reference}, "references must be a list of paths"),
         ({"executor": 5}, "the executor must be a concurrent.futures.Executor, not 5"),
+        ({"progress": 4}, r"progress must be a function of \(cases done, cases in all\), not 4"),
         ({"distributed": 6}, "distributed must be a Client of the package distributed, not 6"),
         ({"scene": sc.scenes.mass_on_car(), "parameters": {"mass": [1.0]}, "limits": {"u.rate": 1.0}}, "one by one"),
     ],
@@ -350,6 +396,28 @@ def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path, monkeypatc
     assert line(*words, "-o", "study", "--parquet").exit_code == 0
     assert len(list((tmp_path / "study" / "sweep.parquet").glob("part-*"))) == 1
     assert "sweep.parquet" in (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
+
+
+def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line, puts, put = CommandLine(app, "servocore"), [], Zarr.put
+
+    def stop(self, number, block, found):
+        puts.append(number)
+        if len(puts) == 3:
+            raise KeyboardInterrupt
+        put(self, number, block, found)
+
+    words = ["sweep", "rotary_crane", "--vary", "load_mass=50:150:100", "--vary", "duration=10:20:101", "-o", "study"]
+    with monkeypatch.context() as interrupted:
+        interrupted.setattr(Zarr, "put", stop)
+        run = line(*words)
+    assert run.exit_code == 2
+    assert run.stderr.splitlines()[-1] == "servocore: stopped; --resume goes on after what is in study/sweep.zarr"
+    assert [each.name for each in (tmp_path / "study").iterdir()] == ["sweep.zarr"]
+    run = line(*words, "--resume")
+    assert run.exit_code == 0
+    assert "10100 cases, 0 of them not solved" in run.stdout
 
 
 @pytest.mark.parametrize(

@@ -92,10 +92,13 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
             raise InvalidSetting(f"cannot write into {output}: it is a file")
         store = output / (_TABLES if parquet else _STORE)
         with _client(scheduler) as client, _SweepProgress() as progress:
-            found = sweep(
-                subject, varied, limits=bounds, store=store, resume=resume, instants=instants, inputs=inputs,
-                model=model, distributed=client, progress=progress,
-            )  # fmt: skip
+            try:
+                found = sweep(
+                    subject, varied, limits=bounds, store=store, resume=resume, instants=instants, inputs=inputs,
+                    model=model, distributed=client, progress=progress,
+                )  # fmt: skip
+            except KeyboardInterrupt:
+                raise InvalidSetting(f"stopped; --resume goes on after what is in {store}") from None
         page, figure = sweep_page(found, subject.name, store.name)
         write_together({output / _PAGE: page, output / _FIGURE: figure})
         failed = int((found.failure.to_numpy() != "").sum())

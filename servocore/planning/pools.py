@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
 from dataclasses import dataclass
 from typing import Any
 
-from servocore.errors import InvalidSetting
+PATIENCE = 60.0
+"""How long a cluster may be without any worker, in s; workers that die are started again within seconds."""
 
+_LOOKS = 12  # in that time, and no more: a scheduler has other things to do
 _UNKNOWN = 64  # workers, where an executor does not tell
+
+
+class PoolLost(Exception):
+    """What computed does so no more; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class Pool:
 
         Raises
         ------
-        InvalidSetting
+        PoolLost
             If the executor does not work any more.
         """
         try:
@@ -51,7 +58,7 @@ class Pool:
 
         Raises
         ------
-        InvalidSetting
+        PoolLost
             If the executor has lost the call.
         """
         try:
@@ -80,18 +87,38 @@ class _Cluster(Pool):
         return self.client.submit(call, *arguments, **{"pure": False, **asked})
 
     def completed(self, waiting: Collection[Any]) -> Collection[Any]:
+        """Wait for the first of some calls; `PoolLost` if there is no worker for too long."""
         from distributed import wait as first_of  # noqa: PLC0415 - an extra
 
-        found: Collection[Any] = first_of(list(waiting), return_when="FIRST_COMPLETED").done
-        return found
+        found = self._patiently(lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED"))
+        done: Collection[Any] = found.done
+        return done
 
     def result(self, future: Any) -> Any:
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
-            return future.result()
+            return self._patiently(lambda wait: future.result(timeout=wait))
         except KilledWorker as error:
             raise _broken(error) from error
+
+    def _patiently(self, asked: Callable[[float], Any]) -> Any:
+        """Ask with a time to wait, again and again; a result whose worker died before it was fetched is asked for too.
+
+        Raises
+        ------
+        PoolLost
+            If there is no worker for too long.
+        """
+        seen = time.monotonic()
+        while True:
+            try:
+                return asked(PATIENCE / _LOOKS)
+            except TimeoutError:
+                if self.client.ncores():
+                    seen = time.monotonic()
+                elif time.monotonic() - seen >= PATIENCE:
+                    raise PoolLost(f"the cluster had no worker for {PATIENCE:g} s") from None
 
 
 def pool_of(executor: Executor) -> Pool:
@@ -100,5 +127,5 @@ def pool_of(executor: Executor) -> Pool:
     return Pool(executor) if client is None else _Cluster(executor, client)
 
 
-def _broken(error: Exception) -> InvalidSetting:
-    return InvalidSetting(f"the executor gave up: {type(error).__name__}: {error}; a sweep with a store can be resumed")
+def _broken(error: Exception) -> PoolLost:
+    return PoolLost(f"the executor gave up: {type(error).__name__}: {error}")

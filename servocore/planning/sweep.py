@@ -21,7 +21,7 @@ from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.calls import Array
 from servocore.planning.grid import DURATION, Slices
-from servocore.planning.pools import pool_of
+from servocore.planning.pools import PoolLost, pool_of
 from servocore.planning.sweep_store import Memory, Sink, Zarr
 from servocore.planning.sweep_tables import SUFFIX, Parquet
 from servocore.planning.swept import Swept, in_time, settings_of, settled
@@ -29,10 +29,10 @@ from servocore.planning.swept_cases import SWING, Cases, Work, evaluated, work_o
 from servocore.references.base import Reference
 from servocore.solvers.following import prepared_table
 from servocore.solvers.solve import solve
+from servocore.stepping.arguments import require_callable
 
 Progress = Callable[[int, int], None]
 
-# Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
 # Cases of a block: so many that a worker is busy for longer than it takes to write them, and few enough to lose.
 _FEWEST, _MOST, _WITH_INPUTS, _BLOCKS, _SLOW = 2048, 32768, 4096, 32, 16
 
@@ -102,7 +102,7 @@ def sweep(
     ------
     InvalidSetting, ServocoreError
         If something that varies is no parameter or outside its bounds, a limit is not known, a store is there already
-        or is of other settings, or xarray or zarr is not installed.
+        or is of other settings, what computes is lost, or xarray or zarr is not installed.
 
     Examples
     --------
@@ -114,14 +114,7 @@ def sweep(
     ('duration',)
     """
     swept = settled(scene, parameters, references, limits, instants, inputs, model)
-    if executor is not None and distributed is not None:
-        raise InvalidSetting("give either an executor or a client of distributed, not both")
-    if executor is not None:
-        require_kind(executor, Executor, "the executor", "a concurrent.futures.Executor", InvalidSetting)
-    if distributed is not None and not hasattr(distributed, "get_executor"):
-        raise InvalidSetting(f"distributed must be a Client of the package distributed, not {described(distributed)}")
-    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
-        raise InvalidSetting(f"chunk must be a number of cases, not {chunk!r}")
+    _require_arguments(executor, distributed, chunk, progress)
     work = _work(swept, native)
     fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
     shape = swept.grid.block(chunk or fitting)
@@ -131,16 +124,30 @@ def sweep(
         executor = distributed.get_executor()
     todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
-    for number, block, found in _computed(swept, work, todo, executor):
-        try:
-            sink.put(number, block, found)
-        except OSError as error:
-            why = error.strerror or error
-            raise InvalidSetting(f"cannot write {store}: {why}; a resumed sweep goes on after what is there") from error
-        done += _count(block)
-        if progress is not None:
-            progress(done, swept.grid.size)
+    try:
+        for number, block, found in _computed(swept, work, todo, executor):
+            _put(sink, number, block, found, store)
+            done += _count(block)
+            if progress is not None:
+                progress(done, swept.grid.size)
+    except PoolLost as lost:
+        how = "resume=True (--resume) does the others" if store else "only a sweep with a store can be resumed"
+        raise InvalidSetting(f"{lost}; {done} of {swept.grid.size} cases are done: {how}") from lost
     return sink.dataset()
+
+
+def _require_arguments(executor: Any, distributed: Any, chunk: Any, progress: Any) -> None:
+    """Raise `InvalidSetting` if an argument is of the wrong kind."""
+    if executor is not None and distributed is not None:
+        raise InvalidSetting("give either an executor or a client of distributed, not both")
+    if executor is not None:
+        require_kind(executor, Executor, "the executor", "a concurrent.futures.Executor", InvalidSetting)
+    if distributed is not None and not hasattr(distributed, "get_executor"):
+        raise InvalidSetting(f"distributed must be a Client of the package distributed, not {described(distributed)}")
+    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
+        raise InvalidSetting(f"chunk must be a number of cases, not {chunk!r}")
+    if progress is not None:
+        require_callable(progress, "progress", "a function of (cases done, cases in all)")
 
 
 def _sink(
@@ -150,6 +157,15 @@ def _sink(
         return Memory(swept, settings)
     kind = Parquet if Path(store).suffix == SUFFIX else Zarr
     return kind.opened(Path(store), swept, settings, shape, resume)
+
+
+def _put(sink: Sink, number: int, block: Slices, found: Mapping[str, Any], store: str | Path | None) -> None:
+    """Write a block; raises `InvalidSetting` if that fails, as on a full disk."""
+    try:
+        sink.put(number, block, found)
+    except OSError as error:
+        why = error.strerror or error
+        raise InvalidSetting(f"cannot write {store}: {why}; a resumed sweep goes on after what is there") from error
 
 
 def _count(block: Slices) -> int:
