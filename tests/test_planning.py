@@ -178,6 +178,10 @@ class TestRefusals:
         with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
             sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
 
+    def test_a_progress_that_cannot_be_called_is_refused(self):
+        with pytest.raises(sc.InvalidSetting, match="progress must be a function of a text, not 4"):
+            sc.fastest(CRANE, LINE, DEFAULT, progress=4)
+
 
 def test_a_bar_of_index_seven_has_six_smooth_derivatives():
     bar = sc.scenes.elastic_bar()

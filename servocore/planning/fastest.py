@@ -22,6 +22,7 @@ from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 from servocore.references.timed_path import TimedPath
+from servocore.stepping.arguments import require_callable
 
 _LOOKED_AT = 20_001
 
@@ -97,6 +98,8 @@ def fastest(
         raise InvalidSetting(
             f"smooth says how many derivatives of the inputs shall be continuous, 0 to 2, not {smooth!r}"
         )
+    if progress is not None:
+        require_callable(progress, "progress", "a function of a text")
     bounded = scene.with_limits(**(limits or {}))
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
