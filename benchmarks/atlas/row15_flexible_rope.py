@@ -95,10 +95,11 @@ def swinging(elements: int) -> conserved.Motion:
     system, start = scene.model(), at_rest(scene)
     values = scene.parameter_values()
     p = sc.Parameters(*(replace(each, default=values[each.name]) for each in system.parameters.declared))
-    stored = system.potential.stored  # type: ignore[attr-defined]
+    assert isinstance(system.potential, sc.Potential)
+    stored = system.potential.stored
     pull = values["gravity"] * (values["load_mass"] + values["rope_mass"] * values["rope_piece"])
     spring = WINCH / 2 * (system.coordinates["l"] - start["l"] + pull / WINCH) ** 2
-    energy = sc.Potential(system.potential.quadratic + spring, [(each.energy, each.invariant) for each in stored])  # type: ignore[attr-defined]
+    energy = sc.Potential(system.potential.quadratic + spring, [(each.energy, each.invariant) for each in stored])
     heights = {name: start[name] for name in start if name == "z" or name.endswith(".z")}
     for name, height in heights.items():
         start[f"{name[:-1]}y_dot"] = -2.0 * height / 5.0

@@ -90,7 +90,9 @@ def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, mo
 
     Examples
     --------
-    >>> view(solve(crane), "crane.html")
+    >>> import servocore as sc
+    >>> sc.view(sc.solve(sc.scenes.rotary_crane()), "crane.html").name
+    'crane.html'
     """
     file = require_page(path)
     write_together({file: page_text(solution, live_part(solution, scene=scene, model=model))})
