@@ -246,6 +246,14 @@ def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path, cluster, client
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
+def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_without_it(tmp_path, client):
+    store = tmp_path / "s.zarr"
+    with pytest.raises(sc.InvalidSetting, match=r"scheduler answers no more; .* of 21 cases are done: resume=True"):
+        sc.sweep(CRANE, VARIED, distributed=client, store=store, chunk=1, progress=lambda *_: client.close())
+    found = sc.sweep(CRANE, VARIED, store=store, chunk=1, resume=True)
+    assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
+
+
 def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_without_it(
     tmp_path, monkeypatch, cluster, client
 ):

@@ -19,6 +19,7 @@ from servocore.errors import InvalidSetting, missing_package
 from servocore.files import write_together
 from servocore.model.limit_files import limits_given
 from servocore.planning.grid import drawn
+from servocore.planning.sweep_store import the_xarray
 
 EXAMPLES = """[bold]Examples[/bold]
 
@@ -83,7 +84,8 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         refused. A case that fails is a row with its sentence. DIR/index.html shows
         the peak of the first input over what varies.
         """
-        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow, and may be missing: before the work
+        the_xarray()  # what may be missing is told before the work
+        from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
         subject = along(chosen(scene, parameters), reference, model)
         bounds = limits_given(limit, limits)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, wait
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,6 +54,11 @@ class Pool:
         """Wait for the first of some calls, and return which are complete."""
         return wait(waiting, return_when=FIRST_COMPLETED).done
 
+    def forget(self, waiting: Collection[Any]) -> None:
+        """Cancel calls whose results nobody wants any more."""
+        for future in waiting:
+            future.cancel()
+
     def result(self, future: Any) -> Any:
         """Return what was computed.
 
@@ -80,27 +86,47 @@ class _Cluster(Pool):
     @property
     def ahead(self) -> int:
         """As many as the workers that are there now can take, and some for those that will join."""
-        return 2 * int(sum(self.client.ncores().values())) + 8
+        with self._connected():
+            return 2 * int(sum(self.client.ncores().values())) + 8
 
     def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
         asked = getattr(self.executor, "_kwargs", {})  # for certain workers, or resources of theirs
-        return self.client.submit(call, *arguments, **{"pure": False, **asked})
+        with self._connected():
+            return self.client.submit(call, *arguments, **{"pure": False, **asked})
 
     def completed(self, waiting: Collection[Any]) -> Collection[Any]:
         """Wait for the first of some calls; `PoolLost` if there is no worker for too long."""
         from distributed import wait as first_of  # noqa: PLC0415 - an extra
 
-        found = self._patiently(lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED"))
-        done: Collection[Any] = found.done
-        return done
+        with self._connected():
+            found = self._patiently(lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED"))
+            done: Collection[Any] = found.done
+            return done
+
+    def forget(self, waiting: Collection[Any]) -> None:
+        if self.client.status == "running":  # else there is nobody to tell
+            super().forget(waiting)
 
     def result(self, future: Any) -> Any:
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
-            return self._patiently(lambda wait: future.result(timeout=wait))
+            with self._connected():
+                return self._patiently(lambda wait: future.result(timeout=wait))
         except KilledWorker as error:
             raise _broken(error) from error
+
+    @contextmanager
+    def _connected(self) -> Iterator[None]:
+        """Say in one sentence that the scheduler is gone: Dask closes the client then, and fails where it is used."""
+        try:
+            yield
+        except PoolLost:
+            raise
+        except (Exception, CancelledError) as error:
+            if self.client.status == "running":
+                raise
+            raise PoolLost("the cluster's scheduler answers no more") from error
 
     def _patiently(self, asked: Callable[[float], Any]) -> Any:
         """Ask with a time to wait, again and again; a result whose worker died before it was fetched is asked for too.

@@ -209,8 +209,7 @@ def _computed(
                     number, block = waiting.pop(future)
                     yield number, block, _with_sentences(swept, block, pool.result(future))
         finally:
-            for future in waiting:
-                future.cancel()
+            pool.forget(waiting)
 
 
 def _cases(swept: Swept, block: Slices) -> Cases:

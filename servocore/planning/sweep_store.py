@@ -95,7 +95,8 @@ def placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Sl
     return values.reshape(*shape, swept.instants) if variable.over_time else values.reshape(shape)
 
 
-def _xarray() -> Any:
+def the_xarray() -> Any:
+    """Return the package xarray; raises `InvalidSetting` if it is missing."""
     try:
         import xarray  # noqa: PLC0415 - an extra
     except ImportError as error:
@@ -115,7 +116,7 @@ class Memory:
     """
 
     def __init__(self, swept: Swept, settings: Mapping[str, Any]) -> None:
-        self._xarray, self._swept, self._settings = _xarray(), swept, settings
+        self._xarray, self._swept, self._settings = the_xarray(), swept, settings
         self._arrays: dict[str, Any] = {}
         for each in variables_of(swept):
             shape = (*swept.grid.shape, swept.instants) if each.over_time else swept.grid.shape
@@ -159,7 +160,7 @@ class Zarr:
     """
 
     def __init__(self, path: Path, swept: Swept) -> None:
-        self._path, self._swept, self._xarray = path, swept, _xarray()
+        self._path, self._swept, self._xarray = path, swept, the_xarray()
         self._group = _zarr().open_group(path, mode="r+")
         self._arrays = {each.name: self._group[each.name] for each in variables_of(swept)}
         self._done = self._group[DONE]
@@ -175,7 +176,7 @@ class Zarr:
             If there is one already that is not to be resumed, or its settings are other ones.
         """
         held = {**settings, "block": list(shape)}
-        _xarray()
+        the_xarray()
         if not path.exists():
             _made(path, swept, held)
             return cls(path, swept)

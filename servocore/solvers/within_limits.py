@@ -166,7 +166,7 @@ def survey_between(
 
     if table is not None or not np.isfinite(known).all():
         left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
-    return look_between(solution, left, values)
+    return look_between(solution, left, values) if left else False
 
 
 def _looked_into(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
