@@ -54,6 +54,16 @@ def test_few_rows_are_waypoints_and_that_is_said():
     assert done.stdout == asked.stdout
 
 
+def test_few_rows_with_derivatives_are_a_path(tmp_path):
+    scene = REGISTRY["overhead_crane"]()
+    file = tmp_path / "path.csv"
+    file.write_text(sc.csv_of(scene.reference, ["x", "z"]), encoding="utf-8")
+    done = servocore_command("feedforward", "overhead_crane", "--reference", file)
+    names, values = table(done.stdout)
+    assert "waypoints" not in done.stderr
+    np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)
+
+
 def test_columns_are_chosen_by_name():
     done = servocore_command("feedforward", "overhead_crane", "--columns", "F,swing")
     assert done.stdout.startswith("time,F,swing\n")

@@ -33,7 +33,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.planning.durations import shortest_duration
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import from_csv, rows_of, waypoints_from_csv
+from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
 from servocore.references.profiles import DEGREE9, DEGREE13, Profile, polynomial, three_phase
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
@@ -165,14 +165,14 @@ def _path(
 def _of_file(file: Path, option: str, names: Sequence[str], tolerance: float | None, rest_order: int) -> Reference:
     if option == "--waypoints":
         return waypoints_from_csv(file, names, rest_order=rest_order)
-    rows, fewest = rows_of(file, names), fewest_samples(rest_order)
-    if rows < fewest and tolerance is None:
+    path, waypoints = samples_or_waypoints(file, names, tolerance, rest_order)
+    if waypoints is not None:
+        fewest = fewest_samples(rest_order)
         print(
-            f"{file}: its {rows} rows are taken as waypoints, for samples of a path are {fewest} or more",
+            f"{file}: its {waypoints} rows are taken as waypoints, for samples of a path are {fewest} or more",
             file=sys.stderr,
         )
-        return waypoints_from_csv(file, names, rest_order=rest_order)
-    return from_csv(file, tolerance, names, rest_order=rest_order)
+    return path
 
 
 def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order: int) -> Reference:

@@ -85,14 +85,27 @@ def from_csv(
         the path is too rough, or if its columns contradict one another.
     """
     require_order(rest_order)
+    return _path_of(_read(path, columns, len(PREFIXES)), tolerance, rest_order)
+
+
+def samples_or_waypoints(
+    path: str | PathLike[str], columns: Sequence[str], tolerance: float | None, rest_order: int
+) -> tuple[PiecewisePolynomial, int | None]:
+    """Return the path of a file, and of how many waypoints it is; None where it is sampled.
+
+    Positions alone in fewer rows than samples need are waypoints, as of `waypoints_from_csv`; without a tolerance.
+
+    Raises
+    ------
+    InvalidReference
+        As `from_csv`.
+    """
+    require_order(rest_order)
     table = _read(path, columns, len(PREFIXES))
-    if table.derivatives.shape[1] <= rest_order or tolerance is not None:
-        return _sampled_path(table, tolerance, rest_order)
-    _need_rows(table, 2)
-    found, worst = hermite(table.t, table.derivatives)
-    if worst is not None:
-        _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
-    return found
+    rows, positions_alone = len(table.t), table.derivatives.shape[1] == 1
+    if positions_alone and tolerance is None and rows < fewest_samples(rest_order):
+        return _path_through(table, rest_order), rows
+    return _path_of(table, tolerance, rest_order), None
 
 
 def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> str:
@@ -144,14 +157,22 @@ def waypoints_from_csv(
     InvalidReference
         If the file cannot be read or is not such a table, or its times do not increase.
     """
-    table = _read(path, columns, 1)
+    return _path_through(_read(path, columns, 1), rest_order)
+
+
+def _path_through(table: _Table, rest_order: int) -> PiecewisePolynomial:
     _need_rows(table, 2)
     return through(table.derivatives[:, 0], table.t, rest_order=rest_order)
 
 
-def rows_of(path: str | PathLike[str], columns: Sequence[str] = COLUMNS) -> int:
-    """Return how many rows a file for `from_csv` has; raises `InvalidReference` if it is not such a table."""
-    return len(_read(path, columns, len(PREFIXES)).t)
+def _path_of(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
+    if table.derivatives.shape[1] <= rest_order or tolerance is not None:
+        return _sampled_path(table, tolerance, rest_order)
+    _need_rows(table, 2)
+    found, worst = hermite(table.t, table.derivatives)
+    if worst is not None:
+        _refuse_contradiction(table, worst, HERMITE_AGREEMENT, "the path through its neighbours")
+    return found
 
 
 def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
