@@ -6,6 +6,9 @@ sentence and exit with code 2; nothing else is caught.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class ServocoreError(Exception):
     """Base of all errors that a user can cause or meet."""
@@ -64,6 +67,21 @@ def missing_package(error: ImportError) -> InvalidSetting | None:
     if package not in _EXTRAS:
         return None
     return InvalidSetting(f"the package {package} is needed for this: pip install 'servocore[{_EXTRAS[package]}]'")
+
+
+@contextmanager
+def refused_if_missing() -> Iterator[None]:
+    """Refuse, by the name of its extra, a package that is imported inside and is not there.
+
+    Raises
+    ------
+    InvalidSetting
+        If it is one of an extra.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise missing_package(error) or error from None
 
 
 def described(value: object) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import missing_package
+from servocore.errors import refused_if_missing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,10 +38,8 @@ def figure_of(t: Array, curves: Sequence[Curve], title: str) -> Figure:
     InvalidSetting
         If matplotlib is missing.
     """
-    try:
+    with refused_if_missing():
         from matplotlib import pyplot  # noqa: PLC0415, only whoever plots needs it
-    except ImportError as error:
-        raise missing_package(error) or error from error
     columns = 1 if len(curves) <= _ONE_COLUMN else 2
     rows = -(-len(curves) // columns)
     figure = pyplot.figure(figsize=(7.0 if columns == 1 else 9.0, 0.9 + 1.4 * rows), layout="constrained")
@@ -94,10 +92,8 @@ def data_frame(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
     InvalidSetting
         If pandas is missing.
     """
-    try:
+    with refused_if_missing():
         import pandas as pd  # noqa: PLC0415
-    except ImportError as error:
-        raise missing_package(error) or error from error
     frame = pd.DataFrame({each.name: each.values for each in curves}, index=pd.Index(t, name="time"))
     frame.attrs.update(about, units={"time": "s"} | {each.name: each.unit for each in curves})
     return frame
@@ -111,10 +107,8 @@ def dataset(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
     InvalidSetting
         If xarray is missing.
     """
-    try:
+    with refused_if_missing():
         import xarray as xr  # noqa: PLC0415
-    except ImportError as error:
-        raise missing_package(error) or error from error
     time = xr.Variable("time", t, {"units": "s", "long_name": "time"})
     variables = {
         each.name: ("time", each.values, {"units": each.unit, "long_name": each.description}) for each in curves

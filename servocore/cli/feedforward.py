@@ -22,6 +22,7 @@ from servocore.cli.options import (
     Parameters,
     SceneName,
     Start,
+    Step,
     column_names,
     point,
 )
@@ -70,10 +71,6 @@ Waypoints = Annotated[
     Path | None,
     typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
                  " rest."),
-]  # fmt: skip
-Step = Annotated[
-    float | None, typer.Option("--step", metavar="H", help="Time between rows (s); divides the duration."
-                               " Default: duration/200.")
 ]  # fmt: skip
 Columns = Annotated[
     str | None,

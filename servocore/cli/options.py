@@ -31,6 +31,10 @@ ReferenceFile = Annotated[
     Path | None,
     typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
 ]
+Step = Annotated[
+    float | None,
+    typer.Option("--step", metavar="H", help="Time between rows (s); divides the duration. Default: duration/200."),
+]
 LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
 Start = Annotated[
     str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")

@@ -12,7 +12,7 @@ import typer
 
 from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName
+from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName, Step
 from servocore.files import PICTURES, require_picture, require_places, write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 
@@ -25,9 +25,6 @@ EXAMPLES = """[bold]Examples[/bold]
 
 ByParameters = Annotated[
     list[str] | None, typer.Option("--wrt", metavar="NAME", help="A parameter, any number of times. Default: all.")
-]
-Step = Annotated[
-    float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
 ]
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="All derivatives over time.")]
 Plot = Annotated[

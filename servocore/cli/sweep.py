@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from servocore.cli.choice import along, chosen
 from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName
-from servocore.errors import InvalidSetting, missing_package
+from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import write_together
 from servocore.model.limit_files import limits_given
 from servocore.planning.grid import drawn
@@ -143,10 +143,8 @@ def _client(address: str | None) -> Iterator[Any]:
     if address is None:
         yield None
         return
-    try:
+    with refused_if_missing():
         from distributed import Client  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_package(error) or error from None
     try:
         client = Client(address, timeout="10s")
     except (OSError, ValueError) as error:

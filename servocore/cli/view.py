@@ -9,7 +9,7 @@ import typer
 
 from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress
-from servocore.cli.options import LimitsFile, LimitTexts, Model, Parameters, ReferenceFile, SceneName
+from servocore.cli.options import LimitsFile, LimitTexts, Model, Parameters, ReferenceFile, SceneName, Step
 from servocore.files import require_places, write_together
 from servocore.model.limit_files import limits_given
 from servocore.solvers.solve import solve
@@ -24,9 +24,6 @@ EXAMPLES = """[bold]Examples[/bold]
 
 Output = Annotated[
     Path | None, typer.Option("-o", "--output", metavar="FILE.html", help="The page to write. Default: SCENE.html.")
-]
-Step = Annotated[
-    float | None, typer.Option("--step", metavar="H", help="Time between rows (s). Default: duration/200.")
 ]
 
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from servocore.errors import InvalidSetting, missing_package
+from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.export.generated import scratch_of
 from servocore.export.native_model import NativeModel
 from servocore.export.variables import Variable
@@ -74,10 +74,8 @@ def _headers(model: NativeModel) -> tuple[str, ...]:
 
 def rendered(template: str, **values: Any) -> str:
     """Fill in one of the templates."""
-    try:
+    with refused_if_missing():
         import jinja2  # noqa: PLC0415 - only who exports pays for it
-    except ImportError as error:
-        raise missing_package(error) or error from None
 
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(SHARED),

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, missing_package
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, refused_if_missing
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.calls import Array, Call
 from servocore.problem import Problem, ResolvedSystem
@@ -88,10 +88,8 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
 
 
 def _flatsys() -> Any:
-    try:
+    with refused_if_missing():
         from control import flatsys  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_package(error) or error from None
     return flatsys
 
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, missing_package
+from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.planning.grid import CASE, DURATION, PATH, Slices
 from servocore.planning.swept import Swept
 
@@ -97,10 +97,8 @@ def placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Sl
 
 def the_xarray() -> Any:
     """Return the package xarray; raises `InvalidSetting` if it is missing."""
-    try:
+    with refused_if_missing():
         import xarray  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_package(error) or error from None
     return xarray
 
 
@@ -244,10 +242,8 @@ def _attributes(variable: Variable) -> dict[str, str]:
 
 
 def _zarr() -> Any:
-    try:
+    with refused_if_missing():
         import zarr  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_package(error) or error from None
     return zarr
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, missing_package
+from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.planning.grid import PATH, Slices
 from servocore.planning.sweep_store import Memory, Variable, placed, require_settings, units_of, variables_of
 from servocore.planning.swept import Swept
@@ -112,8 +112,6 @@ def _values(table: Any, variable: Variable) -> Any:
 
 
 def _pyarrow() -> Any:
-    try:
+    with refused_if_missing():
         import pyarrow  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise missing_package(error) or error from None
     return pyarrow
