@@ -14,6 +14,7 @@ import numpy as np
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
 from crane_fmu.slave.lines import straight_line
+from servocore.cli.how_long import told_how_long
 from servocore.files import csv_text
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
@@ -136,7 +137,7 @@ def feedforward(
             raise sc.InvalidSetting(
                 f"a step of {row:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
             )
-        try:
+        with told_how_long(scene, route.model):
             return sc.solve(
                 scene,
                 formulation,
@@ -146,19 +147,6 @@ def feedforward(
                 model=route.model,
                 progress=progress,
             )
-        except sc.LimitBroken as error:
-            raise sc.LimitBroken(f"{error}; {slower(scene, route.model)}") from None
-
-
-def slower(scene: sc.Scene, model: str | None = None) -> str:
-    """Say, as part of a sentence, how long the law of a path must take to keep all limits of its scene."""
-    try:
-        shortest = sc.shortest_duration(scene, model)
-    except sc.LimitBroken:
-        return "no duration helps, for a limit is broken even at rest somewhere on that path"
-    except sc.ServocoreError:
-        return "no duration is known at which it is kept"
-    return f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
 
 
 FAR_OFF = 0.5

@@ -76,7 +76,7 @@ def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path):
     )
     assert refused.exit_code == 2
     assert not list(tmp_path.iterdir())
-    shortest = refused.stderr.rpartition("takes ")[2].partition(" s or more")[0]
+    shortest = refused.stderr.rpartition("keeps all limits is ")[2].partition(" s")[0]
     kept = servocore_command("feedforward", "overhead_crane", *options, "--duration", shortest)
     assert kept.exit_code == 0
 

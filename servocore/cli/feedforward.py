@@ -13,6 +13,7 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, deliver
+from servocore.cli.how_long import told_how_long
 from servocore.cli.options import (
     End,
     LimitsFile,
@@ -26,12 +27,11 @@ from servocore.cli.options import (
     column_names,
     point,
 )
-from servocore.errors import InvalidSetting, LimitBroken
+from servocore.errors import InvalidSetting
 from servocore.files import csv_text, require_places
 from servocore.model.limit_files import limits_given
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.planning.durations import shortest_duration
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
@@ -114,21 +114,11 @@ def feed_forward(
     if step is not None and step > 0.0 and moved.reference.duration / step > _MOST_ROWS:
         raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
     with PatientProgress("computing the inputs") as progress:
-        solution = _solved(moved, step, model, progress)
+        with told_how_long(moved, model):
+            solution = solve(moved, step=step, model=model, progress=progress)
         told = summary(solution, system, moved.reference)
     deliver(csv_text(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})
     print(*told, sep="\n", file=sys.stderr)
-
-
-def _solved(scene: Scene, step: float | None, model: str | None, progress: PatientProgress) -> Solution:
-    try:
-        return solve(scene, step=step, model=model, progress=progress)
-    except LimitBroken as error:
-        try:
-            shortest = shortest_duration(scene, model)
-        except LimitBroken:
-            raise LimitBroken(f"{error}; no duration helps: a limit is broken even at rest on that path") from None
-        raise LimitBroken(f"{error}; the same law keeps all limits if it takes {shortest:.10g} s or more") from None
 
 
 def _path(
