@@ -9,6 +9,7 @@ import pytest
 from command_lines import CommandLine
 
 import servocore as sc
+from servocore.cli.choice import along
 from servocore.cli.commands import NAME, app
 from servocore.scenes import REGISTRY
 
@@ -62,6 +63,15 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path):
     names, values = table(done.stdout)
     assert "waypoints" not in done.stderr
     np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)
+
+
+def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path):
+    bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
+    outputs = [each.name for each in bar.model().outputs]
+    file.write_text(sc.csv_of(bar.reference, outputs, each=40), encoding="utf-8")
+    assert along(bar, file).reference.smoothness >= 6
+    sensitivities = servocore_command("sensitivities", "elastic_bar", "--reference", file, "-o", tmp_path / "by.csv")
+    assert sensitivities.exit_code == 0, sensitivities.stderr
 
 
 def test_columns_are_chosen_by_name():

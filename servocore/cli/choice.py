@@ -9,6 +9,7 @@ from pathlib import Path
 from servocore.errors import InvalidSetting
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
+from servocore.problem import Problem
 from servocore.references.csv_file import from_csv
 from servocore.scenes import REGISTRY
 
@@ -36,10 +37,14 @@ def chosen(name: str, parameters: Path | None) -> Scene:
 
 
 def along(scene: Scene, reference: Path | None, model: str | None = None) -> Scene:
-    """Return the scene with the path of a file, whose columns its outputs name; the scene as it is without one."""
+    """Return the scene with the path of a file, whose columns its outputs name; the scene as it is without one.
+
+    The path is as smooth as the scene's inputs need it, as that of `servocore feedforward`.
+    """
     if reference is None:
         return scene
-    return scene.with_reference(from_csv(reference, columns=[each.name for each in scene.model(model).outputs]))
+    names, order = [each.name for each in scene.model(model).outputs], Problem.of(scene, model).array.reference_order
+    return scene.with_reference(from_csv(reference, columns=names, rest_order=order))
 
 
 def _registered(name: str) -> Scene:

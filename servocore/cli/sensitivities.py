@@ -52,7 +52,7 @@ def show_sensitivities(
     subject = chosen(scene, parameters)
     require_places({"--output": output, "--plot": plot}, [parameters, reference])
     require_picture(plot)
-    subject = along(subject, reference)
+    subject = along(subject, reference, model)
     with PatientProgress("differentiating"):
         found = sensitivities(subject, wrt or None, step=step, model=model)
         contents: dict[Path, str | bytes] = {}
