@@ -29,8 +29,8 @@ import servocore as sc
 from servocore.cli.level import Spread
 from servocore.cli.levels import ROUTES, compiled_run, timed_in_turn
 from servocore.cli.levels_text import machine
-from servocore.numerics.calls import Call, side_by_side
-from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.numerics.compiled_calls import Call, side_by_side
+from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
 from servocore.structure.inversion import compile_inversion
 
@@ -134,7 +134,7 @@ def undivided_inversion(array: DerivativeArray) -> ca.Function:
             "p": ca.vertcat(ca.vec(reference), system.p),
             "g": ca.substitute(array.residual, array.column(array.unknowns), scaled * scale),
         },
-        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False,
+        {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False,
          "common_options": {"cse": True}},
     )  # fmt: skip
     gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())

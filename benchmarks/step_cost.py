@@ -29,7 +29,7 @@ from rich.table import Table
 
 import servocore as sc
 from servocore import Discretisation
-from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 
 REPEATS = 15
 SCENE = sc.scenes.rotary_crane()
@@ -120,7 +120,7 @@ def undivided_step(step: Discretisation) -> ca.Function:
         "undivided_newton",
         "fast_newton",
         {"x": scaled, "p": equations.givens, "g": residual / equations.residual_scale},
-        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False},
+        {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "max_iter": MAX_ITERATIONS, "error_on_fail": False},
     )
     prepare = ca.Function(
         "prepare", [equations.givens], [equations.guess / equations.unknown_scale, equations.unknown_scale]

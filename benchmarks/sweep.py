@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 import servocore as sc
-from servocore.planning.swept import settled
-from servocore.planning.swept_cases import Cases, evaluated, work_of
+from servocore.planning.sweep_cases import Cases, evaluated, work_of
+from servocore.planning.sweep_settings import checked_settings
 
 INSTANTS = 201
 PROCESSES = 2
@@ -57,7 +57,7 @@ def batch(share: Rows) -> Times:
 
 def reduced(share: Rows) -> Times:
     """Call the function of a sweep for the cases of a share."""
-    swept = settled(sc.scenes.rotary_crane(), {"load_mass": [90.0]}, None, LIMITS, INSTANTS, False, None)
+    swept = checked_settings(sc.scenes.rotary_crane(), {"load_mass": [90.0]}, None, LIMITS, INSTANTS, False, None)
     problem, path = swept.problem, swept.references[0]
     jets = path.jet(np.linspace(path.start_time, path.end_time, INSTANTS), problem.array.reference_order)
     numbers = np.tile([1.0, *problem.p], (len(share[0]), 1))

@@ -23,8 +23,8 @@ import servocore as sc
 from benchmarks.chart.c_cost import functions_of, in_c
 from benchmarks.conftest import BARE, CLOSED_FORM
 from servocore.cli.levels import compiled_run
-from servocore.numerics.calls import Call
-from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
+from servocore.numerics.compiled_calls import Call
+from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 
 CRANE = sc.scenes.rotary_crane()
 STEPS = 200
@@ -45,7 +45,7 @@ def bare_loop() -> Callable[[], np.ndarray]:
         "bare_newton",
         "fast_newton",
         {"x": scaled, "p": equations.givens, "g": residual / equations.residual_scale},
-        {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "max_iter": MAX_ITERATIONS},
+        {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "max_iter": MAX_ITERATIONS},
     )
     scale = np.asarray(ca.Function("s", [equations.givens], [equations.unknown_scale])(
         np.full(equations.givens.numel(), STEP))).ravel()  # fmt: skip

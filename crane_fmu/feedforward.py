@@ -13,7 +13,7 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
-from crane_fmu.slave.lines import straight_line
+from crane_fmu.slave.straight_lines import straight_line
 from servocore.cli.how_long import told_how_long
 from servocore.files import csv_text
 

@@ -41,7 +41,7 @@ from servocore.methods import (
 )
 from servocore.model.drawing import Part
 from servocore.model.effects import Effect, Effects
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
 from servocore.model.limits import Limit
 from servocore.model.parameter_files import read_parameters

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servocore.checks.branches import rank_losses
-from servocore.checks.internal_dynamics import (
+from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
+from servocore.checks.internal_stability import (
     FLAT,
     MINIMUM_PHASE,
     NON_MINIMUM_PHASE,
@@ -16,11 +17,10 @@ from servocore.checks.internal_dynamics import (
     internal_dynamics,
 )
 from servocore.checks.limits import require_feasible
-from servocore.checks.refusals import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, Call, at_instants
+from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian, system_jacobian_entries

@@ -19,11 +19,11 @@ from servocore.errors import InvalidModel, require_kind
 from servocore.formulations.base import Formulation
 from servocore.model.drawing import Drawing
 from servocore.model.limits import Limit
-from servocore.model.magnitudes import decades_of, scaled_to
+from servocore.model.model_validation import probes, require_driving, require_mass
+from servocore.model.nominal_magnitudes import decades_of, scaled_to
 from servocore.model.scene import Scene
-from servocore.model.soundness import probes, require_driving, require_mass
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import filled
 from servocore.references.base import FloatArray, Reference
 from servocore.references.clocked import Clocked

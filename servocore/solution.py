@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from servocore.files import csv_text, write_together
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.presentation import Curve, data_frame, dataset, figure_of, html_table
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from fmu_host import extracted, fmu_file
 from loops import CRANE
 
 import servocore as sc
-from crane_fmu.slave.calls import carried
+from crane_fmu.slave.carried_functions import carried
 from crane_fmu.slave.feedback import Feedback, feedbacks
 from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servocore.numerics.calls import Call
+from servocore.numerics.compiled_calls import Call
 
 
 @pytest.fixture

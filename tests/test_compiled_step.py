@@ -14,7 +14,7 @@ from crane_fmu.build.compiled_step import compiled_steps
 from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries
 from crane_fmu.catalogue import ROTARY_CRANE
 from crane_fmu.slave.motion import begin
-from crane_fmu.slave.quick import QuickStep, quick_step, usual_step
+from crane_fmu.slave.quick_step import QuickStep, quick_step, usual_step
 from servocore import Program
 
 CRANE = sc.scenes.rotary_crane()

@@ -16,7 +16,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.effects.closed_loop import Driven, linear_answers, run_loop
 from servocore.effects.drives import Gains, gains_of
-from servocore.effects.inverted import inverted
+from servocore.effects.model_inversion import inverted
 from servocore.model.effects import Extended
 from servocore.problem import Problem
 from servocore.references.profiles import polynomial

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.system import DERIVED
 from servocore.numerics.expressions import gyroscopic_forces
 

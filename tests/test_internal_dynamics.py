@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore.scenes.internal_dynamics import backward, forward, two_sided
+from servocore.scenes.internal_ode import backward, forward, two_sided
 
 T = np.linspace(-1.0, 3.0, 81)
 PATH = sc.rest_to_rest((0.0,), (1.0,), 2.0, sc.DEGREE13)

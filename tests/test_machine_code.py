@@ -20,7 +20,7 @@ from servocore.numerics import code_cache
 from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
 from servocore.numerics.vector_code import vector_source
-from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
+from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.solvers.exact_inversion import compile_inputs
 from servocore.solvers.taylor import Taylor
@@ -58,7 +58,7 @@ def test_every_operation_gives_the_bits_of_the_interpreter(along):
     first, second = (each.ravel() for each in np.meshgrid(special, special))
     values = [first[None], second[None]]
     given = [each if goes else each[0, 34:35] for each, goes in zip(values, along, strict=True)]
-    interpreted, compiled = (Vectorised(function, along, native, "all")(*given)[0] for native in (False, True))
+    interpreted, compiled = (Vectorized(function, along, native, "all")(*given)[0] for native in (False, True))
     np.testing.assert_array_equal(compiled, interpreted)
 
 
@@ -66,7 +66,7 @@ def test_every_operation_gives_the_bits_of_the_interpreter(along):
 @pytest.mark.usefixtures("compiler")
 def test_any_number_of_instants_and_cases_will_do(count):
     function = ca.Function("sc_some", [x, y], [ca.vertcat(x * y, x + 2), x - y])
-    compiled = Vectorised(function, (True, False), True, "some")
+    compiled = Vectorized(function, (True, False), True, "some")
     t, p = np.linspace(0.0, 1.0, count)[None], np.array([[3.0], [4.0], [5.0]])
     both, difference = compiled(t, p)
     np.testing.assert_array_equal(both, np.stack([np.vstack([t * k, t + 2]) for k in p]))
@@ -81,7 +81,7 @@ def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count):
     t, p = np.linspace(-2.0, 3.0, count)[None] + 0.1, np.array([[3.0], [-4.0], [np.nan], [-np.inf]])
     for native in (True, False):
         found = Extremes(function, (True, False), native, "all")(t, p)
-        for extremes, rows in zip(found, Vectorised(function, (True, False), False, "all")(t, p), strict=True):
+        for extremes, rows in zip(found, Vectorized(function, (True, False), False, "all")(t, p), strict=True):
             np.testing.assert_array_equal(extremes, extremes_of(rows))
             finite = np.isfinite(rows).all(axis=2)
             np.testing.assert_array_equal(extremes[:, 0][finite], rows.max(axis=2)[finite])
@@ -92,10 +92,10 @@ def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count):
 @pytest.mark.usefixtures("compiler")
 def test_threads_give_what_one_gives(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
-    monkeypatch.setattr("servocore.numerics.vectorised._PER_THREAD", 100)
+    monkeypatch.setattr("servocore.numerics.vectorized._PER_THREAD", 100)
     function = ca.Function("sc_shared", [x, y], [x * y])
     for t, p in ((np.arange(1001.0)[None], np.array([3.0])), (np.arange(101.0)[None], np.arange(11.0)[:, None])):
-        interpreted, compiled = (Vectorised(function, (True, False), native, "all")(t, p) for native in (False, True))
+        interpreted, compiled = (Vectorized(function, (True, False), native, "all")(t, p) for native in (False, True))
         np.testing.assert_array_equal(compiled, interpreted)
 
 
@@ -109,7 +109,7 @@ def test_steps_in_a_row_give_the_bits_of_the_interpreter():
         np.array([[0.3, 0.1], [0.2, 0.0]]),
         np.array([[1.2, 0.3], [0.7, 0.1]]),
     )
-    rows = [Vectorised(function, (False, True, False), each, "row", in_a_row=True) for each in (False, True)]
+    rows = [Vectorized(function, (False, True, False), each, "row", in_a_row=True) for each in (False, True)]
     for given in ((start, t, p), (start[0], t, p[1])):
         for interpreted, compiled in zip(*(each(*given) for each in rows), strict=True):
             np.testing.assert_array_equal(compiled, interpreted)
@@ -124,7 +124,7 @@ def test_a_path_gives_the_same_bits_as_a_formula(profile):
         time, given = ca.SX.sym("t"), ca.SX.sym("numbers", len(numbers))
         columns = path.formula.jet(time, ca.vertsplit(given), order)
         jet = ca.Function("sc_jet", [time, given], [ca.densify(ca.vertcat(*columns))])
-        (found,) = Vectorised(jet, (True, False), False, "path")(t[None], np.array(numbers))
+        (found,) = Vectorized(jet, (True, False), False, "path")(t[None], np.array(numbers))
         np.testing.assert_array_equal(found.reshape(order + 1, 3, -1).transpose(2, 0, 1), path.jet(t, order))
 
 
@@ -147,7 +147,7 @@ def test_neighbours_that_are_apart_are_found_in_machine_code_too():
     states[:, 40] *= 1.01
     states[3, 60] = np.nan
     scale = np.ptp(states[taylor.q][:, :40], axis=1)
-    together = Vectorised(taylor.compile_together(size), (True, True, True, False), True, "taylor")
+    together = Vectorized(taylor.compile_together(size), (True, True, True, False), True, "taylor")
     (found,) = together(states[:, :-1], states[:, 1:], np.diff(t)[None], scale)
     apart = taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), scale)
     assert set(np.flatnonzero(apart)) >= {39, 40, 59, 60}
@@ -182,7 +182,7 @@ def test_machine_code_has_no_more_statements_than_the_expression_has_operations(
 def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_cache):
     function = ca.Function("sc_product", [x, y], [x * y])
     t, p = np.arange(100.0)[None], np.array([3.0])
-    product = Vectorised(function, (True, False), None, "product")
+    product = Vectorized(function, (True, False), None, "product")
     product(t, p)
     assert not own_cache.contents()
     product(t, p)
@@ -190,7 +190,7 @@ def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_
     assert len(own_cache.contents()) == 1
     np.testing.assert_array_equal(product(t, p)[0], 3.0 * t)
     assert product.ready(100)
-    another = Vectorised(function, (True, False), None, "product")
+    another = Vectorized(function, (True, False), None, "product")
     assert [another.ready(1, called=True) for _ in range(2)] == [False, True]
     assert len(own_cache.contents()) == 1
 
@@ -200,7 +200,7 @@ def test_many_instants_are_worth_it_at_once_and_false_switches_it_off(own_cache)
     function = ca.Function("sc_sum", [x, y], [x + y])
     t, p = np.arange(10_000.0)[None], np.array([3.0])
     for native, expected in ((False, 0), (None, 1)):
-        Vectorised(function, (True, False), native, "sum")(t, p)
+        Vectorized(function, (True, False), native, "sum")(t, p)
         BACKGROUND.wait()
         assert len(own_cache.contents()) == expected
 
@@ -211,11 +211,11 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     function = ca.Function("sc_difference", [x, y], [x - y])
     for _ in range(3):
-        found = Vectorised(function, (True, False), None, "difference")(np.arange(20_000.0)[None], np.array([3.0]))
+        found = Vectorized(function, (True, False), None, "difference")(np.arange(20_000.0)[None], np.array([3.0]))
         BACKGROUND.wait()
     np.testing.assert_array_equal(found[0][0], np.arange(20_000.0) - 3.0)
     with pytest.raises(sc.InvalidSetting, match="machine code needs a C compiler"):
-        Vectorised(function, (True, False), True, "difference")
+        Vectorized(function, (True, False), True, "difference")
 
 
 def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
@@ -223,9 +223,9 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
     slow.write_text('#!/bin/sh\necho $$ > pid; cp pid "$0.pid"\nexec sleep 60\n')
     slow.chmod(0o755)
     code = (
-        "import time, numpy as np, casadi as ca; from servocore.numerics.vectorised import Vectorised\n"
+        "import time, numpy as np, casadi as ca; from servocore.numerics.vectorized import Vectorized\n"
         "from pathlib import Path\nx, y = ca.SX.sym('x'), ca.SX.sym('y')\n"
-        "Vectorised(ca.Function('sc_f', [x, y], [x * y]), (True, False), None, 'f')(np.zeros((1, 20000)), np.ones(1))\n"
+        "Vectorized(ca.Function('sc_f', [x, y], [x * y]), (True, False), None, 'f')(np.zeros((1, 20000)), np.ones(1))\n"
         f"while not Path({str(slow)!r} + '.pid').exists(): time.sleep(0.01)\n"
     )
     environment = {

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 import servocore as sc
 from servocore.numerics.square_systems import (
     MAX_ITERATIONS,
-    STEP_TOLERANCE,
+    NEWTON_TOLERANCE,
     SquareSystem,
     compile_flat_solver,
     compile_solver,
@@ -44,7 +44,7 @@ def newton_iterations(function, slope, x, scale=1.0):
     for k in range(1, MAX_ITERATIONS + 1):
         correction = function(x) / slope(x)
         x -= correction
-        if abs(correction) / scale < STEP_TOLERANCE:
+        if abs(correction) / scale < NEWTON_TOLERANCE:
             return k
     raise AssertionError("no convergence")
 

@@ -11,10 +11,10 @@ import pytest
 from scipy.optimize import linprog
 
 import servocore as sc
-from servocore.planning.chains import advanced, sampled_law
-from servocore.planning.laws import law_of, shape_of, shortest
-from servocore.planning.rounded import rounded
+from servocore.planning.integrator_chains import advanced, sampled_law
+from servocore.planning.smoothed_lengths import rounded
 from servocore.planning.tasks import corner_problems, curve_of, task_along
+from servocore.planning.time_laws import law_of, shape_of, shortest
 from servocore.planning.transcription import Transcription
 from servocore.references.timed_path import TimedPath
 

@@ -12,7 +12,7 @@ from problems import as_scene, car_chain, polynomial_path, problem, scene, solve
 
 import servocore as sc
 from servocore.checks.instants import time_grid
-from servocore.solvers.loop import CHUNK
+from servocore.solvers.fixed_step_loop import CHUNK
 
 CRANE = scene("rotary_crane")
 

@@ -19,7 +19,7 @@ from outside.systems import elbow_arm, vtol
 
 import servocore as sc
 from servocore.cli.commands import app
-from servocore.planning import pools
+from servocore.planning import worker_pools
 from servocore.planning.grid import Grid, drawn
 from servocore.planning.sweep_store import Zarr
 from servocore.planning.sweep_tables import Parquet
@@ -261,7 +261,7 @@ def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_withou
     tmp_path, monkeypatch, cluster, client
 ):
     store, done = tmp_path / "s.zarr", []
-    monkeypatch.setattr(pools, "PATIENCE", 1.0)
+    monkeypatch.setattr(worker_pools, "PATIENCE", 1.0)
 
     def dismiss(count, _):
         done.append(count)

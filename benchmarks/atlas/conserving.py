@@ -13,9 +13,9 @@ import numpy.typing as npt
 import servocore as sc
 from benchmarks.atlas.runs import Array
 from servocore.dae import Dae, Equation, Unknown
-from servocore.numerics.calls import Call
+from servocore.numerics.compiled_calls import Call
 from servocore.numerics.square_systems import compile_solver
-from servocore.solvers.forward import Tolerance, integrated
+from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.stepping.energy_momentum import compile_conserving_step, conserving_equations
 from servocore.stepping.forward_dynamics import compile_plant, forward_rate
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 import servocore as sc
-from servocore.numerics.calls import Call, side_by_side
+from servocore.numerics.compiled_calls import Call, side_by_side
 
 Array = npt.NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
-from servocore.numerics.calls import Call, side_by_side
+from servocore.numerics.compiled_calls import Call, side_by_side
 from servocore.solvers.exact_inversion import compile_inputs
 
 _INSIDE = ("run", "solution_of")  # looked into, rather than named

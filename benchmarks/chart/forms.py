@@ -25,8 +25,8 @@ from benchmarks.chart.paths import path_jet, straight
 from servocore import RadauIIA
 from servocore.formulations import Projected, Reduced
 from servocore.model.system import MechanicalSystem
-from servocore.solvers.loop import run
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.solvers.fixed_step_loop import run_steps
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
 
@@ -320,8 +320,8 @@ def exact_unknowns(problem: Problem, model: str) -> dict[Key, Array]:
     scene, system, method = problem.scene, _system(problem, model), RadauIIA(5)
     t = problem.grid()
     resolved = sc.Problem.of(scene, model)
-    first = given_start_of(Reduced(), method)
-    states = run(resolved, program_of(resolved, Reduced(), method), t, first).states
+    first = prescribed_start_of(Reduced(), method)
+    states = run_steps(resolved, program_of(resolved, Reduced(), method), t, first).states
     dae = Reduced().dae(system)
     found = {(each.variable, each.order): states[k] for k, each in enumerate(dae.unknowns)}
     return {**found, ("time", 0): t}

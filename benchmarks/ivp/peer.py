@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.ivp.problems import IvpProblem
-from servocore.numerics.calls import Call
+from servocore.numerics.compiled_calls import Call
 
 Residual = Callable[..., np.ndarray]
 Jacobians = Callable[..., tuple[np.ndarray, ...]]

@@ -23,7 +23,7 @@ from benchmarks.peers.base import Effort, available_forms, inside, named, peer_m
 NAME, DISTRIBUTION = "plain NumPy/SciPy", "scipy"
 
 STEPS = (200, 400, 800, 1600, 3200)
-STEP_TOLERANCE, MOST_ITERATIONS = 1e-9, 20
+NEWTON_TOLERANCE, MOST_ITERATIONS = 1e-9, 20
 
 
 def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
@@ -95,7 +95,7 @@ def integrate(evaluate: Callable[..., tuple[list[float], list[float]]], t: Array
             if info:
                 raise ArithmeticError(f"singular matrix at t = {t[k]:g} s")
             now -= correction * weights
-            if np.abs(correction).max() < STEP_TOLERANCE:
+            if np.abs(correction).max() < NEWTON_TOLERANCE:
                 break
         else:
             raise ArithmeticError(f"Newton's method did not converge at t = {t[k]:g} s")

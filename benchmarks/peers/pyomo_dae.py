@@ -2,7 +2,7 @@
 
 `ContinuousSet`, `DerivativeVar` and ``dae.collocation`` (Radau) as documented. The first guess is the quasi-static
 one, the load at rest at every instant: from constant values IPOPT takes wrong branches, or does not converge. The
-discretised model goes through pyomo's own ``nl`` file to the IPOPT (with MUMPS) that CasADi brings, with exact first
+discretized model goes through pyomo's own ``nl`` file to the IPOPT (with MUMPS) that CasADi brings, with exact first
 and second derivatives, because no executable of IPOPT comes from the package index. Only the call of IPOPT is timed:
 building, discretising and writing the model, seconds each, count as preparation. With fewer elements than output
 intervals a spline of degree 7 brings the inputs there.
@@ -99,7 +99,7 @@ def _places(form: Form, instants: list[float], places: dict[str, int], kind: str
 
 
 def build(form: Form, points: int, elements: int) -> Any:
-    """Return the discretised model."""
+    """Return the discretized model."""
     import pyomo.dae  # noqa: PLC0415
     import pyomo.environ as pyo  # noqa: PLC0415
 

@@ -19,7 +19,7 @@ import servocore as sc
 from crane_fmu.build.compiled_step import compiled_feedback, compiled_steps
 from crane_fmu.build.estimates import estimate_functions
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions, feedback_text
-from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, Kind, Starts
+from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, PLANT_FILE, Interface, program_file
 
 Progress = Callable[[str], None]
@@ -63,7 +63,7 @@ class Content:
         Texts of the bundle by their path inside it.
     interface : Interface
         The table of variables.
-    kind : Kind
+    kind : FmuKind
         Which FMU it is.
     libraries : mapping of str to bytes
         Steps as machine code, by their path in the bundle; they compute what programs among the files do.
@@ -73,7 +73,7 @@ class Content:
 
     files: Mapping[str, str]
     interface: Interface
-    kind: Kind
+    kind: FmuKind
     libraries: Mapping[str, bytes]
     path: bytes | None
 
@@ -97,7 +97,7 @@ class Content:
 
 
 def collect(
-    kind: Kind = ROTARY_CRANE,
+    kind: FmuKind = ROTARY_CRANE,
     tell: Progress = lambda _: None,
     path: bytes | None = None,
     starts: Starts = NO_STARTS,
@@ -121,7 +121,7 @@ def collect(
     return Content(files, table, kind, libraries, path)
 
 
-def _compiled(kind: Kind, tell: Progress) -> dict[str, str]:
+def _compiled(kind: FmuKind, tell: Progress) -> dict[str, str]:
     """Return programs and plant as texts by file name."""
     crane, files = sc.scenes.rotary_crane(), {}
     for model, formulation in kind.routes:

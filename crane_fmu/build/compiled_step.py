@@ -1,7 +1,7 @@
 """Compile usual steps to machine code, which CasADi would interpret otherwise: equal bits in a fraction of the time.
 
 What an FMU gains by it is speed alone. Where no compiler is found, and on hosts that the library is not made for,
-`crane_fmu.slave.quick` has CasADi interpret the same function.
+`crane_fmu.slave.quick_step` has CasADi interpret the same function.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import casadi as ca
 import servocore as sc
 from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, shared_library
 from crane_fmu.slave.interface import COMPILED, FEEDBACK_FILE
-from crane_fmu.slave.quick import usual_step
+from crane_fmu.slave.quick_step import usual_step
 
 _OPTIONS = "-O1 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
 

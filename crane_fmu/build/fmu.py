@@ -13,7 +13,7 @@ import servocore as sc
 from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Progress, collect
 from crane_fmu.build.page import user_page
-from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, Kind, Starts
+from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
 from servocore.files import write_together
 
@@ -24,7 +24,7 @@ _CHECK_SECONDS = 300.0
 def build_fmu(
     directory: Path,
     progress: Progress = lambda _: None,
-    kind: Kind = ROTARY_CRANE,
+    kind: FmuKind = ROTARY_CRANE,
     path: bytes | None = None,
     starts: Starts = NO_STARTS,
 ) -> Path:
@@ -36,7 +36,7 @@ def build_fmu(
         Where it goes; made if it does not exist.
     progress : callable
         Called with a phrase for every stage.
-    kind : Kind
+    kind : FmuKind
         Which FMU.
     path : bytes, optional
         A table that a trajectory carries, as CSV.
@@ -70,7 +70,7 @@ def build_fmu(
     return target
 
 
-def _check(archive: bytes, kind: Kind, starts: Starts) -> None:
+def _check(archive: bytes, kind: FmuKind, starts: Starts) -> None:
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
         put(Path(folder), {kind.file_name: archive})
         command = [

@@ -10,7 +10,7 @@ from jinja2 import Environment, StrictUndefined
 from markdown_it import MarkdownIt
 
 from crane_fmu.build.estimates import amplification
-from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Kind
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, FmuKind
 from crane_fmu.slave.interface import ORDERS, Causality, Variable
 
 _LOCAL_LINK = re.compile(r"\[([^\]]+)\]\((?!https?:)[^)]+\)")
@@ -103,7 +103,7 @@ _STYLE = (
 )
 
 
-def user_page(kind: Kind) -> str:
+def user_page(kind: FmuKind) -> str:
     """Return the page of an FMU as Markdown."""
     table = kind.interface()
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, autoescape=False, keep_trailing_newline=True)
@@ -115,7 +115,7 @@ def user_page(kind: Kind) -> str:
     )
 
 
-def documentation_page(kind: Kind) -> str:
+def documentation_page(kind: FmuKind) -> str:
     """Return the page as a complete HTML document."""
     alone = _LOCAL_LINK.sub(r"\1", user_page(kind))  # inside the FMU there are no other pages
     body = MarkdownIt("commonmark").enable("table").render(alone)

@@ -4,17 +4,17 @@ The command line, the FMUs, their pages and their checks read the same tables. T
 """
 
 from crane_fmu.catalogue.choices import FORMULATIONS, METHODS, MODELS, chosen
-from crane_fmu.catalogue.kinds import (
+from crane_fmu.catalogue.fmu_kinds import (
     CRANE_PLANT,
     KINDS,
     LOAD_TRAJECTORY,
     NO_STARTS,
     ROTARY_CRANE,
-    Kind,
+    FmuKind,
     Starts,
     at_rest,
 )
-from crane_fmu.slave.lines import PROFILES, THREE_PHASE
+from crane_fmu.slave.straight_lines import PROFILES, THREE_PHASE
 
 __all__ = [
     "CRANE_PLANT",
@@ -27,7 +27,7 @@ __all__ = [
     "PROFILES",
     "ROTARY_CRANE",
     "THREE_PHASE",
-    "Kind",
+    "FmuKind",
     "Starts",
     "at_rest",
     "chosen",

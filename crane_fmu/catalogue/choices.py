@@ -1,4 +1,4 @@
-"""Formulations, methods and models that can be asked for by name; profiles are in `crane_fmu.slave.lines`."""
+"""Formulations, methods and models that can be asked for by name; profiles are in `crane_fmu.slave.straight_lines`."""
 
 from __future__ import annotations
 

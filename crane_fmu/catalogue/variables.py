@@ -18,7 +18,7 @@ from crane_fmu.slave.interface import (
     Variable,
     components,
 )
-from crane_fmu.slave.lines import PROFILES, THREE_PHASE
+from crane_fmu.slave.straight_lines import PROFILES, THREE_PHASE
 
 _UNITS = {
     **dict(zip(ORDERS, ("m", "m/s", "m/s2", "m/s3", "m/s4"), strict=True)),

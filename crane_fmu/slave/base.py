@@ -18,7 +18,7 @@ from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variabil
 from pythonfmu.variables import Integer, Real
 
 from crane_fmu.slave.checks import chosen_item, require_finite, require_legal, require_step
-from crane_fmu.slave.guard import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
+from crane_fmu.slave.guarded_callbacks import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
 from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 

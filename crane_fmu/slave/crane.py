@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once, required
-from crane_fmu.slave.calls import carried
+from crane_fmu.slave.carried_functions import carried
 from crane_fmu.slave.checks import internal_steps, require_finite
 from crane_fmu.slave.estimate import Estimation, contradiction, estimation, in_motion, too_rough
 from crane_fmu.slave.feedback import Feedback, fastest_pendulum, feedbacks
@@ -25,14 +25,14 @@ from crane_fmu.slave.interface import (
     ORDERS,
     program_file,
 )
-from crane_fmu.slave.motion import Snapshot, advance, begin, told
+from crane_fmu.slave.motion import Snapshot, advance, begin, with_path
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, hermite, taylor
-from crane_fmu.slave.quick import QuickStep, quick_step
-from crane_fmu.slave.state import PlainState
+from crane_fmu.slave.quick_step import QuickStep, quick_step
+from crane_fmu.slave.saved_state import PlainState
 from servocore import InvalidReference, InvalidSetting, Program
 
 _INPUTS = ROWS * DIMENSION
-_NOTHING_TOLD = [0.0] * _INPUTS
+_NO_PATH = [0.0] * _INPUTS
 _ACTUATORS = 3  # the first outputs are theirs
 _SETTING_NAMES = ("internal_step", "feedback", "feedback_distance", "limit.M_b", "limit.F", "limit.M_w")
 _SETTINGS = len(_SETTING_NAMES)
@@ -48,7 +48,7 @@ class CraneState(PlainState):
         The motion that belongs to the path.
     forces : ndarray, shape (3,)
         Inputs of the crane: those of the motion, with feedback, within limits.
-    heard : sequence of float
+    path_inputs : sequence of float
         The path's inputs of the last step, empty before the first.
     samples : ndarray or None
         Memory of the estimation of derivatives; None where nothing is estimated.
@@ -66,7 +66,7 @@ class CraneState(PlainState):
 
     motion: Snapshot
     forces: Array
-    heard: Sequence[float] = ()
+    path_inputs: Sequence[float] = ()
     samples: Array | None = None
     peak: float = 0.0
     memory: Array | None = None
@@ -89,7 +89,7 @@ class CraneState(PlainState):
         return cls(
             motion=Snapshot.from_plain(plain["motion"]),
             forces=np.array(plain["forces"], dtype=float),
-            heard=[float(each) for each in plain["heard"]],
+            path_inputs=[float(each) for each in plain["path_inputs"]],
             samples=None if plain["samples"] is None else np.array(plain["samples"], dtype=float),
             peak=float(plain["peak"]),
             memory=None if plain["memory"] is None else np.array(plain["memory"], dtype=float),
@@ -147,11 +147,11 @@ class Slave(TableSlave):
         self._program, self._quick = program, quick
 
     def _begin(self, time: float) -> CraneState:
-        program, heard = required(self._program), self._finite_inputs(_INPUTS, time)
+        program, inputs = required(self._program), self._finite_inputs(_INPUTS, time)
         begin_estimates = required(self._estimation).begin
-        samples = begin_estimates(heard, self._order)[0] if self._order < ROWS - 1 else None
+        samples = begin_estimates(inputs, self._order)[0] if self._order < ROWS - 1 else None
         settings = self._required_parameters()
-        motion = begin(program, self._connected(heard), settings.p, time)
+        motion = begin(program, self._connected(inputs), settings.p, time)
         return CraneState(motion, self._limited(motion, settings), samples=samples)
 
     def _fits(self, state: CraneState) -> bool:
@@ -168,14 +168,15 @@ class Slave(TableSlave):
         program, motion = required(self._program), now.motion
         settings = self._required_parameters()
         time = motion.time + h if self._at_end else motion.time
-        heard = self._finite_inputs(_INPUTS, time)
-        if not now.heard and heard == _NOTHING_TOLD:  # some masters pass connected values on after the first step only
-            heard = motion.jet.ravel().tolist()
-        said, is_odd = self._contradicted(now, heard, time)
-        jet, samples, doubt = heard, now.samples, None
+        inputs = self._finite_inputs(_INPUTS, time)
+        # Some masters pass connected values on after the first step only.
+        if not now.path_inputs and inputs == _NO_PATH:
+            inputs = motion.jet.ravel().tolist()
+        said, is_odd = self._contradicted(now, inputs, time)
+        jet, samples, doubt = inputs, now.samples, None
         if samples is not None:
             follow = required(self._estimation).follow
-            samples, estimate, error, known = follow(samples, heard, h, float(self._at_end), self._order)
+            samples, estimate, error, known = follow(samples, inputs, h, float(self._at_end), self._order)
             jet, doubt = estimate.tolist(), error.item() if known.item() else math.inf
         count = internal_steps(settings.internal_step, h)
         quick = self._quick if count == 1 else None
@@ -187,9 +188,9 @@ class Slave(TableSlave):
         memory, is_far = None, now.is_far
         if settings.share > 0.0 and any(self._reals[self._measured]):
             forces, memory, is_far, said = self._with_feedback(now, after, jet, h, settings, forces, said)
-        state = object.__new__(CraneState)  # see `quick`: its own way takes three times as long
+        state = object.__new__(CraneState)  # see `quick_step`: its own way takes three times as long
         state.__dict__.update(
-            motion=after, forces=forces, heard=heard, samples=samples, peak=peak, memory=memory, is_far=is_far,
+            motion=after, forces=forces, path_inputs=inputs, samples=samples, peak=peak, memory=memory, is_far=is_far,
             is_odd=is_odd, said=said,
         )  # fmt: skip
         return state
@@ -211,7 +212,7 @@ class Slave(TableSlave):
         """Take a step that is the first, has another size, is divided, or is to be refused with a sentence."""
         path: LoadPath
         if not self._at_end:
-            now = told(program, now, jet, p)
+            now = with_path(program, now, jet, p)
             path = partial(taylor, jet)
         elif count == 1 and program.nodes == (1.0,):
             path = lambda _: jet  # noqa: E731
@@ -264,9 +265,10 @@ class Slave(TableSlave):
         forces: Array = np.minimum(np.maximum(wanted, -most), most)  # `clip` takes three times as long
         return forces
 
-    def _contradicted(self, now: CraneState, heard: Sequence[float], time: float) -> tuple[tuple[str, ...], bool]:
+    def _contradicted(self, now: CraneState, inputs: Sequence[float], time: float) -> tuple[tuple[str, ...], bool]:
         """Tell if the path moves where derivatives that should be connected say it does not; refuse a second step."""
-        found = contradiction(now.heard, heard, self._order) if now.heard and now.heard != heard else ""
+        before = now.path_inputs
+        found = contradiction(before, inputs, self._order) if before and before != inputs else ""
         if found and now.is_odd:
             raise InvalidReference(f"at t = {time:.6g} s {found}")
         if found:
@@ -288,9 +290,9 @@ class Slave(TableSlave):
 
     # --- what the variables say ----------------------------------------------------------------------------------
 
-    def _connected(self, heard: Sequence[float]) -> Array:
+    def _connected(self, inputs: Sequence[float]) -> Array:
         """Return the inputs as a jet without what is not connected."""
-        jet = _matrix(heard)
+        jet = _matrix(inputs)
         jet[self._order + 1 :] = 0.0
         return jet
 

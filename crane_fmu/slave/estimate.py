@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from crane_fmu.slave.calls import Call, called
+from crane_fmu.slave.carried_functions import Call, called
 from crane_fmu.slave.interface import ORDERS
 
 SAMPLES = len(ORDERS) + 2

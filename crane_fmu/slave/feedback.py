@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from crane_fmu.slave.calls import Call, called
+from crane_fmu.slave.carried_functions import Call, called
 from crane_fmu.slave.interface import INPUT_TIMES
 from crane_fmu.slave.paths import Array
 

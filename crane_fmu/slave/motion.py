@@ -15,7 +15,7 @@ import numpy as np
 
 from crane_fmu.slave.interface import SHORTEST_STEP
 from crane_fmu.slave.paths import ROWS, Array, LoadPath, taylor
-from crane_fmu.slave.state import PlainState
+from crane_fmu.slave.saved_state import PlainState
 from servocore import InconsistentStart, IntegrationFailed, Program
 
 JITTER = 1e-6
@@ -110,7 +110,7 @@ def advance(program: Program, before: Snapshot, path: LoadPath, h: float, count:
     return before
 
 
-def told(program: Program, now: Snapshot, jet: Array, p: Array) -> Snapshot:
+def with_path(program: Program, now: Snapshot, jet: Array, p: Array) -> Snapshot:
     """Return the present with the path told for it, which so far was only extrapolated.
 
     Raises

@@ -13,7 +13,7 @@ from crane_fmu.slave.base import TableSlave, load_once, required
 from crane_fmu.slave.checks import internal_steps
 from crane_fmu.slave.interface import CRANE_PARAMETERS, PLANT_FILE, components
 from crane_fmu.slave.paths import Array
-from crane_fmu.slave.state import PlainState
+from crane_fmu.slave.saved_state import PlainState
 from servocore import IntegrationFailed, InvalidReference, Plant
 
 SMALLEST_RADIUS = 1e-3

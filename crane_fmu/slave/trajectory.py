@@ -10,8 +10,8 @@ import numpy as np
 
 from crane_fmu.slave.base import TableSlave, required
 from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE, components
-from crane_fmu.slave.lines import straight_line
-from crane_fmu.slave.state import PlainState
+from crane_fmu.slave.saved_state import PlainState
+from crane_fmu.slave.straight_lines import straight_line
 from servocore import InvalidReference, InvalidSetting, Reference, from_csv
 
 

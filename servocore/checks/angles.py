@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array, Call
-from servocore.numerics.turns import shortest_turn
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.angle_wrapping import wrapped_angle
+from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.program import Program
 
@@ -91,8 +91,8 @@ def follow_angles(
 class _Angular:
     """Angles and their rates as functions of the entries `used` of a state, and of p."""
 
-    function: Vectorised
-    rates: Vectorised
+    function: Vectorized
+    rates: Vectorized
     used: tuple[int, ...]
 
     def __call__(self, states: Array, p: Array) -> tuple[Array, Array]:
@@ -114,7 +114,7 @@ def _turns_little(t: Array, values: Array, fastest: float) -> bool:
 
 def _turns(steps: Array, angle: Array, rate: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the shortest turns between instants `steps` apart, and where they may be another: too large, too fast."""
-    shortest = shortest_turn(np.diff(angle))
+    shortest = wrapped_angle(np.diff(angle))
     predicted = steps * np.maximum(np.abs(rate[1:]), np.abs(rate[:-1]))
     return shortest, ~(np.maximum(np.abs(shortest), predicted) < _QUARTER_TURN)
 
@@ -164,8 +164,8 @@ def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: 
     both = ca.Function("sc_angles", [state[used], system.p], results)
     alone = ca.Function("sc_angle_rates", [state[used], system.p], results[1:])
     return _Angular(
-        Vectorised(both, (True, False), native and None, system.name),  # seldom needed: not to be waited for
-        Vectorised(alone, (True, False), native, system.name),
+        Vectorized(both, (True, False), native and None, system.name),  # seldom needed: not to be waited for
+        Vectorized(alone, (True, False), native, system.name),
         tuple(used),
     )
 

@@ -6,7 +6,7 @@ import warnings
 
 import numpy as np
 
-from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import InvalidReference, ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 
@@ -35,7 +35,7 @@ _NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; neare
 def suspects(problem: Problem, solution: Solution, native: bool | None = False) -> list[tuple[int, int]]:
     """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports.
 
-    `native` says whether machine code may look first whether there is any; see `Vectorised`.
+    `native` says whether machine code may look first whether there is any; see `Vectorized`.
     """
     t = solution.t
     if len(t) < 4 * _BESIDE[1] or len(solution.channels) < len(problem.system.inputs):
@@ -70,7 +70,7 @@ def _peaks(values: Array) -> Array:
     return found
 
 
-def _alarming(alarm: Vectorised, values: Array, rows: list[int], positive: list[int]) -> bool:
+def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[int]) -> bool:
     """Whether something of values (N, channels) stands out: what `_marked` looks at first, with nothing stored.
 
     At both ends, where neighbours are missing, it looks itself.
@@ -84,7 +84,7 @@ def _alarming(alarm: Vectorised, values: Array, rows: list[int], positive: list[
     )
 
 
-def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], native: bool | None) -> Vectorised:
+def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], native: bool | None) -> Vectorized:
     """Compile (values at instants in a row, least) -> whether one stands out in the middle."""
     (columns, positive, coordinates), near = _watched(resolved, channels), _BESIDE[0]
     instants = [ca.SX.sym(f"at{k}", len(channels)) for k in range(2 * near + 3)]
@@ -99,7 +99,7 @@ def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], na
         if row in positive:
             found = ca.logic_or(found, instants[1 + near][k] <= here)
     function = ca.Function("sc_alarm", [*instants, least], [ca.densify(found)])
-    return Vectorised(function, [True] * len(instants) + [False], native, resolved.system.name)
+    return Vectorized(function, [True] * len(instants) + [False], native, resolved.system.name)
 
 
 def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, ServocoreWarning
-from servocore.numerics.calls import Array, Call, at_instants
+from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.constraint_ranks import Rows, assembled
 from servocore.numerics.interpolation import lagrange

@@ -25,7 +25,7 @@ from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.methods.damping import damps
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
 

@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from servocore.checks.instants import survey
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.margins import compile_margins, limit_texts, limits_order
+from servocore.stepping.limit_margins import compile_margins, limit_texts, limits_order
 from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import LimitText, require_margins
 
@@ -22,7 +22,7 @@ _REFINEMENTS = 4
 def require_feasible(problem: Problem, t: Array | None = None, native: bool | None = False) -> None:
     """Raise `InvalidReference` if the path breaks a limit anywhere, or at the instants `t` one that counts there only.
 
-    `native` says whether machine code may evaluate the limits; see `Vectorised`.
+    `native` says whether machine code may evaluate the limits; see `Vectorized`.
 
     The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
     the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.

@@ -7,7 +7,7 @@ import numpy as np
 
 from servocore.checks.branches import configurations
 from servocore.errors import InvalidModel
-from servocore.numerics.calls import Call
+from servocore.numerics.compiled_calls import Call
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 

@@ -18,7 +18,7 @@ from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.problem import Problem, ResolvedSystem, resolve
 from servocore.solution import Solution

@@ -20,7 +20,7 @@ from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
 

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 
 from servocore.analysis import analyse
-from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE
 from servocore.cli.level import Cost, Level, Spread
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.formulations.base import Formulation
@@ -25,7 +25,7 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array, chained, side_by_side
+from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.solve import solve

@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 from servocore.checks.motion_limits import limited_values, motion_limits
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array
-from servocore.planning.laws import polynomial_path
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import PlanReport
 from servocore.planning.sensitivities import Sensitivities
+from servocore.planning.time_laws import polynomial_path
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.timed_path import TimedPath
-from servocore.solvers.following import prepared_table
+from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.within_limits import exact_states
 
 _INSTANTS = 1001

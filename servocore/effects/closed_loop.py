@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.effects.drives import Gains, measured_in
-from servocore.effects.inverted import Inverted
+from servocore.effects.model_inversion import Inverted
 from servocore.errors import InvalidModel
-from servocore.numerics.calls import Array, Call, chained, mapped
+from servocore.numerics.compiled_calls import Array, Call, chained, mapped
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate
 

@@ -11,7 +11,7 @@ import numpy as np
 from servocore.errors import InvalidModel, InvalidSetting, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,18 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
+from servocore.export.directional_derivatives import tangent
 from servocore.export.estimates import SampledEstimates
-from servocore.export.evaluated import Matrix, timed_path, wanted
+from servocore.export.exported_quantities import Matrix, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
+from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.inverse_model import InverseModel, Mathematics
-from servocore.export.names import identifier_of, require_different
 from servocore.export.native_model import Bound
-from servocore.export.tangents import tangent
 from servocore.export.variables import INPUT_TIME, Variable
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import instantaneous
@@ -31,13 +31,13 @@ from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
-from servocore.solvers.following import BranchTable, prepared_table
-from servocore.stepping.compilation import discretised, program_of
+from servocore.solvers.branch_continuation import BranchTable, prepared_table
+from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_restart
-from servocore.stepping.margins import compile_margins, limits_order
+from servocore.stepping.limit_margins import compile_margins, limits_order
 from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
@@ -316,7 +316,7 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
     orders = max(program.start_order + 1, known.orders)
-    read = compile_observation(system, dae, discretised(dae, METHOD), known.wanted, orders - 1)
+    read = compile_observation(system, dae, discretized(dae, METHOD), known.wanted, orders - 1)
     margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
@@ -356,7 +356,7 @@ def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, moved: ca.MX) ->
         found, _, residual = inverse.search(used, p, guess)
     else:
         found, _, residual = inverse.function(used, p)
-    restart = compile_restart(array, inverse, dae, dae, discretised(dae, METHOD), order)
+    restart = compile_restart(array, inverse, dae, dae, discretized(dae, METHOD), order)
     return restart(found, path, 0, p), residual
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.export.building import inverse_model
+from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_model import InverseModel, Mathematics
-from servocore.export.names import identifier_of
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import write_together

@@ -7,7 +7,7 @@ import numpy as np
 from servocore.export.inverse_model import InverseModel
 from servocore.files import csv_text
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.solution import Solution
 
 STEPS = 1000

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.generated import renamed
+from servocore.export.c_functions import renamed
 from servocore.export.variables import Choice, order_name
 
 _NAMES = ("first_samples", "estimate", "worth")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.generated import renamed
+from servocore.export.c_functions import renamed
 from servocore.export.variables import INPUT_TIME
 from servocore.model.quantity import Quantity
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.export.generated import c_source, scratch_of
+from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.native_model import Bound, NativeModel
 from servocore.model.quantity import Quantity
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.export.generated import c_source
+from servocore.export.c_functions import c_source
 from servocore.export.variables import Causality, Choice, Variable
 from servocore.model.quantity import Quantity
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.export import variables as rows
-from servocore.export.names import identifier_of, require_different
+from servocore.export.directional_derivatives import tangent
+from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import Bound, NativeModel
-from servocore.export.tangents import tangent
 from servocore.export.variables import INPUT_TIME, Choice, Variable
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from servocore.errors import InvalidSetting, refused_if_missing
-from servocore.export.generated import scratch_of
+from servocore.export.c_functions import scratch_of
 from servocore.export.native_model import NativeModel
 from servocore.export.variables import Variable
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.errors import InvalidReference
 from servocore.export import variables as rows
-from servocore.export.names import identifier_of, require_different
+from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import NativeModel
 from servocore.export.variables import Choice, Variable
 from servocore.model.quantity import Quantity

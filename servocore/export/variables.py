@@ -12,7 +12,7 @@ import numpy as np
 from servocore.export.units import per_time
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 Causality = Literal["input", "output", "parameter", "local"]
 

@@ -11,7 +11,7 @@ from typing import Any
 
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.building import followed, inverse_model
-from servocore.export.generated import c_source, scratch_of
+from servocore.export.c_functions import c_source, scratch_of
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered

@@ -11,7 +11,7 @@ from servocore.model.drawing import Drawing
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 
 ModelFactory = Callable[[], MechanicalSystem]

@@ -204,7 +204,7 @@ class Coordinates:
         Returns
         -------
         int
-            Counted from zero.
+            CheckedInputs from zero.
         """
         if name not in self.names:
             raise InvalidModel(f"no coordinate is called {name}; there are {', '.join(self.names)}")

@@ -20,11 +20,11 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
+from servocore.model.model_validation import Written, require_sound
 from servocore.model.quantity import Quantity
-from servocore.model.soundness import Written, require_sound
 from servocore.model.symbols import Coordinates, Parameter, Parameters, numbers, quantities_of, symbols
-from servocore.model.velocities import require_positions
-from servocore.numerics.calls import Array
+from servocore.model.velocity_dependence import require_positions
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
 from servocore.numerics.expressions import as_expression, gyroscopic_forces
 from servocore.numerics.pivoting import last_good_columns

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.components import singular_values
 
 ROUND_OFF = 1e-9

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 _MOST_MINORS = 2000  # beyond that many candidates the columns are chosen greedily
 _GOOD_ENOUGH = 0.5  # of the largest minor: among such choices the last columns are taken

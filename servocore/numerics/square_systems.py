@@ -11,7 +11,7 @@ unknown of its own whose Newton correction is exactly one tick: -r/r' = tick for
 iterations inside compiled loops, and convergence is judged from the count.
 
 Where unknowns are large beside their nominal values (accelerations of stiff parts), corrections end at round-off above
-`STEP_TOLERANCE`. After `QUICK_ITERATIONS` the rest is done with care: an equation counts as solved where a change of
+`NEWTON_TOLERANCE`. After `QUICK_ITERATIONS` the rest is done with care: an equation counts as solved where a change of
 unknowns and givens by some round-off explains what is left of it.
 """
 
@@ -24,12 +24,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.alike import Alike, alike
-from servocore.numerics.assembly import Assembly, substituted
 from servocore.numerics.expressions import largest
+from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
+from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.tearing import dependence, tear
 
-STEP_TOLERANCE = 1e-9
+NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
 
 QUICK_ITERATIONS = 12
@@ -80,10 +80,10 @@ class SquareSystem:
                 raise InvalidModel(f"{size} unknowns, but {attribute} has {found} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
-    def alike(self) -> list[Alike]:
+    def alike(self) -> list[IsomorphicParts]:
         """Groups of independent parts that are alike."""
         beside = self.guess, self.unknown_scale, self.residual_scale
-        return alike(self.residual, self.unknowns, self.givens, beside)
+        return isomorphic_parts(self.residual, self.unknowns, self.givens, beside)
 
 
 def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
@@ -114,13 +114,13 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
     """
     givens = ca.MX.sym("givens", system.givens.numel())
     try:
-        assembly = _solved(system, givens, flat=True)
+        known = _solved(system, givens, flat=True)
     except _TooLargeError:
         return None
-    if assembly.iterations or assembly.alike:
+    if known.iterations or known.alike:
         return None
-    wanted = [ca.densify(each) for each in assembly.resolved(*outputs)]
-    return ca.Function(name, [givens], assembly.evaluated("sc_finish", *wanted)).expand()
+    wanted = [ca.densify(each) for each in known.resolved(*outputs)]
+    return ca.Function(name, [givens], known.evaluated("sc_finish", *wanted)).expand()
 
 
 def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, flat: bool = False) -> ca.Function:
@@ -149,37 +149,39 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         If the equations are structurally singular.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    assembly = _solved(system, givens, flat)
+    known = _solved(system, givens, flat)
     worst = largest(system.residual / system.residual_scale)
-    wanted = [ca.densify(each) for each in assembly.resolved(*outputs, worst)]
-    *found, residual = assembly.evaluated("sc_finish", *wanted, common=not flat)
-    return ca.Function(name, [givens], [*found, assembly.counts(), residual])
+    wanted = [ca.densify(each) for each in known.resolved(*outputs, worst)]
+    *found, residual = known.evaluated("sc_finish", *wanted, common=not flat)
+    return ca.Function(name, [givens], [*found, known.counts(), residual])
 
 
-def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> Assembly:
+def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> KnownValues:
     """Solve a system block by block for values of its givens; parts that are alike are compiled once."""
-    assembly = Assembly()
-    assembly.learn(system.givens, givens)
+    known = KnownValues()
+    known.learn(system.givens, givens)
     rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
     for group in system.alike:
-        _solve_alike(assembly, system, givens, group, flat)
+        _solve_isomorphic(known, system, givens, group, flat)
         rows -= {row for part in group.parts for row in part.rows.tolist()}
         columns -= {column for part in group.parts for column in part.columns.tolist()}
     if not columns:
-        return assembly
+        return known
     if len(columns) < system.unknowns.numel():
         system = _part(system, sorted(rows), sorted(columns))
     system, constants = _without_constants(system)
     for symbol, number in constants:
-        assembly.state(symbol, number)
+        known.state(symbol, number)
     for block in _blocks(system):
         if flat and len(block[0]) > _MOST_UNROLLED:
             raise _TooLargeError
-        _solve_block(assembly, _part(system, *block), flat)
-    return assembly
+        _solve_block(known, _part(system, *block), flat)
+    return known
 
 
-def _solve_alike(assembly: Assembly, system: SquareSystem, givens: ca.MX, group: Alike, flat: bool) -> None:
+def _solve_isomorphic(
+    known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, flat: bool
+) -> None:
     """Solve parts that are alike by one function, mapped."""
     first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
     part = _part(system, first.rows.tolist(), first.columns.tolist())
@@ -190,8 +192,8 @@ def _solve_alike(assembly: Assembly, system: SquareSystem, givens: ca.MX, group:
     solve = ca.Function("sc_alike", [given], [*values, inner.counts()]).map(count)
     solved, counts = solve(ca.reshape(givens[[k for each in group.givens for k in each]], size, count))
     columns = [column for each in group.parts for column in each.columns.tolist()]
-    assembly.learn(system.unknowns[columns], ca.vec(solved))
-    assembly.alike.append(counts)
+    known.learn(system.unknowns[columns], ca.vec(solved))
+    known.alike.append(counts)
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -246,22 +248,22 @@ def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
     ]
 
 
-def _solve_block(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+def _solve_block(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
     linear = not ca.depends_on(jacobian, unknowns)
     if linear and size <= _EXPLICIT_SIZE:
-        jacobian, constant = assembly.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
+        jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
         solution = -_small_inverse_times(jacobian, constant)
         for k in range(size):
-            assembly.state(unknowns[k], solution[k])
-        assembly.linear_blocks += 1
+            known.state(unknowns[k], solution[k])
+        known.linear_blocks += 1
         return
-    assembly.flush()
+    known.flush()
     if linear:
-        _solve_linear(assembly, block, flat)
+        _solve_linear(known, block, flat)
     else:
-        _solve_nonlinear(assembly, block, flat)
+        _solve_nonlinear(known, block, flat)
 
 
 def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
@@ -277,46 +279,46 @@ def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
-def _solve_linear(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+def _solve_linear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     jacobian = ca.jacobian(block.residual, block.unknowns)
     constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
-    assembly.linear_blocks += 1
+    known.linear_blocks += 1
     if flat:
         # Written out, QR is Gram and Schmidt's: its error grows with the square of the condition, which is large where
         # equations of forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
         length = ca.sqrt(ca.sum2(jacobian**2))
         rows = ca.mtimes(ca.diag(1 / length), jacobian)
-        assembly.learn(block.unknowns, *assembly.evaluated("sc_linear", ca.solve(rows, -constant / length)))
+        known.learn(block.unknowns, *known.evaluated("sc_linear", ca.solve(rows, -constant / length)))
         return
-    matrix, right = assembly.evaluated("sc_linear", jacobian, -constant)
-    assembly.learn(block.unknowns, ca.solve(matrix, right, "qr"))
+    matrix, right = known.evaluated("sc_linear", jacobian, -constant)
+    known.learn(block.unknowns, ca.solve(matrix, right, "qr"))
 
 
-def _solve_nonlinear(assembly: Assembly, block: SquareSystem, flat: bool) -> None:
+def _solve_nonlinear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     core, kept_rows, torn = tear(block.unknowns, block.residual)
     block = _part(block, kept_rows, core)
     block = replace(block, residual=substituted(torn, block.residual)[0])
-    assembly.learn(block.unknowns, (_iterated_once if flat else _iterated)(assembly, block))
+    known.learn(block.unknowns, (_iterated_once if flat else _iterated)(known, block))
     for symbol, expression in torn:
-        assembly.state(symbol, expression)
+        known.state(symbol, expression)
 
 
-def _iterated(assembly: Assembly, block: SquareSystem) -> ca.MX:
+def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     """Return where Newton's method ends, or NaN if it does not."""
-    start, scale, row_scale = assembly.evaluated(
+    start, scale, row_scale = known.evaluated(
         "sc_prepare", block.guess / block.unknown_scale, block.unknown_scale, block.residual_scale
     )
     size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
     scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
-    known, values = assembly.needed(block.residual)
+    symbols, values = known.needed(block.residual)
     equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
-    x, p = ca.vertcat(scaled, clock), ca.vertcat(known, scale_symbol, row_scale_symbol)
-    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), known)(
+    x, p = ca.vertcat(scaled, clock), ca.vertcat(symbols, scale_symbol, row_scale_symbol)
+    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), symbols)(
         ca.vertcat(start, 0), ca.vertcat(values, scale, row_scale)
     )
     ticks = root[size] / _TICK
-    assembly.iterations.append(ticks)
+    known.iterations.append(ticks)
     # A count at the limit is a failure: let it spread instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
@@ -324,7 +326,7 @@ def _iterated(assembly: Assembly, block: SquareSystem) -> ca.MX:
 
 def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
     """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` what round-off changes in p."""
-    options = {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
+    options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
     problem = {"x": x, "p": p, "g": equations}
     quick = ca.rootfinder("sc_newton", "fast_newton", problem, {**options, "max_iter": QUICK_ITERATIONS})
     J = ca.jacobian(equations, x)
@@ -344,15 +346,15 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
     return ca.Function("sc_root", [start, given], [root])
 
 
-def _iterated_once(assembly: Assembly, block: SquareSystem) -> ca.MX:
-    """Return a guess after one Newton iteration, or NaN if that moved it by more than `STEP_TOLERANCE`."""
+def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
+    """Return a guess after one Newton iteration, or NaN if that moved it by more than `NEWTON_TOLERANCE`."""
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
     correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
-    verdict = ca.if_else(largest(correction / block.unknown_scale) < STEP_TOLERANCE, 1.0, np.nan)
-    (start,) = assembly.evaluated("sc_prepare", block.guess)
-    known, values = assembly.needed(residual, block.unknown_scale)
-    iterate = ca.Function("sc_iterate", [known, unknowns], [(unknowns - correction) * verdict], {"cse": True})
-    assembly.iterations.append(ca.MX(1))
+    verdict = ca.if_else(largest(correction / block.unknown_scale) < NEWTON_TOLERANCE, 1.0, np.nan)
+    (start,) = known.evaluated("sc_prepare", block.guess)
+    symbols, values = known.needed(residual, block.unknown_scale)
+    iterate = ca.Function("sc_iterate", [symbols, unknowns], [(unknowns - correction) * verdict], {"cse": True})
+    known.iterations.append(ca.MX(1))
     found: ca.MX = iterate(values, start)
     return found

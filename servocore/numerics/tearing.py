@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.assembly import substituted
+from servocore.numerics.known_values import substituted
 
 _FILL = 0  # a substitution must not leave more entries than it removes
 

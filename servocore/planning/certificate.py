@@ -8,10 +8,10 @@ import numpy.typing as npt
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import limited_values, motion_limits
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import Active, Certificate
 from servocore.problem import Problem
-from servocore.solvers.following import prepared_table
+from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.within_limits import exact_states
 
 _INSTANTS = 20_001

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidReference
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.rest_to_rest import RestToRest

@@ -10,9 +10,9 @@ import numpy as np
 from servocore.checks.instants import survey
 from servocore.errors import LimitBroken, PlanningFailed
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, at_instants
-from servocore.planning.laws import shortest_kept
-from servocore.planning.rows import Rows, limit_rows, require_at_rest
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
+from servocore.planning.time_laws import shortest_kept
 from servocore.problem import Problem
 from servocore.references.stretched import Stretched
 from servocore.solvers.exact_inversion import ExactInversion

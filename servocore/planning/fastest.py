@@ -11,18 +11,18 @@ from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.certificate import certify
-from servocore.planning.laws import shape_of, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.report import PlanReport
 from servocore.planning.search import EXCESS, Found, planned
 from servocore.planning.space import Space
 from servocore.planning.tasks import Way, corner_problems, curve_of, starts_along, starts_free, task_along, task_free
+from servocore.planning.time_laws import shape_of, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 from servocore.references.timed_path import TimedPath
-from servocore.stepping.arguments import require_callable
+from servocore.stepping.argument_checks import require_callable
 
 _LOOKED_AT = 20_001
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, refused_if_missing
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.structure.inversion import inversion

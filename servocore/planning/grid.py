@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidSetting
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 CASE = "case"
 """The dimension of cases that are rows of a table."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servocore.errors import PlanningFailed
-from servocore.planning.chains import Law
+from servocore.planning.integrator_chains import Law
 from servocore.planning.transcription import Outcome, Task, Transcription
 
 EXCESS = 1e-4

@@ -14,9 +14,9 @@ from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.following import prepared_table
+from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.within_limits import exact_states
 from servocore.stepping.forward_dynamics import forward_rate
 

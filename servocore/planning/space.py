@@ -12,7 +12,7 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 _POWER = 8
 _TIP = 1e-6

@@ -19,17 +19,17 @@ import numpy as np
 from servocore.errors import InvalidSetting, ServocoreError, described, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.grid import DURATION, Slices
-from servocore.planning.pools import PoolLost, pool_of
+from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
+from servocore.planning.sweep_settings import SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import Memory, Sink, Zarr
 from servocore.planning.sweep_tables import SUFFIX, Parquet
-from servocore.planning.swept import Swept, in_time, settings_of, settled
-from servocore.planning.swept_cases import SWING, Cases, Work, evaluated, work_of
+from servocore.planning.worker_pools import PoolLost, pool_of
 from servocore.references.base import Reference
-from servocore.solvers.following import prepared_table
+from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.solve import solve
-from servocore.stepping.arguments import require_callable
+from servocore.stepping.argument_checks import require_callable
 
 Progress = Callable[[int, int], None]
 
@@ -113,7 +113,7 @@ def sweep(
     >>> found.peak_M_b.sel(load_mass=100).dims
     ('duration',)
     """
-    swept = settled(scene, parameters, references, limits, instants, inputs, model)
+    swept = checked_settings(scene, parameters, references, limits, instants, inputs, model)
     _require_arguments(executor, distributed, chunk, progress)
     work = _work(swept, native)
     fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
@@ -151,7 +151,7 @@ def _require_arguments(executor: Any, distributed: Any, chunk: Any, progress: An
 
 
 def _sink(
-    swept: Swept, settings: Mapping[str, Any], shape: Sequence[int], store: str | Path | None, resume: bool
+    swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int], store: str | Path | None, resume: bool
 ) -> Sink:
     if store is None:
         return Memory(swept, settings)
@@ -175,7 +175,7 @@ def _count(block: Slices) -> int:
 # Computing -----------------------------------------------------------------------------------------------------------
 
 
-def _work(swept: Swept, native: bool | None) -> Work | None:
+def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     """Compile what is computed of every case; None where cases have to be solved one by one."""
     problem = swept.problem
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()) and prepared_table(problem) is None:
@@ -189,7 +189,7 @@ def _work(swept: Swept, native: bool | None) -> Work | None:
 
 
 def _computed(
-    swept: Swept, work: Work | None, todo: list[tuple[int, Slices]], executor: Executor | None
+    swept: SweepSettings, work: Work | None, todo: list[tuple[int, Slices]], executor: Executor | None
 ) -> Iterator[tuple[int, Slices, dict[str, Any]]]:
     """Yield the results of blocks as they come, with the sentences of cases that failed."""
     if work is None:
@@ -212,7 +212,7 @@ def _computed(
             pool.forget(waiting)
 
 
-def _cases(swept: Swept, block: Slices) -> Cases:
+def _cases(swept: SweepSettings, block: Slices) -> Cases:
     """Return the cases of a block as arrays."""
     grid, problem = swept.grid, swept.problem
     which, names = grid.paths(block), problem.system.parameters.names
@@ -234,14 +234,14 @@ def _cases(swept: Swept, block: Slices) -> Cases:
 # Cases that fail, and cases by themselves ----------------------------------------------------------------------------
 
 
-def _with_sentences(swept: Swept, block: Slices, found: dict[str, Array]) -> dict[str, Any]:
+def _with_sentences(swept: SweepSettings, block: Slices, found: dict[str, Array]) -> dict[str, Any]:
     failures = np.full(len(found["solved"]), "", dtype=object)
     for k in np.flatnonzero(found["solved"] == 0.0):
         failures[k] = _sentence(swept, block, int(k))
     return {**found, "failure": failures}
 
 
-def _sentence(swept: Swept, block: Slices, k: int) -> str:
+def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
     """Return why a case is not solved."""
     try:
         _solved(swept, block, k)
@@ -250,7 +250,7 @@ def _sentence(swept: Swept, block: Slices, k: int) -> str:
     return f"{swept.problem.name}: not solved at all of {swept.instants} instants from the guess of the model"
 
 
-def _solved(swept: Swept, block: Slices, k: int) -> Any:
+def _solved(swept: SweepSettings, block: Slices, k: int) -> Any:
     given = swept.grid.case(block, k)
     path = swept.references[int(swept.grid.paths(block)[k])]
     law = in_time(path, given.pop(DURATION)) if DURATION in given else path
@@ -259,7 +259,7 @@ def _solved(swept: Swept, block: Slices, k: int) -> Any:
     return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)
 
 
-def _one_by_one(swept: Swept, block: Slices) -> dict[str, Any]:
+def _one_by_one(swept: SweepSettings, block: Slices) -> dict[str, Any]:
     """Solve every case of a block, as `solve` does by default."""
     system, count = swept.problem.system, _count(block)
     m, limits = len(system.inputs), len(swept.limits)

@@ -14,7 +14,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.planning.grid import CASE, DURATION, PATH, Slices
-from servocore.planning.swept import Swept
+from servocore.planning.sweep_settings import SweepSettings
 
 INSTANT = "instant"
 """The dimension of the inputs over time: the share of the duration that has passed."""
@@ -50,7 +50,7 @@ class Variable:
     over_time: bool = False
 
 
-def variables_of(swept: Swept) -> list[Variable]:
+def variables_of(swept: SweepSettings) -> list[Variable]:
     """Return the variables of a sweep's dataset."""
     system, quantities = swept.problem.system, swept.problem.system.inputs
     found = [
@@ -69,12 +69,12 @@ def variables_of(swept: Swept) -> list[Variable]:
     return [*found, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
 
 
-def units_of(swept: Swept) -> dict[str, str]:
+def units_of(swept: SweepSettings) -> dict[str, str]:
     """Return the units of all that can vary."""
     return {each.name: each.unit for each in swept.problem.system.parameters.declared} | {DURATION: "s"}
 
 
-def _coordinates(swept: Swept) -> dict[str, tuple[str, Any, dict[str, str]]]:
+def _coordinates(swept: SweepSettings) -> dict[str, tuple[str, Any, dict[str, str]]]:
     units = units_of(swept)
     found: dict[str, tuple[str, Any, dict[str, str]]] = {
         name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in swept.grid.columns.items()
@@ -87,7 +87,7 @@ def _coordinates(swept: Swept) -> dict[str, tuple[str, Any, dict[str, str]]]:
     return found
 
 
-def placed(swept: Swept, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
+def placed(swept: SweepSettings, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
     """Return the values of a variable for a block, in its shape."""
     values = found[variable.result]
     values = values if variable.column is None else values[..., variable.column]
@@ -107,13 +107,13 @@ class Memory:
 
     Parameters
     ----------
-    swept : Swept
+    swept : SweepSettings
         What is swept.
     settings : mapping
         Become attributes of the dataset.
     """
 
-    def __init__(self, swept: Swept, settings: Mapping[str, Any]) -> None:
+    def __init__(self, swept: SweepSettings, settings: Mapping[str, Any]) -> None:
         self._xarray, self._swept, self._settings = the_xarray(), swept, settings
         self._arrays: dict[str, Any] = {}
         for each in variables_of(swept):
@@ -153,11 +153,11 @@ class Zarr:
     ----------
     path : Path
         Of the store.
-    swept : Swept
+    swept : SweepSettings
         What is swept.
     """
 
-    def __init__(self, path: Path, swept: Swept) -> None:
+    def __init__(self, path: Path, swept: SweepSettings) -> None:
         self._path, self._swept, self._xarray = path, swept, the_xarray()
         self._group = _zarr().open_group(path, mode="r+")
         self._arrays = {each.name: self._group[each.name] for each in variables_of(swept)}
@@ -165,7 +165,9 @@ class Zarr:
         self._known = np.asarray(self._done[:], dtype=bool)
 
     @classmethod
-    def opened(cls, path: Path, swept: Swept, settings: Mapping[str, Any], shape: Sequence[int], resume: bool) -> Zarr:
+    def opened(
+        cls, path: Path, swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int], resume: bool
+    ) -> Zarr:
         """Make a store, or open the one that is to be completed.
 
         Raises
@@ -212,7 +214,7 @@ def require_settings(path: Path, settings: Mapping[str, Any], read: Callable[[],
         raise InvalidSetting(f"{path} is of another sweep, whose {', '.join(other)} differ; nothing was resumed")
 
 
-def _made(path: Path, swept: Swept, settings: Mapping[str, Any]) -> None:
+def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None:
     """Make a store without results."""
     zarr, dimensions = _zarr(), tuple(swept.grid.dimensions)
     block = tuple(settings["block"])

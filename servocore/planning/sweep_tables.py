@@ -11,8 +11,8 @@ import numpy as np
 
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.planning.grid import PATH, Slices
+from servocore.planning.sweep_settings import SweepSettings
 from servocore.planning.sweep_store import Memory, Variable, placed, require_settings, units_of, variables_of
-from servocore.planning.swept import Swept
 
 SUFFIX = ".parquet"
 """How the name of a store ends that is such a folder."""
@@ -29,7 +29,7 @@ class Parquet:
     ----------
     path : Path
         Of the folder.
-    swept : Swept
+    swept : SweepSettings
         What is swept.
     settings : mapping
         Of this sweep.
@@ -37,7 +37,7 @@ class Parquet:
         Of the blocks.
     """
 
-    def __init__(self, path: Path, swept: Swept, settings: Mapping[str, Any], shape: Sequence[int]) -> None:
+    def __init__(self, path: Path, swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int]) -> None:
         self._pyarrow, self._path, self._swept, self._settings = _pyarrow(), path, swept, settings
         self._empty = Memory(swept, settings)
         self._blocks = list(swept.grid.blocks(shape))
@@ -45,7 +45,7 @@ class Parquet:
 
     @classmethod
     def opened(
-        cls, path: Path, swept: Swept, settings: Mapping[str, Any], shape: Sequence[int], resume: bool
+        cls, path: Path, swept: SweepSettings, settings: Mapping[str, Any], shape: Sequence[int], resume: bool
     ) -> Parquet:
         """Make a folder, or open the one that is to be completed.
 

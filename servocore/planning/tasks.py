@@ -13,12 +13,12 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken
 from servocore.model.scene import Scene
-from servocore.numerics.calls import Array
-from servocore.planning.chains import Law, sampled_law
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.curves import along, slopes_at, through_points
-from servocore.planning.laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
-from servocore.planning.rows import Rows, limit_rows, require_at_rest
+from servocore.planning.integrator_chains import Law, sampled_law
+from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.space import Space
+from servocore.planning.time_laws import law_of, peaks, polynomial_path, shape_of, shortest, smooth_polynomial
 from servocore.planning.transcription import Inner, Task
 from servocore.problem import Problem
 from servocore.references.base import Reference, points

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array, mapped
-from servocore.planning.chains import Law, advanced
+from servocore.numerics.compiled_calls import Array, mapped
+from servocore.planning.integrator_chains import Law, advanced
 
 _OPTIONS = {
     "print_time": False,

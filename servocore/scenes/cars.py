@@ -34,7 +34,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import rest_to_rest

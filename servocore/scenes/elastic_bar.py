@@ -33,7 +33,7 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter, Parameters
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.scenes.cars import Chain, Values
 

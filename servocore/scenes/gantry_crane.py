@@ -24,7 +24,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter, Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load
 from servocore.scenes.crane_carriages import Rails

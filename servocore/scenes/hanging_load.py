@@ -14,12 +14,12 @@ from operator import add
 import casadi as ca
 import numpy as np
 
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.scenes import jets
 

@@ -37,16 +37,16 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.drawing import Part
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_dynamics import backward, forward
+from servocore.scenes.internal_ode import backward, forward
 
 PARAMETERS = Parameters(
     Parameter("car_mass", 1.0, "kg", 1e-3, 1e9, "m_1"),

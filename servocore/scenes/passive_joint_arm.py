@@ -39,17 +39,17 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.base import Reference
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.scenes.internal_dynamics import forward, two_sided
+from servocore.scenes.internal_ode import forward, two_sided
 
 TIP, INSIDE = 1.0, 0.4
 """Distance y_2 in m of the tip of link 2, and of the point tracked by default."""

@@ -28,13 +28,13 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.model.drawing import Part
 from servocore.model.effects import NO_EFFECTS
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets

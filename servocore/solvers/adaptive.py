@@ -15,12 +15,12 @@ import numpy as np
 from servocore.errors import IntegrationFailed, InvalidSetting, require_real
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import First, Progress, Run, begin, joined, run, step_of
+from servocore.solvers.fixed_step_loop import First, Progress, Run, first_state, joined_runs, run_steps, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.program import Program
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
@@ -101,7 +101,7 @@ class ToTolerance:
         IntegrationFailed
             If the tolerance cannot be met, with what was reached and why.
         """
-        first = given_start_of(self.formulation, self.method)
+        first = prescribed_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         order = self.method.orders(program.index).forces
         if program.index <= 1:
@@ -121,7 +121,9 @@ def _by_runs(
         if total + count > control.most_steps:
             raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        done = run(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), first, progress)
+        done = run_steps(
+            problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), first, progress
+        )
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
         fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
@@ -242,7 +244,7 @@ class StepControl:
 def _by_steps(problem: Problem, control: StepControl, t: Array, first: First, progress: Progress | None) -> Solution:
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
     program, step = control.program, step_of(t)
-    state, residual = begin(problem, program, step, first)
+    state, residual = first_state(problem, program, step, first)
     first_values = program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p)
     peaks = np.abs(first_values[: len(problem.system.inputs)])
     now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)
@@ -273,7 +275,7 @@ def _attempt(control: StepControl, now: Reached, end: float) -> Reached:
     if not error <= 1.0:
         return replace(now, peaks=peaks, rejected=now.rejected + 1, h=h_next)
     return Reached(
-        run=replace(joined([now.run, halves]), states=halves.states),
+        run=replace(joined_runs([now.run, halves]), states=halves.states),
         time=now.time + h,
         spacing=h / 2,
         peaks=peaks,

@@ -10,14 +10,14 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference, numbers_of
 from servocore.solvers.dynamic_inversion import DynamicCases
-from servocore.stepping.given_starts import require_start
+from servocore.stepping.inverted_quantities import compile_inverted_quantities
 from servocore.stepping.observation import observed
 from servocore.stepping.path_function import PathFunction
-from servocore.stepping.reading import compile_reading
+from servocore.stepping.prescribed_initial_values import require_start
 
 
 class Batch:
@@ -178,7 +178,7 @@ def _compile_cases(
     """Compile (gamma, p) -> named quantities and what must be positive: quick, and by Newton's method."""
     known = observed(resolved.system)
     by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
-    quick, seeking = compile_reading(
+    quick, seeking = compile_inverted_quantities(
         resolved, [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
     )
     return PathFunction(resolved, quick or seeking, native), seeking

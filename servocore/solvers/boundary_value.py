@@ -20,10 +20,10 @@ from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
-from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, Run, step_of
+from servocore.solvers.fixed_step_loop import Progress, Run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion

@@ -9,12 +9,12 @@ import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array, chained, mapped
-from servocore.numerics.later import Later, in_machine_code
+from servocore.numerics.compiled_calls import Array, chained, mapped
+from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.machine_code import automatic
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.given_inputs import Inputs, values_at
-from servocore.solvers.loop import CHUNK
+from servocore.solvers.fixed_step_loop import CHUNK
+from servocore.solvers.input_functions import Inputs, values_at
 from servocore.stepping.energy_momentum import (
     ConservingStep,
     compile_conserving_step,
@@ -141,7 +141,7 @@ def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> Conse
     if method.native:
         return problem.resolved.once(_native_scheme, method.update)
     if method.native is None and automatic():
-        return problem.resolved.once(_later_scheme, method.update).best(steps)
+        return problem.resolved.once(_just_in_time_scheme, method.update).best(steps)
     return problem.resolved.once(_scheme, method.update)
 
 
@@ -153,8 +153,8 @@ def _native_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> C
     return in_machine_code(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
 
 
-def _later_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> Later[ConservingStep]:
-    return Later(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
+def _just_in_time_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> JustInTime[ConservingStep]:
+    return JustInTime(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
 
 
 def _places(t: Array, step: float) -> npt.NDArray[np.intp]:

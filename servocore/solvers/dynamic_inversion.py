@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -25,13 +25,13 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, mapped, side_by_side
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
-from servocore.solvers.loop import begin
+from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.solve import solve
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.explicit_steps import Along, ExplicitSteps, compile_explicit_steps
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
@@ -110,7 +110,7 @@ class DynamicInversion:
         self.inputs = tuple(each.name for each in problem.system.inputs)
         self._steps: ExplicitSteps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
-        first, _ = begin(problem, program_of(problem, *_FORM), 0.0, given_start_of(*_FORM))
+        first, _ = first_state(problem, program_of(problem, *_FORM), 0.0, prescribed_start_of(*_FORM))
         self._start = first[: len(problem.array.states)]
         self._known: dict[tuple[int, bytes], Along] = {}
         self.steps = self._enough(checked, tolerance)
@@ -193,7 +193,7 @@ class DynamicCases:
     steps : int
         What the scene itself takes.
     native : bool or None
-        See `Vectorised`.
+        See `Vectorized`.
     """
 
     problem: Problem
@@ -279,7 +279,7 @@ class DynamicCases:
             for case, values in enumerate(p):
                 own = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
                 with suppress(InconsistentStart):
-                    found[case] = begin(own, program, 0.0, given_start_of(*_FORM))[0][:size]
+                    found[case] = first_state(own, program, 0.0, prescribed_start_of(*_FORM))[0][:size]
             return found
         instants = len(program.start_instants)
         jets = np.concatenate([each.jet(np.full(instants, each.start_time), program.start_order) for each in paths])

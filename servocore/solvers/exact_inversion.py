@@ -9,23 +9,23 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.failure_causes import explained
 from servocore.checks.limits import require_feasible
-from servocore.checks.refusals import explained
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.following import FOLLOWED, BranchTable, on_one_branch, prepared_table, require_followed
-from servocore.solvers.loop import Progress, Run, failure, run, step_of
+from servocore.solvers.branch_continuation import FOLLOWED, BranchTable, on_one_branch, prepared_table, require_followed
+from servocore.solvers.fixed_step_loop import Progress, Run, run_steps, step_failure, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.observation import compile_observation
 from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import Program
@@ -59,7 +59,7 @@ class Pointwise:
         quick = self._quick(problem)
         program = program_of(problem, self.formulation, self.method, bool(self.native) and quick is None)
         if problem.follow_branch:
-            done = run(problem, program, times, given_start_of(self.formulation, self.method), progress)
+            done = run_steps(problem, program, times, prescribed_start_of(self.formulation, self.method), progress)
             require_followed(problem, times, done.states)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
         done, observed = _at_every_instant(problem, program, times, quick, progress)
@@ -72,7 +72,7 @@ class Pointwise:
             if solved.any():
                 raise
             k = 0
-            raise failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
+            raise step_failure(problem, program, done.states[:, k], times[k], step_of(times)) from error
         if states is not done.states:
             done, observed = replace(done, states=states), None
         return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, run
+from servocore.solvers.fixed_step_loop import Progress, run_steps
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,6 @@ class FixedStep:
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
-        first = given_start_of(self.formulation, self.method)
+        first = prescribed_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [Segment(program, times, run(problem, program, times, first, progress))])
+        return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, first, progress))])

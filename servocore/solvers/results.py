@@ -11,10 +11,10 @@ import numpy as np
 
 from servocore.checks.angles import ambiguous_angles, follow_angles, require_less_than_half_a_turn
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
-from servocore.solvers.loop import Run
+from servocore.solvers.fixed_step_loop import Run
 from servocore.stepping.program import Program
 
 _DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
@@ -26,7 +26,7 @@ class Segment:
     """Part of a run by one program: the instants, its states there and what they took.
 
     `observed` holds values (channels, N) and violations (4, N) where they are known already; `native` says whether
-    checks may use machine code, see `Vectorised`.
+    checks may use machine code, see `Vectorized`.
     """
 
     program: Program

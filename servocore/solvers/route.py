@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress
+from servocore.solvers.fixed_step_loop import Progress
 
 
 @runtime_checkable

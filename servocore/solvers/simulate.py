@@ -12,16 +12,16 @@ from servocore.checks.before_run import require_smooth
 from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array, Call, at_instants
+from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.conserving import BALANCE, EnergyMomentum, conserved_motion, scheme_of
-from servocore.solvers.forward import Tolerance, integrated
-from servocore.solvers.given_inputs import Counted, Inputs, interpolated, rising_times, values_at
-from servocore.stepping.arguments import require_callable, require_number
+from servocore.solvers.forward_integration import Tolerance, integrated
+from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
+from servocore.stepping.argument_checks import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
-from servocore.stepping.given_starts import moved_to
 from servocore.stepping.observation import observed, violations_of
+from servocore.stepping.prescribed_initial_values import with_initial_values
 from servocore.structure.inversion import inversion
 
 _SMALLEST_RTOL = 1e-13
@@ -107,7 +107,7 @@ def simulate(
         require_callable(inputs, "the inputs", "a Solution or a function of time")
         if t is None:
             raise InvalidSetting("inputs given as a function need the times at which to report")
-        instants, evaluate = rising_times(t), Counted(inputs, problem.system)
+        instants, evaluate = rising_times(t), CheckedInputs(inputs, problem.system)
     if method is None and step is None:
         return _report(problem, *_integrated(problem, evaluate, instants, Tolerance(rtol, atol, time_limit)))
     return _conserved(problem, evaluate, instants, method, step)
@@ -170,12 +170,12 @@ def _initial_state(problem: Problem, time: float) -> Array:
     system = problem.system
     # A whole state needs no exact inversion, and no path that is smooth.
     if len(problem.start) == 2 * len(system.coordinates):
-        return moved_to(problem, time, np.zeros(len(problem.start)), problem.start)
+        return with_initial_values(problem, time, np.zeros(len(problem.start)), problem.start)
     # Whether a path joins the rest before it smoothly matters at its beginning alone.
     if time == problem.reference.start_time:
         require_smooth(problem)
     state = _inverted(problem, time)
-    return moved_to(problem, time, state, problem.start) if problem.start else state
+    return with_initial_values(problem, time, state, problem.start) if problem.start else state
 
 
 def _inverted(problem: Problem, time: float) -> Array:

@@ -12,11 +12,11 @@ from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
+from servocore.checks.failure_causes import explained
 from servocore.checks.instants import time_grid
-from servocore.checks.internal_dynamics import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
-from servocore.checks.refusals import explained
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -24,20 +24,20 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise, compile_inputs
 from servocore.solvers.fixed_step import FixedStep
-from servocore.solvers.loop import Progress, step_of
+from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.route import Route
-from servocore.solvers.solved_again import solved_again, solved_beside, unknowns_beside
 from servocore.solvers.state_selection import StateSelection
+from servocore.solvers.warm_start import inversion_near, perturbed_inversion, unknowns_near
 from servocore.solvers.within_limits import run_within_limits, survey_between
-from servocore.stepping.arguments import require_callable, require_formulation, require_method, require_number
-from servocore.stepping.given_starts import require_start
+from servocore.stepping.argument_checks import require_callable, require_formulation, require_method, require_number
+from servocore.stepping.prescribed_initial_values import require_start
 from servocore.structure.inversion import inversion
 
 _MORE = 212  # a prime number of steps: none ends in the middle or at a third, where paths are special
@@ -129,7 +129,7 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
 
 
 def _native(route: Route, t: Array) -> bool | None:
-    """Whether checks may use machine code; see `Vectorised`."""
+    """Whether checks may use machine code; see `Vectorized`."""
     return route.native if isinstance(route, Pointwise | Stepped) and len(t) > _MANY else False
 
 
@@ -138,9 +138,9 @@ def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
     native = _native(route, solution.t)
-    warned = survey_between(problem, solution, unknowns_beside, native)
+    warned = survey_between(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
-        survey_between(problem, _at_more_instants(problem), unknowns_beside)
+        survey_between(problem, _at_more_instants(problem), unknowns_near)
     branch = _branch(problem, route, solution) + passed
     return replace(solution, statistics=replace(solution.statistics, branch=branch))
 
@@ -217,11 +217,11 @@ def chosen_route(
 def judge_of(problem: Problem, route: Route) -> Judge:
     """Return what the solutions of a route are compared with."""
     if isinstance(route, Pointwise):
-        return Judge(solved_again, True, "the exact inversion, solved again,")
+        return Judge(perturbed_inversion, True, "the exact inversion, solved again,")
     if isinstance(route, BoundaryValue):
         return Judge(partial(_bounded_again, route), True, "a bounded inversion of higher order")
     if problem.flat:
-        beside = None if problem.follow_branch else solved_beside
+        beside = None if problem.follow_branch else inversion_near
         return Judge(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", beside)
     if isinstance(route, Stepped) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         return Judge(BoundaryValue().run, True, "the bounded inversion")

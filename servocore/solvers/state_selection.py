@@ -13,12 +13,12 @@ import numpy as np
 
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
-from servocore.numerics.calls import Array, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, advance, begin, chunk_length, failure, step_of
+from servocore.solvers.fixed_step_loop import Progress, advance_chunk, chunk_length, first_state, step_failure, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import compile_restart_of, given_start_of, program_of
+from servocore.stepping.compilation import compile_restart_of, prescribed_start_of, program_of
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
@@ -56,11 +56,11 @@ class StateSelection:
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native, len(times))
-        state, _ = begin(problem, program, step, given_start_of(formulation, self.method))
+        state, _ = first_state(problem, program, step, prescribed_start_of(formulation, self.method))
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
         while at < count:
-            part, complete = advance(problem, program, times[at : at + length + 1], step, state, length)
+            part, complete = advance_chunk(problem, program, times[at : at + length + 1], step, state, length)
             array = formulation.array(problem.system)
             values = _array_values(array, part.states)
             good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
@@ -68,7 +68,7 @@ class StateSelection:
                 better = _best_states(problem, array, times[at + good], values[:, good])
                 # Without this a run would restart at the same instant for ever.
                 if better == array.states or restarted_at == at:
-                    raise failure(problem, program, part.states[:, good], times[at + good], step)
+                    raise step_failure(problem, program, part.states[:, good], times[at + good], step)
             reached = replace(part, states=part.states[:, : good + 1])
             segments.append(Segment(program, times[at : at + good + 1], reached))
             at, state = at + good, part.states[:, good]

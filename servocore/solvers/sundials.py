@@ -10,13 +10,13 @@ import numpy as np
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.formula import Formula
 from servocore.solution import Solution
-from servocore.solvers.loop import Progress, Run, begin, step_of
+from servocore.solvers.fixed_step_loop import Progress, Run, first_state, step_of
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.inversion import inversion
 
 _MOST_STEPS = 100_000
@@ -71,7 +71,7 @@ class Sundials:
         if formula is None:
             raise InvalidReference("SUNDIALS needs a path that is a formula, such as rest_to_rest; RadauIIA takes any")
         program, count = program_of(problem, *how), len(times) - 1
-        first, _ = begin(problem, program, step_of(times), given_start_of(*how))
+        first, _ = first_state(problem, program, step_of(times), prescribed_start_of(*how))
         size = len(array.states)
         x0, z0 = first[:size], first[size : len(array.unknowns)]
         given = np.concatenate([formula.numbers(array.reference_order), problem.p])

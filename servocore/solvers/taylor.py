@@ -9,8 +9,8 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.numerics.calls import Array
-from servocore.numerics.turns import shortest_turn
+from servocore.numerics.angle_wrapping import wrapped_angle
+from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import DerivativeArray
 
 _APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
@@ -62,7 +62,7 @@ class Taylor:
         n, wraps = len(self.q), self.wraps.any()
         miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
         for each in miss if wraps else ():
-            each[self.wraps] = shortest_turn(each[self.wraps])
+            each[self.wraps] = wrapped_angle(each[self.wraps])
         moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
         moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
         worst = np.maximum(*np.abs(miss))

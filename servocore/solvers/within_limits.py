@@ -22,10 +22,10 @@ from servocore.checks.motion_limits import (
 )
 from servocore.errors import IntegrationFailed
 from servocore.model.limits import Limit, Named
-from servocore.numerics.calls import Array, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
-from servocore.solvers.following import BranchTable, prepared_table, system_jacobians
+from servocore.solvers.branch_continuation import BranchTable, prepared_table, system_jacobians
 from servocore.stepping.path_function import PathFunction
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
@@ -126,7 +126,7 @@ def survey_between(
     beside : callable
         (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
     native : bool or None
-        Whether machine code may look first whether there is something; see `Vectorised`.
+        Whether machine code may look first whether there is something; see `Vectorized`.
 
     Raises
     ------

@@ -13,15 +13,15 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Discretisation, Method, instantaneous
 from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.limits import Limit
-from servocore.numerics.calls import Array, Call
-from servocore.numerics.later import Later, in_machine_code
+from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.just_in_time import JustInTime, in_machine_code
 from servocore.numerics.machine_code import automatic
 from servocore.numerics.square_systems import compile_solver
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.given_starts import started
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
-from servocore.stepping.margins import compile_margins, limit_texts, limits_order
+from servocore.stepping.limit_margins import compile_margins, limit_texts, limits_order
 from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, compile_inversion, inversion
@@ -51,15 +51,15 @@ def program_of(
     program = problem.resolved.once(make, *settings)
     if native is not None or not automatic():
         return program
-    return problem.resolved.once(_later_in_machine_code, *settings).best(steps)
+    return problem.resolved.once(_just_in_time, *settings).best(steps)
 
 
-def _later_in_machine_code(
+def _just_in_time(
     resolved: ResolvedSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...], follow_branch: bool
-) -> Later[Program]:
+) -> JustInTime[Program]:
     """Return a program with start, step and observation as machine code as soon as that is ready."""
     program = resolved.once(compile_program, formulation, method, limits, follow_branch)
-    return Later(program, _IN_MACHINE_CODE, program.name)
+    return JustInTime(program, _IN_MACHINE_CODE, program.name)
 
 
 def _in_machine_code(
@@ -84,7 +84,7 @@ def compile_program(
     """
     system, dae = resolved.system, resolved.dae(formulation)
     array, inverse, reduced = _inverse(resolved, formulation)
-    discretisation = discretised(dae, method)
+    discretisation = discretized(dae, method)
     start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = observed(system)
     start = compile_start(array, inverse, dae, reduced, discretisation, start_order)
@@ -132,7 +132,7 @@ def _inverse(resolved: ResolvedSystem, formulation: Formulation) -> tuple[Deriva
     return array, own, resolved.dae(Reduced(states=array.named_states))
 
 
-def discretised(dae: Dae, method: Method) -> Discretisation:
+def discretized(dae: Dae, method: Method) -> Discretisation:
     """Return the equations of one step; those of an instant where nothing is left to integrate."""
     return method.discretise(dae) if dae.x.numel() else instantaneous(dae)
 
@@ -141,14 +141,14 @@ def compile_restart_of(resolved: ResolvedSystem, formulation: Formulation, metho
     """Compile (unknowns of the array, gamma, h, p) -> the first state of a run of a form."""
     array, inverse, reduced = _inverse(resolved, formulation)
     dae = resolved.dae(formulation)
-    return Call(compile_restart(array, inverse, dae, reduced, discretised(dae, method), order))
+    return Call(compile_restart(array, inverse, dae, reduced, discretized(dae, method), order))
 
 
-def given_start_of(
+def prescribed_start_of(
     formulation: Formulation, method: Method
 ) -> Callable[[Problem, Array, float, int], tuple[Array, float]]:
-    """Return what makes the first state of a run of a form from a start that its user gives; see `started`."""
-    return partial(started, (compile_restart_of, formulation, method))
+    """Return what makes the first state of a run of a form from a start that its user gives; see `prescribed_start`."""
+    return partial(prescribed_start, (compile_restart_of, formulation, method))
 
 
 def _compile_step(step: Discretisation) -> ca.Function:

@@ -23,10 +23,10 @@ from servocore.errors import InvalidModel
 from servocore.model.potentials import summands
 from servocore.model.symbols import Coordinates
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.square_systems import SquareSystem, compile_solver
+from servocore.stepping.energy_momentum_terms import step_terms
 from servocore.stepping.rotation_update import RotationUpdate, compile_rotation_step
-from servocore.stepping.step_terms import step_terms
 
 _AXES = "xyz"
 _ROUND_OFF = 1e-9  # relative: what is left of a constraint's moment

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from servocore.errors import InvalidModel
 from servocore.formulations.reduced import Reduced
-from servocore.numerics.calls import Array
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
@@ -129,9 +129,9 @@ class ExplicitSteps:
 
     Attributes
     ----------
-    steps : Vectorised
+    steps : Vectorized
         (states, path at the nodes, numbers, [h; p]) -> (states after a step, rates before it), in a row.
-    inputs : Vectorised
+    inputs : Vectorized
         (states, path, numbers, p) -> inputs, what must be positive, and what else is wanted, from states at their own
         instants.
     order : int
@@ -142,8 +142,8 @@ class ExplicitSteps:
         Of the method.
     """
 
-    steps: Vectorised
-    inputs: Vectorised
+    steps: Vectorized
+    inputs: Vectorized
     order: int
     formula: Formula | None
     nodes: Array
@@ -225,8 +225,8 @@ def compile_explicit_steps(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
     return ExplicitSteps(
-        Vectorised(step, (False, True, False, False), native, system.name, in_a_row=True),
-        Vectorised(read, (True, True, False, False), native, system.name),
+        Vectorized(step, (False, True, False, False), native, system.name, in_a_row=True),
+        Vectorized(read, (True, True, False, False), native, system.name),
         order,
         formula,
         method.c,

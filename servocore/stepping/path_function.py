@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array
-from servocore.numerics.vectorised import MANY, Vectorised
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.vectorized import MANY, Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
@@ -29,7 +29,7 @@ class PathFunction:
     function : casadi.Function
         With dense results; one of expressions can become machine code.
     native : bool or None
-        See `Vectorised`.
+        See `Vectorized`.
     """
 
     resolved: ResolvedSystem
@@ -90,7 +90,7 @@ class PathFunction:
         of_jets = self.resolved.once(_of_jets, self)
         return (of_jets if compiled else of_jets.interpreted)(jets.reshape(len(jets), -1).T, p)
 
-    def _on_path(self, reference: Reference, count: int, called: bool = False) -> tuple[Vectorised, Formula | None]:
+    def _on_path(self, reference: Reference, count: int, called: bool = False) -> tuple[Vectorized, Formula | None]:
         """Return what evaluates on a path, with the path inside if that is a formula.
 
         That pays from the second call on.
@@ -109,12 +109,12 @@ def _calls(_: ResolvedSystem, __: PathFunction) -> list[int]:
     return [0]
 
 
-def _of_jets(resolved: ResolvedSystem, of: PathFunction) -> Vectorised:
-    return Vectorised(of.function, (True, False), of.native, resolved.system.name)
+def _of_jets(resolved: ResolvedSystem, of: PathFunction) -> Vectorized:
+    return Vectorized(of.function, (True, False), of.native, resolved.system.name)
 
 
-def _of_time(resolved: ResolvedSystem, of: PathFunction, formula: Formula) -> Vectorised:
-    return Vectorised(
+def _of_time(resolved: ResolvedSystem, of: PathFunction, formula: Formula) -> Vectorized:
+    return Vectorized(
         with_path_inside(of.function, formula), (True, False, False), of.native, resolved.system.name, again=True
     )
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array, Call
-from servocore.numerics.saved import from_json, to_json
+from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.serialization import from_json, to_json
 
 _FUNCTIONS = ("step", "held_step", "observe", "held_observe", "linearise")
 _FORMAT = "servocore plant 2"

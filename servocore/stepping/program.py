@@ -14,8 +14,8 @@ import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array, Call
-from servocore.numerics.saved import from_json, to_json
+from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.serialization import from_json, to_json
 
 _FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
 _FORMAT = "servocore program 3"

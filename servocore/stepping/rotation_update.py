@@ -24,8 +24,8 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.square_systems import MAX_ITERATIONS, STEP_TOLERANCE
-from servocore.stepping.step_terms import StepTerms, step_terms
+from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
+from servocore.stepping.energy_momentum_terms import StepTerms, step_terms
 
 _DIRECTORS = tuple(f"d{k}_{axis}" for k in (1, 2, 3) for axis in "xyz")
 _TICK = 1e-20  # as in `square_systems`: the clock counts iterations
@@ -177,7 +177,7 @@ def _solved(unknowns: _Unknowns, terms: StepTerms, given: ca.MX) -> tuple[ca.MX,
     late = ca.exp(-x[size] / _TICK)  # the clock of `square_systems`: every correction is a tick
     g = ca.vertcat(equations, late)
     look = ca.Function("sc_look", [x, p], [ca.diagcat(J, -late / _TICK), g], ["x", "p"], ["J", "g"])
-    options = {"abstol": 0.0, "abstolStep": STEP_TOLERANCE, "error_on_fail": False, "max_iter": MAX_ITERATIONS}
+    options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "max_iter": MAX_ITERATIONS}
     newton = ca.rootfinder("sc_turn", "fast_newton", {"x": x, "p": p, "g": g}, {**options, "jacobian_function": look})
     handed = ca.vertcat(given, scale)
     root = newton(ca.vertcat(start, 0), handed)

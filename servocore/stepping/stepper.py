@@ -11,10 +11,10 @@ from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
-from servocore.stepping.arguments import require_formulation, require_method, require_number
+from servocore.stepping.argument_checks import require_formulation, require_method, require_number
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program, StepReport
 

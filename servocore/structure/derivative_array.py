@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
 from servocore.numerics.pivoting import pivot_columns
 from servocore.structure.signature import Signature, jacobian_at_probes

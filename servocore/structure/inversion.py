@@ -9,7 +9,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array, mapped
+from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_formula, compile_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal

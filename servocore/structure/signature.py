@@ -19,7 +19,7 @@ import numpy.typing as npt
 from servocore.errors import InvalidModel
 from servocore.numerics.assignment import largest_assignment
 from servocore.numerics.components import Part, filled, of_one_shape, parts_of
-from servocore.numerics.rounding import UNIT, Array, evaluate
+from servocore.numerics.rounding_errors import UNIT, Array, evaluate
 
 ABSENT = -1
 """Entry of the signature matrix for a variable that does not occur."""
@@ -80,7 +80,7 @@ class SecondOrderEquations:
     special : bool
         Whether that holds for the home parameters only.
     combined : bool
-        Whether equations were replaced by combinations of any (`servocore.structure.conversion`).
+        Whether equations were replaced by combinations of any (`servocore.structure.linear_combination`).
     """
 
     name: str

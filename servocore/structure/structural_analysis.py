@@ -4,7 +4,7 @@ The second-order equations (1) in the variables y = (q, lam, u) are looked at as
 not values: in generalised coordinates accelerations that cancel hide the true index, and the system Jacobian is then
 singular everywhere. The remedy is a linear combination of equations: the momentum equations that no input enters, less
 what the servo constraints say of the same accelerations (`combine`); and if that does not help, whatever combination is
-free of the highest derivatives (`servocore.structure.conversion`).
+free of the highest derivatives (`servocore.structure.linear_combination`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import casadi as ca
 
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
-from servocore.structure.conversion import convert
+from servocore.structure.linear_combination import convert
 from servocore.structure.signature import (
     Home,
     SecondOrderEquations,

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Analysed, Inversion
 

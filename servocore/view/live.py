@@ -14,10 +14,10 @@ from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, instantaneous
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
-from servocore.solvers.following import BranchTable, prepared_table
-from servocore.stepping.margins import limits_order
+from servocore.solvers.branch_continuation import BranchTable, prepared_table
+from servocore.stepping.limit_margins import limits_order
 from servocore.stepping.observation import compile_observation, observed
 from servocore.structure.inversion import inversion
 from servocore.view.javascript import written

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.clocked import Clocked
 from servocore.references.profiles import DEGREE9, DEGREE13, Profile, three_phase

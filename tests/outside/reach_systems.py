@@ -15,7 +15,7 @@ import numpy as np
 from outside.systems import Outsider, named, symbols
 
 import servocore as sc
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.scenes import jets
 
 GRAVITY = 9.81

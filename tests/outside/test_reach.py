@@ -21,7 +21,7 @@ from outside.reach_systems import (
 from outside.systems import LOOP, named, symbols
 
 import servocore as sc
-from servocore.numerics.rounding import evaluate
+from servocore.numerics.rounding_errors import evaluate
 
 
 def assert_exact(outsider, index, tolerance=1e-10):

@@ -12,7 +12,7 @@ import numpy as np
 from servocore.errors import InvalidModel, described, require_kind
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import as_expression
 
 Scalar: TypeAlias = "float | ca.SX"

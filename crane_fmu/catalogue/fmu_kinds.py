@@ -11,7 +11,7 @@ from types import MappingProxyType
 from crane_fmu.catalogue import variables
 from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
 from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, Interface, components
-from crane_fmu.slave.lines import PROFILES
+from crane_fmu.slave.straight_lines import PROFILES
 
 Route = tuple[str, str]
 """Names of a model and a formulation."""
@@ -23,7 +23,7 @@ NO_STARTS: Starts = MappingProxyType({})
 
 
 @dataclass(frozen=True)
-class Kind:
+class FmuKind:
     """One of the FMUs.
 
     Attributes
@@ -132,7 +132,7 @@ _START = components("start.position")
 _CRANE = ("phi", "s", "l", "tension")
 _ROUTES = tuple(product(MODELS, FORMULATIONS))
 
-LOAD_TRAJECTORY = Kind(
+LOAD_TRAJECTORY = FmuKind(
     name="LoadTrajectory",
     module="trajectory",
     interface=variables.load_trajectory,
@@ -141,7 +141,7 @@ LOAD_TRAJECTORY = Kind(
     resting=_LOAD,
 )
 
-ROTARY_CRANE = Kind(
+ROTARY_CRANE = FmuKind(
     name="RotaryCrane",
     module="crane",
     interface=variables.rotary_crane,
@@ -154,7 +154,7 @@ ROTARY_CRANE = Kind(
     has_feedback=True,
 )
 
-CRANE_PLANT = Kind(
+CRANE_PLANT = FmuKind(
     name="CranePlant",
     module="plant",
     interface=variables.crane_plant,
@@ -164,5 +164,5 @@ CRANE_PLANT = Kind(
     has_plant=True,
 )
 
-KINDS: Mapping[str, Kind] = {each.name: each for each in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}
+KINDS: Mapping[str, FmuKind] = {each.name: each for each in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}
 """All FMUs by name, in the order in which signals pass through them."""

@@ -14,7 +14,7 @@ from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting, re
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
-from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_inversion
@@ -27,7 +27,7 @@ _CLOSED = 1e-9  # residual of constraints, of the size of the coordinates, with 
 _ITERATIONS = 50
 
 
-def started(how: How, problem: Problem, gamma: Array, step: float, order: int) -> tuple[Array, float]:
+def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, order: int) -> tuple[Array, float]:
     """Return the first state of a run with the problem's start, and the residual of its equations.
 
     Parameters
@@ -120,7 +120,7 @@ def _listed(start: Start) -> str:
     return ", ".join(f"{name} = {value:g}" for name, value in start.items())
 
 
-def moved_to(problem: Problem, time: float, state: Array, start: Start) -> Array:
+def with_initial_values(problem: Problem, time: float, state: Array, start: Start) -> Array:
     """Return the state (q, v) with the values that a start gives, the others moved so that the constraints hold.
 
     They are moved as little as possible, measured by the nominal magnitudes.

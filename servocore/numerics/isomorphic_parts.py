@@ -13,7 +13,7 @@ _SMALL = 3  # unknowns: parts up to this size are solved by formula, which costs
 
 
 @dataclass(frozen=True, eq=False)
-class Alike:
+class IsomorphicParts:
     """Parts that one solver serves.
 
     Attributes
@@ -28,7 +28,7 @@ class Alike:
     givens: list[list[int]]
 
 
-def alike(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.SX]) -> list[Alike]:
+def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.SX]) -> list[IsomorphicParts]:
     """Return the groups of two and more independent parts of residual(unknowns, givens) = 0 that are alike.
 
     Parameters
@@ -49,14 +49,14 @@ def alike(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Sequence[ca.S
     if not candidates:
         return []
     places = {each.element_hash(): k for k, each in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
-    found: dict[str, Alike] = {}
+    found: dict[str, IsomorphicParts] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
         expressions = [residual[rows], *(each[columns] for each in beside[:-1]), beside[-1][rows]]
         hashes = (each.element_hash() for each in ca.symvar(ca.vertcat(*expressions)))
         known = sorted(places[each] for each in hashes if each in places)
         # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
-        group = found.setdefault(_text(expressions, [unknowns[columns], givens[known]]), Alike([], []))
+        group = found.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)
         group.givens.append(known)
     return [each for each in found.values() if len(each.parts) > 1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
-from servocore.numerics.calls import Array, chained, side_by_side
+from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
 from servocore.stepping.program import Program
 
@@ -42,7 +42,7 @@ class Run:
     worst_residual: float
 
 
-def begin(problem: Problem, program: Program, step: float, first: First) -> tuple[Array, float]:
+def first_state(problem: Problem, program: Program, step: float, first: First) -> tuple[Array, float]:
     """Return the consistent first state of a form and method, and its residual.
 
     Raises
@@ -72,28 +72,30 @@ def begin(problem: Problem, program: Program, step: float, first: First) -> tupl
     return state, report.residual
 
 
-def run(problem: Problem, program: Program, t: Array, first: First, progress: Progress | None = None) -> Run:
+def run_steps(problem: Problem, program: Program, t: Array, first: First, progress: Progress | None = None) -> Run:
     """Step a form by a method from the start through the instants `t`, evenly apart.
 
     Raises
     ------
     InvalidReference, InconsistentStart
-        As `begin`.
+        As `first_state`.
     IntegrationFailed
         If a step is not solved.
     """
     count = len(t) - 1
     step, length = step_of(t), chunk_length(count)
-    state, first_residual = begin(problem, program, step, first)
+    state, first_residual = first_state(problem, program, step, first)
     parts = [Run(state[:, None], 0, 0, first_residual)]
     for done in range(0, count, length):
-        part, complete = advance(problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length)
+        part, complete = advance_chunk(
+            problem, program, t[done : done + length + 1], step, parts[-1].states[:, -1], length
+        )
         if not complete:
-            raise failure(problem, program, part.states[:, -1], t[done + part.states.shape[1] - 1], step)
+            raise step_failure(problem, program, part.states[:, -1], t[done + part.states.shape[1] - 1], step)
         parts.append(replace(part, states=part.states[:, 1:]))
         if progress is not None:
             progress(min(done + length, count), count)
-    return joined(parts)
+    return joined_runs(parts)
 
 
 def step_of(t: Array) -> float:
@@ -106,7 +108,7 @@ def chunk_length(count: int) -> int:
     return -(-count // -(-count // CHUNK))
 
 
-def joined(parts: list[Run]) -> Run:
+def joined_runs(parts: list[Run]) -> Run:
     """Put runs of the same program one after the other."""
     return Run(
         np.hstack([part.states for part in parts]),
@@ -116,7 +118,9 @@ def joined(parts: list[Run]) -> Run:
     )
 
 
-def advance(problem: Problem, program: Program, t: Array, step: float, state: Array, length: int) -> tuple[Run, bool]:
+def advance_chunk(
+    problem: Problem, program: Program, t: Array, step: float, state: Array, length: int
+) -> tuple[Run, bool]:
     """Step from t[0], where `state` belongs, through the other instants, in one compiled loop of `length` steps.
 
     Returns the states from t[0] on, up to the last good one, and whether that is the last of all. A loop that is
@@ -148,14 +152,14 @@ def advance(problem: Problem, program: Program, t: Array, step: float, state: Ar
 def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state: Array) -> tuple[Run, bool]:
     parts = [Run(state[:, None], 0, 0, 0.0)]
     for k in range(len(t) - 1):
-        part, complete = advance(problem, program, t[k : k + 2], step, parts[-1].states[:, -1], 1)
+        part, complete = advance_chunk(problem, program, t[k : k + 2], step, parts[-1].states[:, -1], 1)
         parts.append(replace(part, states=part.states[:, 1:]))
         if not complete:
-            return joined(parts), False
-    return joined(parts), True
+            return joined_runs(parts), False
+    return joined_runs(parts), True
 
 
-def failure(problem: Problem, program: Program, state: Array, time: float, step: float) -> IntegrationFailed:
+def step_failure(problem: Problem, program: Program, state: Array, time: float, step: float) -> IntegrationFailed:
     """Return the error that says where a step failed and why that may be."""
     nodes = np.array([time + c * step for c in program.nodes])
     worst = program.worst_equation(state, problem.reference.jet(nodes, program.order), step, problem.p)

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import singular_values
 
 _NEIGHBOURHOOD = 0.01  # of the nominal magnitudes

@@ -19,11 +19,11 @@ from servocore.checks.motion_limits import counts_turns
 from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
-from servocore.numerics.calls import Array, at_instants
-from servocore.numerics.vectorised import Extremes, Vectorised, extremes_of
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
+from servocore.stepping.inverted_quantities import compile_inverted_quantities
 from servocore.stepping.observation import observed
-from servocore.stepping.reading import compile_reading
 
 _Expression = TypeVar("_Expression", ca.SX, ca.MX)
 
@@ -103,7 +103,7 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(each.quantity, each.unit), _limited(problem, each)) for each in limits]
     wanted += [each for each in known.values() if each[0].positive]
-    quick, seeking = compile_reading(problem.resolved, wanted)
+    quick, seeking = compile_inverted_quantities(problem.resolved, wanted)
     texts = [_in_time(each).serialize() for each in (quick or seeking, seeking)]
     bounds = tuple((each.bound, each.upper) for each in limits)
     first = len(system.inputs) + swing
@@ -203,7 +203,7 @@ def _rows(functions: _Functions, jets: Array, numbers: Array) -> Array:
 class _Functions:
     """The functions of a work: all rows, their extremes where nothing else is kept, and all rows by Newton's method."""
 
-    rows: Vectorised
+    rows: Vectorized
     extremes: Extremes | None
     seeking: ca.Function
 
@@ -214,5 +214,5 @@ def _rebuilt(work: Work) -> _Functions:
     quick, seeking = (ca.Function.deserialize(each) for each in (work.quick, work.seeking))
     how = (quick, (True, False))
     if work.kept or work.turns:
-        return _Functions(Vectorised(*how, work.native, work.title), None, seeking)
-    return _Functions(Vectorised(*how, False, work.title), Extremes(*how, work.native, work.title), seeking)
+        return _Functions(Vectorized(*how, work.native, work.title), None, seeking)
+    return _Functions(Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), seeking)

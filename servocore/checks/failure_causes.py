@@ -14,7 +14,7 @@ import numpy as np
 
 from servocore.checks.branches import constraint_rows
 from servocore.errors import InvalidReference, ServocoreError
-from servocore.numerics.calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion, system_jacobian
 from servocore.structure.signature import condition_number, lost_rank

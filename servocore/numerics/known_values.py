@@ -8,7 +8,7 @@ import casadi as ca
 
 
 @dataclass(eq=False)
-class Assembly:
+class KnownValues:
     """Symbols with values in a compiled graph, and unknowns that are expressions of these, not yet evaluated.
 
     Every compiled piece takes the symbols that it needs and no others, so that a system of many parts costs what its

@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.calls import Array, chained, mapped
+from servocore.numerics.compiled_calls import Array, chained, mapped
 from servocore.numerics.machine_code import BACKGROUND, Build, automatic, built, library_of
 from servocore.numerics.vector_code import LANES, NAME, chain_source, extremes_source, vector_source
 
@@ -25,7 +25,7 @@ _BYTES = 8
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
 
 
-class Vectorised:
+class Vectorized:
     """A function of arguments that go along with the instants and of others that are shared by all.
 
     Parameters
@@ -205,7 +205,7 @@ class Vectorised:
         return held, row, [a.strides[0] // _BYTES if a.ndim == 2 + along else 0 for a, along in pairs]
 
 
-class Extremes(Vectorised):
+class Extremes(Vectorized):
     """Highest and lowest value of every result over the instants; what is between them is not kept.
 
     A call returns arrays (2, rows), or (cases, 2, rows): NaN where a value is no finite number at some instant.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 Rate = Callable[[float, Array], Array]
 """(time in s, state (q, v)) -> its derivative."""

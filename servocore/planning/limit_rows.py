@@ -12,9 +12,9 @@ import numpy as np
 from servocore.checks.motion_limits import compile_watched, limited_expressions
 from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
-from servocore.planning.rounded import rounded
+from servocore.planning.smoothed_lengths import rounded
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
 

@@ -12,7 +12,7 @@ from servocore.effects.drives import measured_in
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from servocore.numerics.machine_code import BACKGROUND, Build, build_of, compiled, library_of, loaded
-from servocore.numerics.vectorised import MANY
+from servocore.numerics.vectorized import MANY
 
 Holder = TypeVar("Holder", bound=Any)
 
@@ -25,7 +25,7 @@ def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str) -> Hol
 
 
 @dataclass(eq=False)
-class Later(Generic[Holder]):
+class JustInTime(Generic[Holder]):
     """A dataclass some functions of which are machine code as soon as that is ready.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.piecewise import PiecewisePolynomial
 
 

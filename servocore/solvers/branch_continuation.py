@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import IntegrationFailed
-from servocore.numerics.calls import Array, Call, at_instants, side_by_side
-from servocore.numerics.turns import shortest_turn
-from servocore.numerics.vectorised import Vectorised
+from servocore.numerics.angle_wrapping import wrapped_angle
+from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.taylor import SLIGHT, Taylor
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
@@ -178,7 +178,7 @@ class Branch:
         except IntegrationFailed:
             return False
         off = found[self.taylor.q] - states[self.taylor.q, 1]
-        off[self.taylor.wraps] = shortest_turn(off[self.taylor.wraps])
+        off[self.taylor.wraps] = wrapped_angle(off[self.taylor.wraps])
         return bool((np.abs(off) <= SLIGHT * self.scale).all())
 
     def require_through(self, t: Array, states: Array, seeming: npt.NDArray[np.intp]) -> None:
@@ -274,9 +274,9 @@ def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:
     return Taylor.of(resolved.array), Call(resolved.once(inversion).search)
 
 
-def _compiled_apart(resolved: ResolvedSystem, native: bool | None) -> Vectorised:
+def _compiled_apart(resolved: ResolvedSystem, native: bool | None) -> Vectorized:
     function = resolved.once(_compiled)[0].compile_together(len(resolved.array.unknowns))
-    return Vectorised(function, (True, True, True, False), native, resolved.system.name)
+    return Vectorized(function, (True, True, True, False), native, resolved.system.name)
 
 
 def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None = False) -> tuple[Array, str]:
@@ -291,7 +291,7 @@ def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None
     states : ndarray, shape (size, N)
         Answers from the guess of the model; NaN where there is none.
     native : bool or None
-        Whether they are looked at by machine code; see `Vectorised`.
+        Whether they are looked at by machine code; see `Vectorized`.
 
     Raises
     ------

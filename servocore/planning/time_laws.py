@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
-from servocore.numerics.calls import Array
-from servocore.planning.chains import Law, sampled_law
+from servocore.numerics.compiled_calls import Array
+from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.transcription import Task
 from servocore.references.profiles import DEGREE9, DEGREE13, PolynomialProfile, Profile, polynomial, three_phase
 from servocore.references.timed_path import TimedPath

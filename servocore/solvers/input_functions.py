@@ -11,7 +11,7 @@ import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidSetting, described
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.solution import Solution
 
 Inputs = Callable[[float], Array]
@@ -107,7 +107,7 @@ class _Spline:
 
 
 @dataclass(frozen=True, eq=False)
-class Counted:
+class CheckedInputs:
     """A function of time whose values are looked at: as many finite numbers as the system has inputs."""
 
     inputs: Callable[[float], Any]

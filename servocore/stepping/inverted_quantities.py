@@ -14,7 +14,7 @@ from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
 
-def compile_reading(
+def compile_inverted_quantities(
     resolved: ResolvedSystem, wanted: list[tuple[Quantity, ca.SX]]
 ) -> tuple[ca.Function | None, ca.Function]:
     """Compile (gamma, p) -> quantities by exact inversion: as one expression, and by Newton's method.

@@ -21,7 +21,7 @@ _LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
 
 
 @dataclass(frozen=True, eq=False)
-class Swept:
+class SweepSettings:
     """What a sweep does, settled before it begins.
 
     Attributes
@@ -54,9 +54,9 @@ class Swept:
     inputs: bool
 
 
-def settled(
+def checked_settings(
     scene: Scene, parameters: Any, references: Any, limits: Any, instants: int, inputs: bool, model: str | None
-) -> Swept:
+) -> SweepSettings:
     """Return what is swept; raises what `sweep` says."""
     require_scene(scene, "sweep")
     if isinstance(instants, bool) or not isinstance(instants, int) or instants < 2:
@@ -82,10 +82,10 @@ def settled(
     for each in paths:
         bounded.with_reference(each)  # refuses what is no path of this scene
     paths = paths or (problem.reference,)
-    return Swept(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs))
+    return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs))
 
 
-def settings_of(swept: Swept) -> dict[str, Any]:
+def settings_of(swept: SweepSettings) -> dict[str, Any]:
     """Return what makes two sweeps the same, as JSON can hold it."""
     problem, grid = swept.problem, swept.grid
     sampled = [

@@ -8,7 +8,7 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
-def shortest_turn(angle: Array) -> Array:
+def wrapped_angle(angle: Array) -> Array:
     """Return angles (rad) less the full turns in them: in [-pi, pi)."""
     found: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
     return found

@@ -10,19 +10,19 @@ import numpy as np
 
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
-from servocore.numerics.calls import Array, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.following import CONTINUOUS, Branch, on_one_branch
-from servocore.solvers.loop import Run, run
+from servocore.solvers.branch_continuation import CONTINUOUS, Branch, on_one_branch
+from servocore.solvers.fixed_step_loop import Run, run_steps
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import given_start_of, program_of
+from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.inversion import inversion
 
 _ASIDE = 1e-7  # relative
 
 
-def solved_again(problem: Problem, times: Array) -> Solution:
+def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     """Return the inputs alone, at instants of a problem without internal dynamics."""
     states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
@@ -36,23 +36,23 @@ def solved_again(problem: Problem, times: Array) -> Solution:
 def _exact_states(problem: Problem, t: Array) -> Array:
     """Return all unknowns of the derivative array (size, N) at instants, on one branch."""
     if problem.follow_branch:
-        first = given_start_of(Reduced(), BackwardEuler())
-        return run(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
+        first = prescribed_start_of(Reduced(), BackwardEuler())
+        return run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
     jets = problem.reference.jet(t, problem.array.reference_order)
     states, _, residual = at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)
     return on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))[0]
 
 
-def solved_beside(problem: Problem, solution: Solution) -> Solution | None:
+def inversion_near(problem: Problem, solution: Solution) -> Solution | None:
     """Return the exact inversion nearest to a run; None if it is not solved, or not seen to be on one branch."""
-    t, states = solution.t, unknowns_beside(problem, solution)
+    t, states = solution.t, unknowns_near(problem, solution)
     if not np.isfinite(states).all() or len(Branch.along(problem, states).jumps(t, states)):
         return None
     program = program_of(problem, Reduced(), BackwardEuler())
     return solution_of(problem, [Segment(program, t, Run(states, 0, 0, 0.0))], branch=CONTINUOUS)
 
 
-def unknowns_beside(problem: Problem, solution: Solution) -> Array:
+def unknowns_near(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
     array, inverse, t = problem.array, problem.resolved.once(inversion), solution.t
     jets = problem.reference.jet(t, array.reference_order)

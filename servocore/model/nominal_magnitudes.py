@@ -14,7 +14,7 @@ import numpy as np
 
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 
 _FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough

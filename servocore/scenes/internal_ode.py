@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidModel
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 
 Rate = Callable[[float, Array], Array]
 """(time in s, state (n,)) -> its rate (n,)."""

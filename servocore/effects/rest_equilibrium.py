@@ -6,9 +6,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.effects.drives import measured_in
-from servocore.effects.inverted import Inverted
+from servocore.effects.model_inversion import Inverted
 from servocore.errors import InconsistentStart
-from servocore.numerics.calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.problem import Problem, ResolvedSystem
 
 _ITERATIONS = 50
