@@ -14,8 +14,8 @@ import numpy as np
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
 from crane_fmu.slave.straight_lines import straight_line
-from servocore.cli.how_long import told_how_long
 from servocore.files import csv_text
+from servocore.planning.durations import shortest_duration_told
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
 """Columns of the table after `time`: inputs, crane, load, rope tension, in SI units."""
@@ -137,7 +137,7 @@ def feedforward(
             raise sc.InvalidSetting(
                 f"a step of {row:g} s divides {duration:g} s into more than {MOST_ROWS:g} rows: take a larger step"
             )
-        with told_how_long(scene, route.model):
+        with shortest_duration_told(scene, route.model):
             return sc.solve(
                 scene,
                 formulation,

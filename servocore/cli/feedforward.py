@@ -13,7 +13,6 @@ import typer
 
 from servocore.cli.choice import chosen
 from servocore.cli.console import PatientProgress, deliver
-from servocore.cli.how_long import told_how_long
 from servocore.cli.options import (
     End,
     LimitsFile,
@@ -32,6 +31,7 @@ from servocore.files import csv_text, require_places
 from servocore.model.limit_files import limits_given
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
+from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
@@ -114,7 +114,7 @@ def feed_forward(
     if step is not None and step > 0.0 and moved.reference.duration / step > _MOST_ROWS:
         raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
     with PatientProgress("computing the inputs") as progress:
-        with told_how_long(moved, model):
+        with shortest_duration_told(moved, model):
             solution = solve(moved, step=step, model=model, progress=progress)
         told = summary(solution, system, moved.reference)
     deliver(csv_text(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
 
 from servocore.checks.instants import survey
-from servocore.errors import LimitBroken, PlanningFailed
+from servocore.errors import LimitBroken, PlanningFailed, ServocoreError
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
@@ -68,6 +70,25 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
         else:
             return rounded
     raise PlanningFailed(f"{scene.name}: no duration was found at which the law keeps all limits")
+
+
+@contextmanager
+def shortest_duration_told(scene: Scene, model: str | None = None) -> Iterator[None]:
+    """Let a refusal for a broken limit say how long the law of the scene's path must take to keep all of them."""
+    try:
+        yield
+    except LimitBroken as error:
+        raise LimitBroken(f"{error}; {_advice(scene, model)}") from None
+
+
+def _advice(scene: Scene, model: str | None) -> str:
+    try:
+        shortest = shortest_duration(scene, model)
+    except LimitBroken:
+        return "no duration helps, for a limit is broken even at rest somewhere on that path"
+    except ServocoreError:
+        return "no duration is known at which it is kept"
+    return f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
 
 
 def _kept(rows: Rows, p: Array, jets: Array, own: float, duration: float) -> bool:
