@@ -13,7 +13,7 @@ import numpy as np
 
 import servocore as sc
 from crane_fmu import feedforward as ff
-from crane_fmu.run import Array, forgotten_modules
+from crane_fmu.run import Array, nothing_left
 from crane_fmu.slave.interface import components
 from servocore.files import csv_text
 
@@ -202,7 +202,7 @@ def _simulated(
     begin, end = float(rows["time"][0]), float(rows["time"][-1])
     said: list[str] = []
     try:
-        with forgotten_modules():
+        with nothing_left():
             found = fmpy.simulate_fmu(
                 str(plant), start_time=begin, stop_time=end, output_interval=step, step_size=step, input=rows,
                 output=list(outputs), start_values=dict(starts), validate=False, debug_logging=True,

@@ -48,21 +48,47 @@ def filled_folder(target: Path) -> Iterator[Path]:
     InvalidSetting
         If the folder cannot be made or written.
     """
+    if target.exists() and not target.is_dir():
+        raise sc.InvalidSetting(f"cannot make the folder {target}: there is a file of that name")
+    parent = target.resolve().parent
+    with made_folder(parent, target):
+        try:
+            draft = Path(tempfile.mkdtemp(prefix=f".{target.name}", suffix=".part", dir=parent))
+        except OSError as error:
+            raise sc.InvalidSetting(f"cannot make the folder {target}: {_reason(error)}") from error
+        try:
+            yield draft
+            _move(draft, target)
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
+
+
+@contextmanager
+def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
+    """Make a folder and those around it; what was made and holds nothing at the end is gone again.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder to make.
+    wanted : Path
+        What a refusal says cannot be made.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder cannot be made.
+    """
+    folder = folder.resolve()
     try:
-        if target.exists() and not target.is_dir():
-            raise NotADirectoryError(0, "there is a file of that name")
-        parent = target.resolve().parent
-        made = [each for each in (parent, *parent.parents) if not each.exists()]
-        parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{target.name}", suffix=".part", dir=parent))
+        made = [each for each in (folder, *folder.parents) if not each.exists()]
+        folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise sc.InvalidSetting(f"cannot make the folder {target}: {_reason(error)}") from error
+        raise sc.InvalidSetting(f"cannot make the folder {wanted}: {_reason(error)}") from error
     try:
-        yield draft
-        _move(draft, target)
+        yield
     finally:
-        shutil.rmtree(draft, ignore_errors=True)
-        with suppress(OSError):  # parents that were made and still hold nothing go too
+        with suppress(OSError):
             for each in made:
                 each.rmdir()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -50,7 +51,7 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
             messages.append(message.decode())
 
     try:
-        with forgotten_modules():
+        with nothing_left():
             rows = fmpy.simulate_fmu(
                 str(fmu),
                 start_time=reference.start_time,
@@ -120,7 +121,7 @@ def run_ssp(
     """
     values = [SimpleNamespace(name=name, value=value) for name, value in (parameters or {}).items()]
     try:
-        with forgotten_modules():
+        with nothing_left():
             rows = simulate_ssp(
                 str(system), stop_time=duration, step_size=step, parameter_set=SimpleNamespace(parameters=values)
             )
@@ -131,17 +132,19 @@ def run_ssp(
 
 
 @contextmanager
-def forgotten_modules() -> Iterator[None]:
-    """Leave no modules behind that came out of the FMU: in a Python process it imports from its unpacked folder.
+def nothing_left() -> Iterator[None]:
+    """Leave nothing behind of FMUs that run inside: neither their unpacked folders nor the modules from there.
 
-    FMPy deletes that folder after a run. A module that stays would be taken for that of the next FMU of the same
-    name, also while this process builds one.
+    FMPy deletes those folders after good runs only. In a Python process an FMU of ours imports from its folder: what
+    stays would be taken for that of the next FMU of the same name, also while this process builds one.
     """
-    before, search_path = set(sys.modules), list(sys.path)
+    before, search_path, scratch = set(sys.modules), list(sys.path), tempfile.tempdir
     try:
-        yield
+        with tempfile.TemporaryDirectory(prefix="crane_fmu_", ignore_cleanup_errors=True) as folder:
+            tempfile.tempdir = folder
+            yield
     finally:
-        sys.path[:] = search_path
+        sys.path[:], tempfile.tempdir = search_path, scratch
         for name in set(sys.modules) - before:
             file = getattr(sys.modules[name], "__file__", None)
             if file is not None and not Path(file).exists():

@@ -423,7 +423,7 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path, monkeypatch):
     with monkeypatch.context() as interrupted:
         interrupted.setattr(Zarr, "put", stop)
         run = line(*words)
-    assert run.exit_code == 2
+    assert run.exit_code == 130
     assert run.stderr.splitlines()[-1] == "servocore: stopped; --resume goes on after what is in study/sweep.zarr"
     assert [each.name for each in (tmp_path / "study").iterdir()] == ["sweep.zarr"]
     run = line(*words, "--resume")

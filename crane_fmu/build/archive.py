@@ -25,7 +25,7 @@ from crane_fmu.build.description import complete
 from crane_fmu.build.page import documentation_page
 from crane_fmu.build.shim import with_shim
 from crane_fmu.files import put
-from crane_fmu.run import forgotten_modules
+from crane_fmu.run import nothing_left
 from crane_fmu.slave.interface import PATH_FILE
 
 _ICON = Path(__file__).parent / "resources" / "model.png"
@@ -108,7 +108,7 @@ def _no_traces() -> Iterator[None]:
     write_bytecode = sys.dont_write_bytecode
     sys.dont_write_bytecode = True
     try:
-        with forgotten_modules():
+        with nothing_left():
             yield
     finally:
         sys.dont_write_bytecode = write_bytecode

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import servocore as sc
 from crane_fmu.catalogue import NO_STARTS, Starts, at_rest
 from crane_fmu.files import put
-from crane_fmu.run import forgotten_modules, input_rows
+from crane_fmu.run import input_rows, nothing_left
 from servocore.files import csv_text
 
 STEP = 0.01
@@ -34,7 +34,7 @@ def cross_check(fmu: Path, path: sc.Reference | None = None, starts: Starts = NO
         Start values that the FMU has in place of defaults.
     """
     stop, given = STOP[fmu.stem], _inputs(fmu.stem, path, at_rest(starts)["M_w"])
-    with forgotten_modules():
+    with nothing_left():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
     settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
     options = "".join(f"{name},{value}\n" for name, value in settings.items())

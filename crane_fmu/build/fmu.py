@@ -14,7 +14,7 @@ from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Progress, collect
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
-from crane_fmu.files import put
+from crane_fmu.files import made_folder, put
 from servocore.files import write_together
 
 _CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
@@ -56,17 +56,14 @@ def build_fmu(
         If the FMU fails its check.
     """
     directory = Path(directory)
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise sc.InvalidSetting(f"cannot make the folder {directory}: {error.strerror or error}") from error
-    content = collect(kind, progress, path, starts)
-    progress(f"packing {kind.file_name}")
-    archive = packed(content, progress)
-    progress(f"checking {kind.file_name} in a process of its own")
-    _check(archive, kind, starts)
     target = directory / kind.file_name
-    write_together({target: archive})
+    with made_folder(directory, directory):
+        content = collect(kind, progress, path, starts)
+        progress(f"packing {kind.file_name}")
+        archive = packed(content, progress)
+        progress(f"checking {kind.file_name} in a process of its own")
+        _check(archive, kind, starts)
+        write_together({target: archive})
     return target
 
 

@@ -1,7 +1,8 @@
 """What command lines of this project share: refusals in one sentence, a progress bar that waits, tables.
 
-Exit codes: 0 when everything asked for was done; 1 when it was done and is of no use, 2 when it was not done, each with
-one sentence on the standard error stream. Whatever else is raised is a defect and ends with its traceback.
+Exit codes: 0 when everything asked for was done; 1 when it was done and is of no use, 2 when it was not done, 130 when
+Ctrl-C stopped it, each with one sentence on the standard error stream. Whatever else is raised is a defect and ends
+with its traceback.
 """
 
 from __future__ import annotations
@@ -19,11 +20,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from typer.core import TyperGroup
 
+from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if_asked, was_asked
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning, missing_package
 from servocore.files import write_together
 
 OF_NO_USE, REFUSED = 1, 2
-"""Exit codes beside 0."""
+"""Exit codes beside 0 and `INTERRUPTED`."""
+
+_STAGES_APART = 5.0  # seconds between lines that say what goes on, where no terminal shows a bar
 
 WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
@@ -37,7 +41,7 @@ SETTINGS: dict[str, Any] = {
     "rich_markup_mode": "rich",
     "context_settings": {"help_option_names": ["-h", "--help"]},
     "epilog": "Exit code 0: done. Exit code 1: done, but the result is of no use, as one sentence on the error stream"
-    " says. Exit code 2: refused, with one sentence on the error stream and no file.",
+    " says. Exit code 2: refused, with one sentence on the error stream and no file. Exit code 130: stopped by Ctrl-C.",
 }
 """How every command line of this project is set up, beside its name, help and `SentenceGroup`."""
 
@@ -61,7 +65,7 @@ class SentenceGroup(TyperGroup):
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command line and end the process; the arguments are Typer's own."""
         try:
-            with self._notes_on_the_error_stream():
+            with self._notes_on_the_error_stream(), heeded_interruption():
                 code = super().main(*args, **{**options, "standalone_mode": False})
         except ServocoreError as error:
             self._refuse(str(error))
@@ -70,12 +74,35 @@ class SentenceGroup(TyperGroup):
             if refusal is None:
                 raise
             self._refuse(str(refusal))
-        except typer.Abort:
-            self._refuse("stopped")
         except UsageError as error:
             message = error.format_message().rstrip(".")
-            self._refuse(f"{message[:1].lower()}{message[1:]}; see {self.name} --help")
+            asked = error.ctx.command_path if error.ctx else self.name
+            self._refuse(f"{message[:1].lower()}{message[1:]}; see {asked} --help")
         sys.exit(code if isinstance(code, int) else 0)
+
+    def make_context(self, *args: Any, **options: Any) -> Any:
+        """Read the command line; Ctrl-C ends it as it ends a command."""
+        with self._stoppable():
+            return super().make_context(*args, **options)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; Ctrl-C ends it with a sentence and `INTERRUPTED`, whatever error came of it."""
+        with self._stoppable():
+            return super().invoke(ctx)
+
+    @contextmanager
+    def _stoppable(self) -> Iterator[None]:
+        try:
+            yield
+            return
+        except KeyboardInterrupt as error:
+            sentence = str(error) or "stopped"
+        except Exception:
+            if not was_asked():
+                raise
+            sentence = "stopped"
+        print(f"{self.name}: {sentence}", file=sys.stderr)
+        raise typer.Exit(INTERRUPTED)
 
     @contextmanager
     def _notes_on_the_error_stream(self) -> Iterator[None]:
@@ -118,29 +145,53 @@ def end_as_of_no_use(name: str, sentence: str) -> NoReturn:
 
 
 class PatientProgress(AbstractContextManager["PatientProgress"]):
-    """A progress bar on the error stream, for terminals only, that appears after a second."""
+    """Progress on the error stream, after a second: a bar on a terminal, else a line each tenth, and stages at times.
+
+    Every report heeds a Ctrl-C that a library has swallowed.
+    """
 
     def __init__(self, label: str) -> None:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
         self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
         self._task = self._progress.add_task(label, total=None)
+        self._tenth, self._told = 0, 0.0
 
     def __call__(self, done: int, total: int) -> None:
         """Show that `done` of `total` steps are done."""
+        tenth = 10 * done // max(total, 1)
+        if self._slow() and self._tenth < tenth < 10:
+            self._tell(f"{self._progress.tasks[0].description}: {10 * tenth} %")
+        self._tenth = tenth
         self._update(completed=done, total=total)
 
     def describe(self, label: str) -> None:
         """Change what is said to be going on."""
+        if self._slow() and self._elapsed() - self._told > _STAGES_APART:
+            self._tell(label)
         self._update(description=label)
 
+    def _elapsed(self) -> float:
+        return self._progress.tasks[0].elapsed or 0.0
+
+    def _slow(self) -> bool:
+        return self._elapsed() > 1.0
+
+    def _tell(self, line: str) -> None:
+        if not self._progress.console.is_terminal:
+            self._told = self._elapsed()
+            print(line, file=sys.stderr)
+
     def _update(self, **changes: Any) -> None:
-        if self._progress.console.is_terminal and (self._progress.tasks[0].elapsed or 0.0) > 1.0:
+        stop_if_asked()
+        if self._progress.console.is_terminal and self._slow():
             self._progress.start()  # once more does nothing
         self._progress.update(self._task, **changes)
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._progress.live.is_started:
             self._progress.stop()
+        if kind is None:
+            stop_if_asked()
 
 
 def table_console() -> Console:

@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from servocore.cli.choice import along, chosen
+from servocore.cli.interruption import stop_if_asked
 from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import write_together
@@ -100,7 +101,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
                     model=model, distributed=client, progress=progress,
                 )  # fmt: skip
             except KeyboardInterrupt:
-                raise InvalidSetting(f"stopped; --resume goes on after what is in {store}") from None
+                raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
         page, figure = sweep_page(found, subject.name, store.name)
         write_together({output / _PAGE: page, output / _FIGURE: figure})
         failed = int((found.failure.to_numpy() != "").sum())
@@ -172,6 +173,7 @@ class _SweepProgress(AbstractContextManager["_SweepProgress"]):
 
     def __call__(self, done: int, total: int) -> None:
         """Show how many cases are done."""
+        stop_if_asked()
         task = self._progress.tasks[0]
         rate = done / task.elapsed if task.elapsed else 0.0
         self._progress.update(self._task, completed=done, total=total, rate=f"{rate:.0f} cases/s")

@@ -1,0 +1,135 @@
+"""Ctrl-C ends every long command with one sentence and exit code 130, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from crane_fmu.run import nothing_left
+from servocore.cli import interruption
+from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup
+from servocore.errors import IntegrationFailed
+
+LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2"]
+BEGUN = """
+import sys
+from servocore.cli import console
+began = console.PatientProgress.__init__
+def begin(self, label):
+    began(self, label)
+    print("begun", flush=True)
+console.PatientProgress.__init__ = begin
+sys.argv[0] = "crane-fmu"
+from crane_fmu.cli import main
+main()
+"""
+COMMANDS = {
+    "demo": ["demo"],
+    "build": ["build", "-o", "deep/folder"],
+    "plan": ["plan", *LINE, "--limit", "F=60", "-o", "plan.csv"],
+    "feedforward": ["feedforward", *LINE, "--duration", "20", "--step", "0.0001", "-o", "inputs.csv"],
+}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to a process alone")
+@pytest.mark.parametrize("arguments", COMMANDS.values(), ids=COMMANDS)
+def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments, tmp_path):
+    work, scratch = tmp_path / "work", tmp_path / "scratch"
+    for each in (work, scratch):
+        each.mkdir()
+    with subprocess.Popen(
+        [sys.executable, "-c", BEGUN, *arguments], cwd=work, env={**os.environ, "TMPDIR": str(scratch)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as running:  # fmt: skip
+        assert running.stdout is not None
+        assert running.stdout.readline() == "begun\n"
+        time.sleep(0.2)  # into the work
+        running.send_signal(signal.SIGINT)
+        out, sentence = running.communicate()
+    assert running.returncode == interruption.INTERRUPTED
+    assert (out, sentence) == ("", "crane-fmu: stopped\n")
+    assert [*work.iterdir(), *scratch.iterdir()] == []
+
+
+def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+    def break_off() -> None:
+        with nothing_left():
+            Path(tempfile.mkdtemp(), "library.so").touch()
+            raise IntegrationFailed("no")
+
+    with pytest.raises(IntegrationFailed):
+        break_off()
+    assert list(tmp_path.iterdir()) == []
+    assert tempfile.tempdir == str(tmp_path)
+
+
+def _command(run):
+    app = typer.Typer(name="tool", cls=SentenceGroup, **SETTINGS)
+    app.command("run")(run)
+    app.command("other")(lambda: None)
+    return CliRunner().invoke(app, ["run"])
+
+
+def test_an_error_that_a_library_makes_of_ctrl_c_is_told_as_ctrl_c():
+    def run() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise IntegrationFailed("fmi2GetReal failed") from None
+
+    done = _command(run)
+    assert (done.exit_code, done.stderr) == (130, "tool: stopped\n")
+
+
+@pytest.mark.parametrize("reports", [True, False])
+def test_ctrl_c_that_a_library_swallows_is_heeded_at_the_next_report_of_progress(reports):
+    def run() -> None:
+        with PatientProgress("working") as progress:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            if reports:
+                progress(1, 2)
+                raise AssertionError("the command went on")
+
+    done = _command(run)
+    assert (done.exit_code, done.stderr) == (130, "tool: stopped\n")
+
+
+def test_the_next_command_knows_nothing_of_an_earlier_ctrl_c():
+    assert _command(lambda: signal.raise_signal(signal.SIGINT)).exit_code == 130
+    assert _command(lambda: None).exit_code == 0
+
+
+def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(capsys, monkeypatch):
+    progress = PatientProgress("counting")
+    progress(1, 20)
+    monkeypatch.setattr(PatientProgress, "_slow", lambda _: True)
+    for done in range(2, 21):
+        progress(done, 20)
+    assert capsys.readouterr().err.splitlines() == [f"counting: {each} %" for each in range(10, 100, 10)]
+
+
+def test_a_folder_that_a_failed_build_made_is_gone(tmp_path, monkeypatch):
+    import crane_fmu.build.fmu as building
+
+    def fails(*_: object) -> None:
+        raise IntegrationFailed("no")
+
+    monkeypatch.setattr(building, "collect", fails)
+    (tmp_path / "kept").mkdir()
+    for folder in (tmp_path / "deep" / "folder", tmp_path / "kept"):
+        with pytest.raises(IntegrationFailed):
+            building.build_fmu(Path(folder))
+    assert [each.name for each in tmp_path.iterdir()] == ["kept"]
