@@ -191,6 +191,10 @@ def test_a_bar_of_index_seven_has_six_smooth_derivatives():
     peak = np.abs(bar.with_reference(path).exact(np.linspace(0.0, path.duration, 4001))[name]).max()
     assert 0.97 * 50.0 < peak <= 50.0
     assert report.duration < report.degree9
+    assert str(report).splitlines()[1:3] == [
+        f"degree 13       {report.degree9:.4g} s",
+        "three-phase     not as smooth as the plan",
+    ]
 
 
 def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(default_plan):

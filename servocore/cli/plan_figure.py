@@ -27,7 +27,7 @@ _PLAN, _OTHER, _ACTIVE, _BOUND = "#0072b2", "#999999", "#d55e00", "#000000"
 
 
 def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) -> bytes:
-    """Return a picture of the limited quantities of a plan, active limits coloured, beside the degree-9 law.
+    """Return a picture of the limited quantities of a plan, active limits coloured, beside the polynomial law.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) ->
     """
     problem = Problem.of(scene.with_reference(path))
     limits, t, values = _limited(problem)
-    other = None
+    other, name = None, f"degree {report.degree}"
     if isinstance(path, TimedPath) and np.isfinite(report.degree9):
-        slower = polynomial_path(path, report.degree9, problem.array.reference_order)
+        slower = polynomial_path(path, report.degree9, (report.degree - 1) // 2)
         other = _limited(replace(problem, reference=slower))
     columns = 1 if len(limits) <= 3 else 2
     rows = -(-len(limits) // columns)
@@ -51,7 +51,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) ->
     for k, (axes, limit) in enumerate(zip(panels, limits, strict=False)):
         factor, unit = (180.0 / np.pi, limit.unit.replace("rad", "deg")) if "rad" in limit.unit else (1.0, limit.unit)
         if other is not None:
-            axes.plot(other[1], factor * other[2][k], color=_OTHER, linewidth=1.2, linestyle="--", label="degree 9")
+            axes.plot(other[1], factor * other[2][k], color=_OTHER, linewidth=1.2, linestyle="--", label=name)
         axes.plot(t, factor * values[k], color=_PLAN, linewidth=1.6, label="fastest")
         _mark(axes, limit, report, t, factor * values[k], factor)
         axes.set_title(f"{limit.quantity} ({unit})", fontsize="medium", loc="left")

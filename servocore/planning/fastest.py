@@ -178,6 +178,7 @@ def _reported(
         duration=reference.duration,
         degree9=compared[0],
         three_phase=compared[1],
+        degree=2 * found.outcome.law.length + 1,
         certificate=certificate,
         grid_error=found.coarse - reference.duration,
         status=found.outcome.status,

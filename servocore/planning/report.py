@@ -51,11 +51,13 @@ class PlanReport:
         Shortest durations of the polynomial law that is as smooth as the plan (degree 9 for most) and of the best
         three-phase law along the same way within the same limits, in s; infinite where a law cannot keep them, NaN
         where it is not smooth enough or was not asked for.
+    degree : int
+        Of that polynomial law.
     certificate : Certificate
         A look at twenty thousand instants by the exact inversion.
     grid_error : float
         By how much the duration fell when the grid was made twice as fine, in s; what another doubling would gain is
-        about half of that.
+        about half of that. NaN where half as many intervals were too few.
     status : str
         The solver's own word.
     iterations, rounds : int
@@ -72,6 +74,7 @@ class PlanReport:
     duration: float
     degree9: float
     three_phase: float
+    degree: int
     certificate: Certificate
     grid_error: float
     status: str
@@ -94,10 +97,10 @@ class PlanReport:
     def __str__(self) -> str:
         lines = [
             f"duration        {self.duration:.4g} s",
-            f"degree 9        {self.degree9:.4g} s",
-            f"three-phase     {self.three_phase:.4g} s",
+            f"{f'degree {self.degree}':<16}{_taken(self.degree9)}",
+            f"three-phase     {_taken(self.three_phase)}",
             f"violation       {self.violation:.1e} of half a range at {self.certificate.instants} instants",
-            f"grid            {self.grid_error:.2g} s longer on half as many intervals",
+            f"grid            {_gained(self.grid_error)}",
             f"solver          {self.status}, {self.iterations} iterations, from {self.start}",
         ]
         if self.deviation:
@@ -109,3 +112,15 @@ class PlanReport:
             for each in self.active
         ]
         return "\n".join(lines)
+
+
+def _taken(duration: float) -> str:
+    """Return what a law to compare with takes, in words where it is no number."""
+    if math.isnan(duration):
+        return "not as smooth as the plan"
+    return f"{duration:.4g} s" if math.isfinite(duration) else "does not keep the limits"
+
+
+def _gained(grid_error: float) -> str:
+    many = "half as many intervals"
+    return f"{many} were too few" if math.isnan(grid_error) else f"{grid_error:.2g} s longer on {many}"
