@@ -6,8 +6,10 @@ The conversions cost ten times what a small function itself takes. This module t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from threading import Lock
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -72,6 +74,29 @@ class Call:
         if any(result.size and result[-1] != result[-1] for result in results) and self._buffer.ret():
             for result in results:
                 result.fill(np.nan)
+
+
+class WhenAsked:
+    """An attribute of a dataclass: a function, or what compiles it, which is then called when it is first asked for.
+
+    Newton's method for a system takes longer to compile than anything else, and an exact inversion seldom needs it.
+    """
+
+    def __set_name__(self, _: type, name: str) -> None:
+        self._name = name
+
+    def __set__(self, holder: Any, given: ca.Function | Callable[[], ca.Function]) -> None:
+        holder.__dict__[self._name] = given
+
+    def __get__(self, holder: Any, _: type | None = None) -> ca.Function:
+        if holder is None:
+            raise AttributeError(self._name)  # to a dataclass: a field without a default
+        given: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
+        if isinstance(given, ca.Function):
+            return given
+        found: ca.Function = given()
+        holder.__dict__[self._name] = found
+        return found
 
 
 @lru_cache(maxsize=256)  # to build a map costs more than to evaluate it, and runs of one length follow one another

@@ -53,21 +53,18 @@ class Branch:
         Without internal dynamics.
     taylor : Taylor
         Of its derivative array.
-    search : Call
-        Newton's method from a guess.
     scale : ndarray, shape (n,)
         Ranges of the coordinates.
     """
 
     problem: Problem
     taylor: Taylor
-    search: Call
     scale: Array
 
     @classmethod
     def along(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        taylor, search = problem.resolved.once(_compiled)
+        taylor = problem.resolved.once(_compiled_taylor)
         q = states[taylor.q]
         ranges = q.max(axis=1) - q.min(axis=1)
         if not np.isfinite(ranges).all():
@@ -75,7 +72,7 @@ class Branch:
             lowest, highest = np.where(finite, q, np.inf).min(axis=1), np.where(finite, q, -np.inf).max(axis=1)
             ranges = np.where(finite.any(axis=1), highest - lowest, 0.0)
         still = _STILL * np.array(problem.system.coordinates.nominal)
-        return cls(problem, taylor, search, np.maximum(ranges, still))
+        return cls(problem, taylor, np.maximum(ranges, still))
 
     def jumps(self, t: Array, states: Array, native: bool | None = False) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
@@ -229,7 +226,7 @@ class Branch:
     def _solved(self, time: float, guess: Array) -> Array | None:
         problem = self.problem
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
-        found, _, residual = self.search(jet, problem.p, guess)
+        found, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
         return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
 
 
@@ -270,12 +267,16 @@ def _scaled(matrices: Array) -> Array:
     return matrices
 
 
-def _compiled(resolved: ResolvedSystem) -> tuple[Taylor, Call]:
-    return Taylor.of(resolved.array), Call(resolved.once(inversion).search)
+def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:
+    return Taylor.of(resolved.array)
+
+
+def _compiled_search(resolved: ResolvedSystem) -> Call:
+    return Call(resolved.once(inversion).search)
 
 
 def _compiled_apart(resolved: ResolvedSystem, native: bool | None) -> Vectorized:
-    function = resolved.once(_compiled)[0].compile_together(len(resolved.array.unknowns))
+    function = resolved.once(_compiled_taylor).compile_together(len(resolved.array.unknowns))
     return Vectorized(function, (True, True, True, False), native, resolved.system.name)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,7 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, WhenAsked, at_instants, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
@@ -29,7 +29,7 @@ from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.observation import compile_observation
 from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import Program
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+from servocore.structure.inversion import LARGEST_RESIDUAL, Inversion, inversion
 
 _CHUNK = 2048  # instants that are evaluated at once
 
@@ -92,13 +92,14 @@ class Pointwise:
 
 @dataclass(frozen=True, eq=False)
 class _Quick:
-    """Functions (gamma, p) -> state, counts, residual and what is observed there.
+    """A function (gamma, p) -> state, counts, residual and what is observed there.
 
-    The first gives NaN where the guess of the model is not exact, for which the second searches.
+    It gives NaN where the guess of the model is not exact: Newton's method, which takes longest of all to compile, is
+    compiled where that happens.
     """
 
     exact: PathFunction
-    sought: ca.Function
+    program: Program
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return all results at some instants, shape (rows, N) each."""
@@ -106,23 +107,28 @@ class _Quick:
         left = np.flatnonzero(~(found[2][0] < LARGEST_RESIDUAL))
         if len(left):
             jets = problem.reference.jet(t[left], self.exact.order)
-            for each, own in zip(found, at_instants(self.sought, jets=jets, p=problem.p), strict=True):
+            sought = problem.resolved.once(_compile_sought, self.program)
+            for each, own in zip(found, at_instants(sought, jets=jets, p=problem.p), strict=True):
                 each[:, left] = own.reshape(-1, len(left), order="F")
         return found
 
 
 def _compile_quick(resolved: ResolvedSystem, flat: ca.Function, program: Program, native: bool | None) -> _Quick:
     """Compile exact inversion together with what is observed."""
-    inverse, system = resolved.once(inversion), resolved.system
-    order = resolved.array.reference_order + 1
+    system, order = resolved.system, resolved.array.reference_order + 1
     arguments = ca.SX.sym("gamma", system.gamma.size1(), program.order + 1), ca.SX.sym("p", system.p.numel())
     exact = flat(arguments[0][:, :order], arguments[1])
     results = [*exact, *program.observe(exact[0], *arguments)]
     quick = ca.Function("sc_quick", arguments, results, {"cse": True})
-    gamma, p = ca.MX.sym("gamma", *quick.size_in(0)), ca.MX.sym("p", *quick.size_in(1))
-    found = inverse.sought(gamma[:, :order], p)
-    sought = ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)])
-    return _Quick(PathFunction(resolved, quick, native), sought)
+    return _Quick(PathFunction(resolved, quick, native), program)
+
+
+def _compile_sought(resolved: ResolvedSystem, program: Program) -> ca.Function:
+    """Compile the same by Newton's method."""
+    system, order = resolved.system, resolved.array.reference_order + 1
+    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), program.order + 1), ca.MX.sym("p", system.p.numel())
+    found = resolved.once(inversion).sought(gamma[:, :order], p)
+    return ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)])
 
 
 def _at_every_instant(
@@ -321,7 +327,8 @@ class ExactInversion:
             )
 
 
-class Inputs(NamedTuple):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Inputs:
     """Functions to inputs and what must be positive.
 
     Attributes
@@ -329,13 +336,13 @@ class Inputs(NamedTuple):
     quick : PathFunction
         (gamma, p) -> them, or NaN where the guess of the model is not exact; gamma has shape (m, reference_order + 1).
     seeking : casadi.Function
-        The same, and seeks where the guess is not exact.
+        The same, and seeks where the guess is not exact; compiled when it is first asked for.
     read : casadi.Function
         (unknowns, gamma, p) -> the same from unknowns of the derivative array that are known.
     """
 
     quick: PathFunction
-    seeking: ca.Function
+    seeking: WhenAsked = WhenAsked()
     read: ca.Function
 
 
@@ -346,12 +353,17 @@ def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> Inpu
     wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
     order = resolved.array.reference_order
     read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-    gamma, p = system.gamma[:, : order + 1], system.p
-    G, P = ca.MX.sym("gamma", *gamma.shape), ca.MX.sym("p", p.numel())
-    seeking = ca.Function("sc_inputs", [G, P], [read(inverse.function(G, P)[0], G, P)[0]])
-    quick, flat = seeking, inverse.expression
+    gamma, p, flat = system.gamma[:, : order + 1], system.p, inverse.expression
+    seeking = partial(_compile_seeking, inverse, read)
     if flat is not None:
         quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)[0]], {"cse": True})
-    elif native:
-        quick = seeking = compiled({"seeking": seeking}, system.name)["seeking"]
-    return Inputs(PathFunction(resolved, quick, native), seeking, read)
+        return Inputs(quick=PathFunction(resolved, quick, native), seeking=seeking, read=read)
+    quick = seeking()
+    if native:
+        quick = compiled({"seeking": quick}, system.name)["seeking"]
+    return Inputs(quick=PathFunction(resolved, quick, native), seeking=quick, read=read)
+
+
+def _compile_seeking(inverse: Inversion, read: ca.Function) -> ca.Function:
+    gamma, p = (ca.MX.sym(name, *inverse.guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
+    return ca.Function("sc_inputs", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])

@@ -87,28 +87,22 @@ def compile_program(
     discretisation = discretized(dae, method)
     start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = observed(system)
-    start = compile_start(array, inverse, dae, reduced, discretisation, start_order)
+    start: Callable[[], ca.Function] = partial(compile_start, array, inverse, dae, reduced, discretisation, start_order)
+    step: Callable[[], ca.Function] = partial(_compile_step, discretisation)
     # Without differential states every instant stands alone: a step is a start.
     pointwise = dae.x.numel() == 0
     if pointwise:
-        step = _compile_following_step(array, inverse, start_order) if follow_branch else _compile_pointwise_step(start)
-    else:
-        step = _compile_step(discretisation)
+        following = partial(_compile_following_step, array, inverse, start_order)
+        step = following if follow_branch else partial(_compile_pointwise_step, start)
     return Program(
         name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
         start=start,
         step=step,
         observe=compile_observation(system, dae, discretisation, known, start_order),
-        margins=compile_margins(system, limits, start_order),
-        guess_residual=_compile_guess_residual(discretisation),
-        rescale=ca.Function(
-            "sc_rescale", [discretisation.state, discretisation.ratio], [ca.densify(discretisation.rescaled)]
-        ),
-        between=ca.Function(
-            "sc_between",
-            [discretisation.state, discretisation.fraction, discretisation.step],
-            [ca.densify(discretisation.between)],
-        ),
+        margins=partial(compile_margins, system, limits, start_order),
+        guess_residual=partial(_compile_guess_residual, discretisation),
+        rescale=partial(_compile_rescale, discretisation),
+        between=partial(_compile_between, discretisation),
         index=dae.index,
         smaller_steps_help=not pointwise and errs_less_with_smaller_steps(method, dae.index),
         order=start_order if pointwise else dae.reference_order,
@@ -174,7 +168,8 @@ def _compile_following_step(array: DerivativeArray, inverse: Inversion, order: i
     return ca.Function("sc_step", [state, gamma, h, p], list(found))
 
 
-def _compile_pointwise_step(start: ca.Function) -> ca.Function:
+def _compile_pointwise_step(compile_it: Callable[[], ca.Function]) -> ca.Function:
+    start = compile_it()
     state, h = ca.MX.sym("state", start.numel_out(0)), ca.MX.sym("h")
     gamma, p = ca.MX.sym("gamma", *start.size_in(0)), ca.MX.sym("p", start.numel_in(2))
     return ca.Function("sc_step", [state, gamma, h, p], list(start(gamma, h, p)))
@@ -186,6 +181,14 @@ def _compile_guess_residual(step: Discretisation) -> ca.Function:
     residual = ca.substitute(equations.residual, equations.unknowns, equations.guess) / equations.residual_scale
     evaluate = ca.Function("sc_residual", [equations.givens], [ca.densify(residual)])
     return _with_step_arguments("sc_guess_residual", step, lambda givens: [evaluate(givens)])
+
+
+def _compile_rescale(step: Discretisation) -> ca.Function:
+    return ca.Function("sc_rescale", [step.state, step.ratio], [ca.densify(step.rescaled)])
+
+
+def _compile_between(step: Discretisation) -> ca.Function:
+    return ca.Function("sc_between", [step.state, step.fraction, step.step], [ca.densify(step.between)])
 
 
 def _with_step_arguments(name: str, step: Discretisation, evaluate: Callable[[ca.MX], list[ca.MX]]) -> ca.Function:

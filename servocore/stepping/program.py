@@ -9,15 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import casadi as ca
 import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.compiled_calls import Array, Call, WhenAsked
 from servocore.numerics.serialization import from_json, to_json
 
-_FUNCTIONS = ("start", "step", "observe", "margins", "guess_residual", "rescale", "between")
 _FORMAT = "servocore program 3"
 
 
@@ -51,9 +49,11 @@ class StepReport:
     residual: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Program:
     """Compiled functions of one problem: model, formulation and method together.
+
+    Each function may also be given as what compiles it: a callable without arguments.
 
     Attributes
     ----------
@@ -92,13 +92,13 @@ class Program:
     """
 
     name: str
-    start: ca.Function
-    step: ca.Function
-    observe: ca.Function
-    margins: ca.Function
-    guess_residual: ca.Function
-    rescale: ca.Function
-    between: ca.Function
+    start: WhenAsked = WhenAsked()
+    step: WhenAsked = WhenAsked()
+    observe: WhenAsked = WhenAsked()
+    margins: WhenAsked = WhenAsked()
+    guess_residual: WhenAsked = WhenAsked()
+    rescale: WhenAsked = WhenAsked()
+    between: WhenAsked = WhenAsked()
     index: int
     smaller_steps_help: bool
     order: int
@@ -109,10 +109,12 @@ class Program:
     parameters: tuple[str, ...]
     equations: tuple[str, ...]
     limits: tuple[LimitText, ...]
-    _calls: dict[str, Call] = field(init=False, repr=False)
+    _calls: dict[str, Call] = field(init=False, repr=False, default_factory=dict)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_calls", {name: Call(getattr(self, name)) for name in _FUNCTIONS})
+    def _call(self, name: str) -> Call:
+        if name not in self._calls:
+            self._calls[name] = Call(getattr(self, name))
+        return self._calls[name]
 
     @property
     def state_size(self) -> int:
@@ -140,7 +142,7 @@ class Program:
         jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
         # CasADi maps column by column: (instants, orders, m) becomes (m, orders * instants).
         used = jets[:, : self.start_order + 1]
-        return _outcome(*self._calls["start"](used.reshape(-1, used.shape[2]).T, h, p))
+        return _outcome(*self._call("start")(used.reshape(-1, used.shape[2]).T, h, p))
 
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
         """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m).
@@ -161,7 +163,7 @@ class Program:
         tuple of (ndarray, StepReport)
             The state after the step, and how it went.
         """
-        return _outcome(*self._calls["step"](state, self._at_nodes(gamma), h, p))
+        return _outcome(*self._call("step")(state, self._at_nodes(gamma), h, p))
 
     def rescaled(self, state: Array, ratio: float) -> Array:
         """Make a state ready for steps of another size; for forms of index one and less.
@@ -179,7 +181,7 @@ class Program:
             The state from which to go on.
         """
         # Interpolating a history at its own instants would cost round-off for nothing.
-        return state if ratio == 1.0 else self._calls["rescale"](state, ratio)[0]
+        return state if ratio == 1.0 else self._call("rescale")(state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
         """Move a state's own instant to a fraction of its last step, for `values` there: dense output.
@@ -198,7 +200,7 @@ class Program:
         ndarray, shape (state_size,)
             A state for `values` alone.
         """
-        return self._calls["between"](state, fraction, h)[0]
+        return self._call("between")(state, fraction, h)[0]
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
         """Observed values in the order of `channels`, for a reference jet of shape (orders, m).
@@ -217,7 +219,7 @@ class Program:
         ndarray, shape (channels,)
             In the units of `channels`.
         """
-        return self._calls["observe"](state, gamma[: self.start_order + 1].T, p)[0]
+        return self._call("observe")(state, gamma[: self.start_order + 1].T, p)[0]
 
     def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
         """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene.
@@ -232,7 +234,7 @@ class Program:
             Of the jet, in s, for the message.
         """
         if self.limits:
-            (margins,) = self._calls["margins"](gamma[: self.start_order + 1].T, p)
+            (margins,) = self._call("margins")(gamma[: self.start_order + 1].T, p)
             require_margins(self.limits, margins, time)
 
     def require_branch(self, values: Array, time: float) -> None:
@@ -276,7 +278,7 @@ class Program:
         """
         # A form without a step is given more derivatives of the path than its equations hold.
         orders = self.guess_residual.size2_in(1) // len(self.nodes)
-        (residual,) = self._calls["guess_residual"](state, self._at_nodes(gamma[:, :orders]), h, p)
+        (residual,) = self._call("guess_residual")(state, self._at_nodes(gamma[:, :orders]), h, p)
         return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
 
     def _at_nodes(self, gamma: Array) -> Array:
