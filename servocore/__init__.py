@@ -12,9 +12,6 @@ from typing import TYPE_CHECKING
 from servocore import scenes
 from servocore.analysis import StructureReport, analyse
 from servocore.dae import Dae, Equation, Unknown
-from servocore.effects.drives import Drives
-from servocore.effects.report import EffectRow, EffectsReport
-from servocore.effects.study import effects
 from servocore.errors import (
     InconsistentStart,
     IntegrationFailed,
@@ -42,9 +39,7 @@ from servocore.methods import (
 from servocore.model.drawing import Part
 from servocore.model.effects import Effect, Effects
 from servocore.model.generalize import generalise
-from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
 from servocore.model.limits import Limit
-from servocore.model.parameter_files import read_parameters
 from servocore.model.potentials import Potential
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -53,51 +48,29 @@ from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
 from servocore.problem import Problem
-from servocore.references import (
-    DEGREE3,
-    DEGREE5,
-    DEGREE7,
-    DEGREE9,
-    DEGREE13,
-    Profile,
-    Reference,
-    csv_of,
-    figure_of_eight,
-    from_csv,
-    periodic,
-    rest_to_rest,
-    sampled,
-    three_phase,
-    through,
-    waypoints_from_csv,
-)
+from servocore.references.base import Reference
+from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, Profile, three_phase
+from servocore.references.rest_to_rest import rest_to_rest
 from servocore.solution import Margin, Solution, Statistics
-from servocore.solvers import (
-    Adaptive,
-    Batch,
-    BoundaryValue,
-    DynamicInversion,
-    EnergyMomentum,
-    ExactInversion,
-    Route,
-    Sundials,
-    simulate,
-    solve,
-)
-from servocore.stepping.forward_dynamics import compile_plant
-from servocore.stepping.plant import Plant
+from servocore.solvers.adaptive import Adaptive
+from servocore.solvers.boundary_value import BoundaryValue
+from servocore.solvers.exact_inversion import ExactInversion
+from servocore.solvers.route import Route
+from servocore.solvers.solve import solve
 from servocore.stepping.program import Program, StepReport
-from servocore.stepping.rotation_update import RotationUpdate
-from servocore.stepping.stepper import Stepper
-from servocore.view.page import LivePart, live_part, view
 
 if TYPE_CHECKING:
+    from servocore.effects.drives import Drives
+    from servocore.effects.report import EffectRow, EffectsReport
+    from servocore.effects.study import effects
     from servocore.export.estimates import SampledEstimates
     from servocore.export.feedback import SampledFeedback
     from servocore.export.fmu import export_fmu, export_plant, export_trajectory
     from servocore.export.plant_model import PlantWishes
     from servocore.export.trajectory_model import TrajectoryWishes
     from servocore.export.wasm import export_wasm
+    from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
+    from servocore.model.parameter_files import read_parameters
     from servocore.planning.durations import shortest_duration
     from servocore.planning.fastest import fastest
     from servocore.planning.flat_system import to_control
@@ -105,6 +78,19 @@ if TYPE_CHECKING:
     from servocore.planning.sensitivities import Sensitivities, sensitivities
     from servocore.planning.space import Box, Space, Sphere
     from servocore.planning.sweep import sweep
+    from servocore.references.csv_file import csv_of, from_csv, waypoints_from_csv
+    from servocore.references.periodic import figure_of_eight, periodic
+    from servocore.references.splines import sampled, through
+    from servocore.solvers.batch import Batch
+    from servocore.solvers.conserving import EnergyMomentum
+    from servocore.solvers.dynamic_inversion import DynamicInversion
+    from servocore.solvers.simulate import simulate
+    from servocore.solvers.sundials import Sundials
+    from servocore.stepping.forward_dynamics import compile_plant
+    from servocore.stepping.plant import Plant
+    from servocore.stepping.rotation_update import RotationUpdate
+    from servocore.stepping.stepper import Stepper
+    from servocore.view.page import LivePart, live_part, view
 
 __version__ = "0.2.0"
 
@@ -224,27 +210,60 @@ __all__ += [
     "generalise",
 ]
 
-# Plans and exports are a quarter of what there is to import, and most programs make neither.
+# These are half of what there is to import, and most programs analyse and solve.
 _LATER = {
+    "Batch": "servocore.solvers.batch",
     "Box": "servocore.planning.space",
+    "Drives": "servocore.effects.drives",
+    "DynamicInversion": "servocore.solvers.dynamic_inversion",
+    "EffectRow": "servocore.effects.report",
+    "EffectsReport": "servocore.effects.report",
+    "EnergyMomentum": "servocore.solvers.conserving",
+    "LivePart": "servocore.view.page",
     "PlanReport": "servocore.planning.report",
+    "Plant": "servocore.stepping.plant",
     "PlantWishes": "servocore.export.plant_model",
+    "RotationUpdate": "servocore.stepping.rotation_update",
     "SampledEstimates": "servocore.export.estimates",
     "SampledFeedback": "servocore.export.feedback",
     "Sensitivities": "servocore.planning.sensitivities",
     "Space": "servocore.planning.space",
     "Sphere": "servocore.planning.space",
+    "Stepper": "servocore.stepping.stepper",
+    "Sundials": "servocore.solvers.sundials",
     "TrajectoryWishes": "servocore.export.trajectory_model",
+    "compile_plant": "servocore.stepping.forward_dynamics",
+    "csv_of": "servocore.references.csv_file",
+    "effects": "servocore.effects.study",
     "export_fmu": "servocore.export.fmu",
     "export_plant": "servocore.export.fmu",
     "export_trajectory": "servocore.export.fmu",
     "export_wasm": "servocore.export.wasm",
+    "factors_of_texts": "servocore.model.limit_files",
     "fastest": "servocore.planning.fastest",
+    "figure_of_eight": "servocore.references.periodic",
+    "from_csv": "servocore.references.csv_file",
+    "limits_given": "servocore.model.limit_files",
+    "live_part": "servocore.view.page",
+    "periodic": "servocore.references.periodic",
+    "read_limits": "servocore.model.limit_files",
+    "read_parameters": "servocore.model.parameter_files",
+    "sampled": "servocore.references.splines",
     "sensitivities": "servocore.planning.sensitivities",
     "shortest_duration": "servocore.planning.durations",
+    "simulate": "servocore.solvers.simulate",
     "sweep": "servocore.planning.sweep",
+    "through": "servocore.references.splines",
     "to_control": "servocore.planning.flat_system",
+    "view": "servocore.view.page",
+    "waypoints_from_csv": "servocore.references.csv_file",
 }
+
+
+# A room that is imported for the first time takes the place of the function of its name: so that comes first.
+for _room in ("effects", "view"):
+    import_module(f"servocore.{_room}")
+    del globals()[_room]
 
 
 def __getattr__(name: str) -> object:

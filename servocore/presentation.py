@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -68,15 +67,17 @@ def _shown_unit(unit: str) -> tuple[str, float]:
 
 def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str:
     """Return what a notebook shows: a heading, and of every trajectory name, unit, ends, extremes and meaning."""
+    from html import escape  # noqa: PLC0415 - for notebooks
+
     rows = "".join(
-        f"<tr><th>{html.escape(each.name)}</th><td>{html.escape(each.unit)}</td>"
+        f"<tr><th>{escape(each.name)}</th><td>{escape(each.unit)}</td>"
         + "".join(f"<td>{value:.6g}</td>" for value in _ends_and_extremes(each.values))
-        + f"<td style='text-align:left'>{html.escape(each.description)}</td></tr>"
+        + f"<td style='text-align:left'>{escape(each.description)}</td></tr>"
         for each in curves
     )
     columns = ("", "unit", f"at {t[0]:g} s", f"at {t[-1]:g} s", "least", "largest", "")
     head = "".join(f"<th>{each}</th>" for each in columns)
-    text = "<br>".join(html.escape(line) for line in heading if line)
+    text = "<br>".join(escape(line) for line in heading if line)
     return f"<p>{text}</p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
 

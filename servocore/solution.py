@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from servocore.files import csv_text, write_together
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.presentation import Curve, data_frame, dataset, figure_of, html_table
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from matplotlib.figure import Figure
 
 
@@ -303,5 +303,9 @@ class Solution:
         names : sequence of str, optional
             Trajectories to write.
         """
+        from pathlib import Path  # noqa: PLC0415 - with what it imports, it would take longer than all other rooms
+
+        from servocore.files import csv_text, write_together  # noqa: PLC0415
+
         names = self.names if names is None else names
         write_together({Path(path): csv_text(["time", *names], [self.t, *[self[name] for name in names]])})

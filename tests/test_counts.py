@@ -6,6 +6,9 @@ method cheaper lowers its bounds; who makes it dearer has to say why here.
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import pytest
 
 import servocore as sc
@@ -94,3 +97,31 @@ def test_error_control_takes_no_more_steps_than_it_did(rtol):
     steps, iterations = CONTROLLED[rtol]
     assert found.steps <= steps
     assert found.newton_iterations <= SLACK * iterations
+
+
+def test_a_first_solve_compiles_no_search_and_imports_no_room_that_it_does_not_need():
+    script = """
+import sys
+import servocore as sc
+import servocore.structure.inversion as inversion
+compiled = []
+inversion.compile_solver = lambda name, *_: compiled.append(name)
+crane = sc.scenes.rotary_crane()
+sc.analyse(crane)
+sc.solve(crane)
+sc.ExactInversion(crane)(3.0)
+print(compiled)
+print(*sorted({name.split(".")[1] for name in sys.modules if name.count(".") > 1 and name.startswith("servocore.")}))
+print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if name in sys.modules])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    compiled, rooms, more = done.stdout.splitlines()
+    assert compiled == "[]"
+    assert rooms == "checks formulations methods model numerics references scenes solvers stepping structure"
+    assert more == "[]"
+
+
+def test_functions_keep_their_names_whatever_room_is_imported_first():
+    script = "import servocore.cli.effects, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout.count("<function") == 2

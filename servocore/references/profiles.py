@@ -9,12 +9,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from fractions import Fraction
 from math import comb, factorial, isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial.polynomial import polyadd, polyder, polymul
 
 from servocore.errors import InvalidReference, require_kind, require_real
 from servocore.references.formula import Values, either, least, most, powers, where
@@ -318,12 +316,21 @@ def _horner(coefficients: tuple[float, ...], x: Values) -> Values:
 
 def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
     """Coefficients in v of c G_0 ... c G_k, then of the derivatives of c G_k by T: the power of w is used up."""
-    half = Fraction(1, 2)
-    factor, found = np.array([Fraction(factorial(2 * k + 1), factorial(k) ** 2)]), []
+    # 2^j c G_j has integer coefficients: exact, until each is divided and rounded once.
+    factor, power = [factorial(2 * k + 1) // factorial(k) ** 2], 1
+    found = []
     for j in range(2 * k + 1):
-        found.append(tuple(float(value) for value in factor))
-        slope = polyder(factor)
-        factor = polyadd(polymul([0, k - j], factor), polymul([-half, 0, half], slope)) if j < k else -2 * slope
+        found.append(tuple(value / power for value in factor))
+        slope = [m * value for m, value in enumerate(factor)][1:]
+        if j < k:  # 2 (k - j) v G + (v^2 - 1) G'
+            raised = [0, *(2 * (k - j) * value for value in factor)]
+            for m, value in enumerate(slope):
+                raised[m] -= value
+                if value:
+                    raised[m + 2] += value
+            factor, power = raised, 2 * power
+        else:
+            factor = [-2 * value for value in slope]
     return tuple(found)
 
 

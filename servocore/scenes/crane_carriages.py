@@ -92,6 +92,7 @@ class Rails:
 
 
 PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
+TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
 PHI_MOTOR = Quantity("phi_motor", "rad", "angle of the slewing drive, before the flexible bridge", wraps=True)
 
 

@@ -38,12 +38,9 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
-from servocore.scenes.crane_carriages import SlewingBridge
+from servocore.scenes.crane_carriages import PHI, TROLLEY, SlewingBridge
 from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
-from servocore.scenes.rotary_crane_bodies import PHI, TROLLEY
-from servocore.scenes.rotary_crane_bodies import bodies as assemble_bodies
-from servocore.scenes.rotary_crane_rope import OnRope
 
 PARAMETERS = Parameters(
     Parameter("bridge_inertia", 480.0, "kg.m2", 1e-3, 1e9, "J_b, of bridge, trolley and winch at s = 0"),
@@ -232,8 +229,12 @@ def through_axis(reference: Array, parameters: Mapping[str, float]) -> dict[str,
     return {**answer, "s": sign * answer["s"], "F": sign * answer["F"], "phi": angle}
 
 
-bodies = partial(assemble_bodies, PARAMETERS, INPUTS, OUTPUTS)
-"""Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
+def bodies() -> MechanicalSystem:
+    """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
+    from servocore.scenes.rotary_crane_bodies import bodies as assembled  # noqa: PLC0415 - other models need no parts
+
+    return assembled(PARAMETERS, INPUTS, OUTPUTS)
+
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}
 """Factories of the models whose trolley may pass through the slewing axis, made once: partials compare as objects."""
@@ -293,6 +294,8 @@ def rotary_crane(*, across_axis: bool = False, invariant: bool = False, rope_ele
         drawing=drawing,
     )
     if rope_elements:
+        from servocore.scenes.rotary_crane_rope import OnRope  # noqa: PLC0415 - other models need no parts
+
         plant = OnRope(INVARIANT_MODELS["points"], rope_elements)
         return replace(crane, models={"rope": plant}, effects=NO_EFFECTS, closed_form=None, limits=())
     if not across_axis:

@@ -38,6 +38,7 @@ from servocore.model.rotationless.joints import angle, displacement, distance, p
 from servocore.model.rotationless.parts import GROUND, PointMass, RigidBody, turned
 from servocore.model.symbols import Parameters
 from servocore.scenes import hanging_load
+from servocore.scenes.crane_carriages import PHI, TROLLEY
 
 if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem
@@ -55,9 +56,6 @@ WINCH_MASS_SHARE = 0.3
 """What of the trolley mass is the winch's."""
 
 _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
-
-PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
-TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
 
 
 def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[Quantity, ...]) -> MechanicalSystem:
