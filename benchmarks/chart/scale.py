@@ -4,7 +4,8 @@ Gantry cranes of 6 coordinates each stand in one system, independent of one anot
 what they cost one by one, an exponent of one. Beside them stand SUNDIALS' idas on the same reduced form, with all
 derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy. A closed chain of bars, each a body of
 three coordinates with hinges as constraints, does not fall apart. Times are processor times, the smallest of several;
-solves are interpreted. A cold start is that of a process of its own, with Python's bytecode as an installation has it.
+solves are interpreted. A cold start is that of a process of its own which finds Python's bytecode written, as after an
+installation, and counts from when Python has started; it is measured with and without a C compiler on the machine.
 """
 
 from __future__ import annotations
@@ -40,6 +41,9 @@ CHAIN = "bodies in a closed chain"
 MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes
 STEPS, INSTANTS, LARGE = 200, 1000, 10_000
 REPEATS = 5
+STAGES = {"import": 0.3, "analyse": 0.5, "first solve": 0.04}
+"""Of a cold start of the rotary crane, with the seconds that are wanted at most."""
+WITHOUT = ", no compiler"
 _FROM = 4  # cranes: below, what is fixed shows
 
 _START = """
@@ -75,7 +79,7 @@ def measure_scale(smoke: bool = False) -> list[Point]:
     found = [point for count in CRANES for point in _cranes(count)]
     found += [point for bodies in CHAINS for point in _chain(bodies)]
     found += [point for pieces in BARS for point in _bar(pieces)]
-    return [*found, *_many_instants(), *_cold_start(3)]
+    return [*found, *_many_instants(), *_cold_start(10)]
 
 
 def _seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -181,17 +185,23 @@ def _many_instants() -> Iterator[Point]:
 
 
 def _cold_start(repeats: int) -> Iterator[Point]:
-    """Measure the rotary crane in processes of their own: the smallest of several, bytecode written by another."""
+    """Measure the rotary crane in processes of their own, with and without a compiler: the smallest of several.
+
+    The first process writes the bytecode that an installation has, and is not counted.
+    """
     with tempfile.TemporaryDirectory() as folder:
         kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
         env = {**kept, "PYTHONPYCACHEPREFIX": folder}
-        command = [sys.executable, "-c", _START]
-        runs = [
-            subprocess.run(command, capture_output=True, text=True, check=True, env=env).stdout.split()
-            for _ in range(1 + repeats)
-        ][1:]
-    for name, values in zip(("import", "analyse", "first solve"), zip(*runs, strict=True), strict=True):
-        yield Point(COLD, 1, name, min(map(float, values)), "s")
+        machines = {"": env, WITHOUT: {**env, "CC": "", "PATH": ""}}
+        runs: dict[str, list[list[float]]] = {words: [] for words in machines}
+        for _ in range(1 + repeats):
+            for words, environment in machines.items():
+                done = subprocess.run([sys.executable, "-c", _START], capture_output=True, text=True, check=True,
+                                      env=environment)  # fmt: skip
+                runs[words].append([float(each) for each in done.stdout.split()])
+    for words, found in runs.items():
+        for name, values in zip(STAGES, zip(*found[1:], strict=True), strict=True):
+            yield Point(COLD, 1, name + words, min(values), "s")
 
 
 def write_points(folder: Path, points: Sequence[Point]) -> None:
@@ -240,8 +250,8 @@ def wanted(points: Sequence[Point]) -> list[tuple[str, str, str, str]]:
     limits.append(
         (f"{MANY}: solve, machine code", "us an instant", _value(points, MANY, 1, "solve, machine code"), 0.6)
     )
-    limits += [(f"{COLD}: {name}", "s", _value(points, COLD, 1, name), most)
-               for name, most in (("import", 0.3), ("analyse", 0.5), ("first solve", 0.04))]  # fmt: skip
+    limits += [(f"{COLD}: {name}{words}", "s", _value(points, COLD, 1, name + words), most)
+               for words in ("", WITHOUT) for name, most in STAGES.items()]  # fmt: skip
     verdicts = {True: "yes", False: "**no**"}
     return [
         (what, f"at most {most:g} {unit}", f"{value:.3g}", verdicts[value <= most])
