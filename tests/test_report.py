@@ -112,7 +112,7 @@ class TestFigures:
         t = below.lines[0].get_xdata()
         np.testing.assert_allclose(below.lines[0].get_ydata(), crane.reference.profile.jet(t, 20 - t, 20.0, 2)[:, 2],
                                    atol=1e-12)  # fmt: skip
-        assert labels(figure) == ["$s(t)$ (1)", "$\\ddot{s}(t)$ (1/s²)"]
+        assert labels(figure) == ["share of the line", "its second derivative (1/s²)"]
         assert below.get_xlabel() == "time (s)"
 
     def test_the_motion_is_drawn_in_degrees_and_metres(self, found, crane):
@@ -121,15 +121,17 @@ class TestFigures:
         assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(135.0)
         assert legend(figure) == ["exact inversion", "closed form"]
 
-    def test_both_sets_of_coordinates_and_the_closed_form_are_on_top_of_each_other(self, found, crane):
+    def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found):
         redundant, generalised = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
-        figure = trajectories.inputs_compared(redundant, generalised, crane)
-        assert labels(figure) == [LABELS["M_b"], LABELS["F"]]
-        assert [len(axes.lines) for axes in figure.axes] == [3, 3]
+        figure = trajectories.inputs_compared(redundant, generalised, found.base)
+        assert labels(figure) == [LABELS[name] for name in INPUTS]
+        assert [len(axes.lines) for axes in figure.axes] == [3, 3, 3]
         assert len(legend(figure)) == 3
         looks = {(line.get_linestyle(), line.get_marker(), line.get_linewidth()) for line in figure.axes[0].lines}
         assert len(looks) == 3, "curves must differ without their colours"
-        np.testing.assert_array_equal(figure.axes[0].lines[1].get_ydata(), redundant["M_b"])
+        drawn = [line.get_ydata() for line in figure.axes[2].lines]
+        for values, run in zip(drawn, (found.base, generalised, redundant), strict=True):
+            np.testing.assert_array_equal(values, run["M_w"])
 
     def test_what_plot_draws_has_six_panels_with_units(self, found):
         figure = trajectories.inputs_and_motion(found.base)
@@ -151,8 +153,11 @@ class TestFigures:
         assert {"path of the load", "bridge", "rope", "load"} <= set(legend(figure))
 
     def test_the_sketch_names_what_it_measures(self, crane):
-        texts = [text.get_text() for text in postures.sketch(crane).axes[0].texts]
-        assert {"$\\varphi$", "$s$", "$l$"} <= set(texts)
+        (axes,) = postures.sketch(crane).axes
+        assert {"$\\varphi$", "$s$", "$l$"} <= {text.get_text() for text in axes.texts}
+        path = np.array(axes.lines[0].get_data_3d()).T
+        manoeuvre = crane.reference
+        np.testing.assert_allclose(path[[0, -1]], [manoeuvre.start, manoeuvre.end], atol=1e-12)
 
     def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found):
         figure = convergence.error_against_step(found.paper_errors)

@@ -114,10 +114,10 @@ def _reference(study: Study) -> list[Part]:
         f"The load moves along the straight line from {way} in {reference.duration:g} s, from rest to rest.",
         Illustration(
             "reference_function",
-            "Reference function s(t) and its second derivative",
+            "The share of the line that the load has travelled, and its second derivative",
             "the path itself, nothing is solved",
-            "The fraction of the line that the load has travelled: a polynomial of degree 9 whose first four"
-            " derivatives vanish at both ends, so that the inputs start and end without a jump.",
+            "The paper calls it reference function s(t). It is a polynomial of degree 9 whose first four derivatives"
+            " vanish at both ends, so that the inputs start and end without a jump.",
             trajectories.reference_function(reference),
         ),
     ]
@@ -181,14 +181,14 @@ def _paper(study: Study) -> list[Part]:
     return [
         "What follows is the scheme of the paper (form projected, method backward Euler). Redundant and generalised"
         " coordinates give the same inputs up to the error of the step. That error is of the first order and seen here"
-        " as a delay against the closed form; it halves with the step, in every model, and so does the difference"
+        " as a delay against the default; it halves with the step, in every model, and so does the difference"
         " between any two models. The motion is exact.",
         Illustration(
             "inputs_paper",
-            "Slewing torque and trolley force by the scheme of the paper",
-            f"{PAPER}, step {step:g} s",
+            "The inputs by the scheme of the paper, over those by the default",
+            f"{PAPER}, step {step:g} s; and {DEFAULT}",
             "Redundant coordinates: model bodies, generalised ones: model generalized.",
-            trajectories.inputs_compared(redundant, generalised, study.scene),
+            trajectories.inputs_compared(redundant, generalised, study.base),
         ),
         paper_table(study),
         difference_table(study),
@@ -313,7 +313,7 @@ def _loop(runs: Sequence[LoadRun]) -> list[Part]:
             _FMUS,
             f"Above: the position wanted, in grey, and driven ({runs[-1].label}). Below: the distance of the load"
             " from where it should be; errors below a nanometre are drawn as one.",
-            trajectories.strayed(runs, runs[-1:]),
+            trajectories.strayed(runs, runs[-1:], trajectories.CONNECTED),
         ),
     ]
 

@@ -18,6 +18,10 @@ _OVERHANG = 1.15
 """The girder is drawn this much longer than the trolley travels: its length is no datum of the crane."""
 
 
+_TURNED = np.radians(40.0)
+"""How far the bridge has turned where the crane is explained."""
+
+
 @styled
 def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
     """Return the crane at one instant of a run.
@@ -39,7 +43,7 @@ def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
     _draw_path(axes, path, ground)
     _draw_crane(axes, path[index], run["phi"][index], run["s"][index], reach, ground)
     if labelled:
-        _write_names(axes, path[index], run["phi"][index], run["s"][index])
+        _write_names(axes, path[index], run["phi"][index], run["s"][index], reach)
     tips = reach * np.column_stack([np.cos(run["phi"]), np.sin(run["phi"]), 0.0 * run["phi"]])
     _frame(axes, np.vstack([path, tips, [[-0.5, -0.5, ground], [0.5, 0.5, 0.9]]]))
     figure.legend(*axes.get_legend_handles_labels(), loc="lower center", ncols=4)
@@ -47,10 +51,13 @@ def posture(run: Trajectories, index: int, labelled: bool = False) -> Figure:
 
 
 def sketch(scene: sc.Scene) -> Figure:
-    """Return the crane on a short path of its own, with phi, s and l written beside what they measure."""
-    shown = scene.with_reference(sc.rest_to_rest((5.0, 1.5, -3.4), (-1.0, 4.5, -2.6), 6.0))
-    t = np.linspace(0.0, 6.0, 61)
-    return posture(shown.exact(t), 20, labelled=True)
+    """Return the crane on its manoeuvre, with phi, s and l written beside what they measure."""
+    path = scene.reference
+    t = np.linspace(path.start_time, path.end_time, 101)
+    run = scene.exact(t)
+    # Far enough on that the bridge has turned, and long before the load comes near the slewing axis.
+    shown = int(np.searchsorted(np.abs(run["phi"] - run["phi"][0]), _TURNED))
+    return posture(run, min(shown, len(t) // 2), labelled=True)
 
 
 def _draw_path(axes: Axes3D, path: Array, ground: float) -> None:
@@ -74,19 +81,19 @@ def _draw_crane(axes: Axes3D, load: Array, phi: float, s: float, reach: float, g
     axes.plot([load[0]] * 2, [load[1]] * 2, [load[2], ground], color=GREY, linewidth=0.8, linestyle=":")
 
 
-def _write_names(axes: Axes3D, load: Array, phi: float, s: float) -> None:
+def _write_names(axes: Axes3D, load: Array, phi: float, s: float, reach: float) -> None:
     along = np.array([np.cos(phi), np.sin(phi), 0.0])
     arc = np.linspace(0.0, phi, 40)
-    radius = 0.45 * s
-    axes.plot([0, s], [0, 0], [0, 0], color=GREY, linewidth=0.9)
+    radius = 0.8 * reach
+    axes.plot([0, reach], [0, 0], [0, 0], color=BLACK, linewidth=0.9, linestyle=":")
     axes.plot(radius * np.cos(arc), radius * np.sin(arc), 0 * arc, color=BLACK, linewidth=0.9)
-    middle = 1.2 * radius * np.array([np.cos(phi / 2), np.sin(phi / 2), 0.0]) - [0, 0, 0.15]
-    for place, text in (
-        (middle, "$\\varphi$"),
-        (0.6 * s * along + [0, 0, 0.2], "$s$"),
-        ((s * along + load) / 2 + [0.3, 0, 0], "$l$"),
+    middle = 1.1 * radius * np.array([np.cos(phi / 2), np.sin(phi / 2), 0.0])
+    for place, text, aside in (
+        (middle, "$\\varphi$", {"ha": "left", "va": "center"}),
+        (0.5 * s * along + [0, 0, 0.15], "$s$", {"ha": "center", "va": "bottom"}),
+        ((s * along + load) / 2 + [0.2, 0, 0], "$l$", {"ha": "left", "va": "center"}),
     ):
-        axes.text(*place, text, fontsize=11, ha="center", va="bottom")
+        axes.text(*place, text, fontsize=12, **aside)
 
 
 def _frame(axes: Axes3D, everything: Array) -> None:

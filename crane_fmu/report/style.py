@@ -19,7 +19,9 @@ from matplotlib.figure import Figure
 Array = npt.NDArray[np.float64]
 
 BLUE, VERMILLION, GREEN, BLACK, GREY = "#0072B2", "#D55E00", "#009E73", "#000000", "#a6a6a6"
-"""Colours that colour-blind readers tell apart (Okabe and Ito)."""
+"""Colours that colour-blind readers tell apart (Okabe and Ito): exact inversion blue, the paper's scheme vermillion."""
+
+PURPLE = "#7b4fa3"
 
 FAINT = "#5c5c5c"
 """Of remarks."""

@@ -12,7 +12,19 @@ from matplotlib.figure import Figure
 
 import servocore as sc
 from crane_fmu.report.study import INPUTS, MOTION, LoadRun
-from crane_fmu.report.style import BLACK, BLUE, GREEN, GREY, LABELS, VERMILLION, Array, Trajectories, panels, styled
+from crane_fmu.report.style import (
+    BLACK,
+    BLUE,
+    GREEN,
+    GREY,
+    LABELS,
+    PURPLE,
+    VERMILLION,
+    Array,
+    Trajectories,
+    panels,
+    styled,
+)
 
 Look = Mapping[str, Any]
 """How `Axes.plot` draws a curve; curves on top of each other differ in more than colour."""
@@ -26,14 +38,23 @@ REDUNDANT: Look = {
     "markerfacecolor": "none",
     "markeredgewidth": 1.1,
 }
+PAPER_LINE: Look = {"color": VERMILLION, "linestyle": "--", "linewidth": 1.6}
 COMPUTED: Look = {"color": BLUE, "linestyle": "--", "linewidth": 2.2}
+DEFAULT_LINE: Look = {"color": BLUE, "linewidth": 2.6, "alpha": 0.45}
 PLAIN: Look = {"color": BLUE}
-_RUNS: tuple[Look, ...] = (
+SIMULATED: tuple[Look, ...] = (
     {"color": BLUE, "linestyle": "--", "linewidth": 1.6},
-    {"color": BLACK, "linewidth": 1.2},
+    {"color": BLUE, "linewidth": 1.2},
     {"color": VERMILLION, "linestyle": "-.", "linewidth": 1.6},
-    {"color": GREEN, "linestyle": ":", "linewidth": 1.8},
+    {"color": VERMILLION, "linestyle": ":", "linewidth": 1.8},
 )
+"""Forward simulations: one colour a route, blue for the default, orange for the scheme of the paper."""
+CONNECTED: tuple[Look, ...] = (
+    {"color": BLACK, "linestyle": "--", "linewidth": 1.4},
+    {"color": GREEN, "linewidth": 1.4},
+    {"color": PURPLE, "linestyle": "-.", "linewidth": 1.6},
+)
+"""Connected FMUs: one route in all runs, so other colours."""
 
 LEAST_ERROR = 1e-6
 """In mm; a smaller distance is drawn as this one, since a logarithm needs something."""
@@ -80,7 +101,7 @@ def inputs_and_motion(solution: sc.Solution) -> Figure:
 
 @styled
 def reference_function(reference: sc.Reference) -> Figure:
-    """Return s(t) and its second derivative for a straight path: how far along its line the load is.
+    """Return the share of a straight line that the load has travelled, and its second derivative.
 
     Parameters
     ----------
@@ -91,22 +112,22 @@ def reference_function(reference: sc.Reference) -> Figure:
     jets = reference.jet(t, 2)
     start, way = jets[0, 0].copy(), jets[-1, 0] - jets[0, 0]
     jets[:, 0] -= start
-    s = jets @ way / (way @ way)
-    figure, axes = panels(["$s(t)$ (1)", "$\\ddot{s}(t)$ (1/s²)"])
+    share = jets @ way / (way @ way)
+    figure, axes = panels(["share of the line", "its second derivative (1/s²)"], height=1.9)
     for axis, order in zip(axes, (0, 2), strict=True):
-        axis.plot(t, s[:, order], **PLAIN)
+        axis.plot(t, share[:, order], **PLAIN)
         axis.margins(x=0.01)
     return figure
 
 
-def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, scene: sc.Scene) -> Figure:
-    """Return M_b and F of both sets of coordinates on top of each other, by one scheme, with the closed form."""
+def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, default: sc.Solution) -> Figure:
+    """Return the inputs of both sets of coordinates on top of each other, by one scheme, with those by the default."""
     curves = (
-        Curve("generalised coordinates (GEN)", generalised.t, generalised, COMPUTED),
+        Curve("default: exact inversion", default.t, default, DEFAULT_LINE),
+        Curve("generalised coordinates (GEN)", generalised.t, generalised, PAPER_LINE),
         Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
-        closed_form(scene),
     )
-    return stack(INPUTS[:2], curves, height=2.4)
+    return stack(INPUTS, curves, height=2.1)
 
 
 def closed_form(scene: sc.Scene) -> Curve:
@@ -121,22 +142,24 @@ def beside_closed_form(names: Sequence[str], solution: sc.Solution, scene: sc.Sc
 
 
 @styled
-def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun]) -> Figure:
+def strayed(runs: Sequence[LoadRun], shown: Sequence[LoadRun], looks: Sequence[Look] = SIMULATED) -> Figure:
     """Return where the load should be and where it goes in some runs, and its distance from its path in all runs.
 
     Parameters
     ----------
     runs : sequence of LoadRun
-        At most four, on one path.
+        At most as many as there are looks, on one path.
     shown : sequence of LoadRun
         Those of them whose positions are drawn.
+    looks : sequence of Look
+        How each run is drawn.
     """
     figure, (above, below) = panels(["position of the load (m)", "distance from the path (mm)"], height=2.5)
     t = runs[0].t
     for name, values in zip("xyz", runs[0].wanted.T, strict=True):
         above.plot(t, values, color=GREY, linewidth=4.0, label="path" if name == "x" else None)
         above.annotate(f"${name}$", (t[0], values[0]), (-6, 0), textcoords="offset points", va="center", ha="right")
-    for run, look in zip(runs, _RUNS, strict=False):
+    for run, look in zip(runs, looks, strict=False):
         if run in shown:
             above.plot(run.t, run.driven, **look)
         below.semilogy(run.t, np.maximum(1e3 * run.error, LEAST_ERROR), label=run.label, **look)
