@@ -42,7 +42,7 @@ def draw_from_above(axes: Axes, solution: sc.Solution) -> None:
     for k, offset in ((0, (-20, -16)), (-1, (-52, -4))):
         text = f"z = {solution['z'][k]:.0f} m".replace("-", "\N{MINUS SIGN}")
         axes.annotate(text, (x[k], y[k]), textcoords="offset points", xytext=offset, color=LOAD)
-    axes.set(aspect="equal", xlabel="x [m]", ylabel="y [m]", ylim=(-1.2, 6))
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", ylim=(-1.2, 6))
     axes.set_title("path of the load, bridge and trolley from above", loc="left", fontsize=9, pad=3)
     axes.grid(visible=False)
 
@@ -54,10 +54,10 @@ def draw_inputs(axes: list[Axes], solution: sc.Solution) -> None:
         ax.plot(solution.t, solution[name], color=INPUT, lw=1.6)
         unit = solution.unit(name).replace("N.m", "N m")
         symbol = name[0] + (f"_{{{name[2:]}}}" if "_" in name else "")
-        ax.set_ylabel(f"${symbol}$ [{unit}]")
+        ax.set_ylabel(f"${symbol}$ ({unit})")
         ax.set_title(title, loc="left", fontsize=9, pad=3)
         ax.set(xlim=(solution.t[0], solution.t[-1]), xticks=np.linspace(solution.t[0], solution.t[-1], 5))
-    axes[-1].set_xlabel("t [s]")
+    axes[-1].set_xlabel("t (s)")
 
 
 def main() -> None:

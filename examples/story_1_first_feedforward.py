@@ -31,8 +31,8 @@ exact = crane.exact(solution.t)
 figure, axes = plt.subplots(3, 1, sharex=True, figsize=(7, 6), constrained_layout=True)
 for axis, name in zip(axes, ("M_b", "F", "M_w"), strict=True):
     axis.plot(solution.t, solution[name])
-    axis.set_ylabel(f"{name} [{solution.unit(name)}]")
-axes[-1].set_xlabel("time [s]")
+    axis.set_ylabel(f"{name} ({solution.unit(name)})")
+axes[-1].set_xlabel("time (s)")
 
 # %%
 # The crane has a closed form, with which the inputs agree to round-off:

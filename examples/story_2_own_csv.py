@@ -24,10 +24,10 @@ solution = sc.solve(crane, step=0.1)
 figure, (above, over_time) = plt.subplots(1, 2, figsize=(9, 3.8), constrained_layout=True)
 above.plot(solution["x"], solution["y"], label="load")
 above.plot(solution["s"] * np.cos(solution["phi"]), solution["s"] * np.sin(solution["phi"]), "--", label="trolley")
-above.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="from above")
+above.set(xlabel="x (m)", ylabel="y (m)", aspect="equal", title="from above")
 above.legend()
 over_time.plot(solution.t, solution["M_b"])
-over_time.set(xlabel="time [s]", ylabel="M_b [N m]", title="slewing torque")
+over_time.set(xlabel="time (s)", ylabel="M_b (N m)", title="slewing torque")
 
 # %%
 # A file with many samples of a smooth path is read by ``from_csv``. Rounded positions are no smooth path: a tolerance

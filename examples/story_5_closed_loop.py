@@ -41,5 +41,5 @@ figure, axis = plt.subplots(figsize=(7, 3.6), constrained_layout=True)
 for name, run in runs.items():
     axis.semilogy(run["time"], 1e3 * np.maximum(distance(run), 1e-6), label=name)
     print(f"{name}: the load is at most {1e3 * distance(run).max():.1f} mm off its path")
-axis.set(xlabel="time [s]", ylabel="distance from the path [mm]")
+axis.set(xlabel="time (s)", ylabel="distance from the path (mm)")
 axis.legend()

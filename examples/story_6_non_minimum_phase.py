@@ -29,9 +29,9 @@ print(solution.route)
 
 figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(7, 4.6), constrained_layout=True)
 top.plot(solution.t, np.degrees(solution["b"]))
-top.set_ylabel("passive joint [deg]")
+top.set_ylabel("passive joint (deg)")
 bottom.plot(solution.t, solution["u"])
-bottom.set(xlabel="time [s]", ylabel=f"torque [{solution.unit('u')}]")
+bottom.set(xlabel="time (s)", ylabel=f"torque ({solution.unit('u')})")
 for axis in (top, bottom):
     axis.axvspan(tip.reference.start_time, tip.reference.end_time, color="0.9", label="the path moves")
 top.legend()

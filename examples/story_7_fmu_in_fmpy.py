@@ -38,7 +38,7 @@ solution = sc.solve(crane, step=step)
 figure, axis = plt.subplots(figsize=(7, 3.6), constrained_layout=True)
 axis.plot(solution.t, solution["M_b"], label="servocore")
 axis.plot(result["time"], result["M_b"], "--", label="FMU in FMPy")
-axis.set(xlabel="time [s]", ylabel="M_b [N m]")
+axis.set(xlabel="time (s)", ylabel="M_b (N m)")
 axis.legend()
 for name in ("M_b", "F", "M_w"):
     print(f"{name} differs by {np.abs(result[name] - solution[name]).max():.1e} {solution.unit(name)}")

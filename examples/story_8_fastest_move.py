@@ -34,10 +34,10 @@ for scene, label in ((limited.with_reference(path), "fastest"), (standard, "degr
     for axis, name in zip(axes, ("M_b", "F", "swing"), strict=True):
         values = np.degrees(solution[name]) if name == "swing" else solution[name]
         axis.plot(solution.t, values, label=f"{label}: {solution.t[-1]:.2f} s")
-for axis, (name, bound) in zip(axes, (("M_b [N m]", 1000), ("F [N]", 60), ("swing [deg]", 5)), strict=True):
+for axis, (name, bound) in zip(axes, (("M_b (N m)", 1000), ("F (N)", 60), ("swing (deg)", 5)), strict=True):
     axis.set_ylabel(name)
     axis.axhline(bound, color="0.5", linestyle=":")
     if "swing" not in name:
         axis.axhline(-bound, color="0.5", linestyle=":")
 axes[0].legend()
-axes[-1].set_xlabel("time [s]")
+axes[-1].set_xlabel("time (s)")

@@ -46,14 +46,14 @@ def figure_of(t: Array, curves: Sequence[Curve], title: str) -> Figure:
     for panel, curve in zip(panels, curves, strict=False):
         unit, factor = _shown_unit(curve.unit)
         panel.plot(t, factor * curve.values)
-        panel.set_title(f"{curve.name} [{unit}]", loc="left", fontsize="medium")
+        panel.set_title(f"{curve.name} ({unit})", loc="left", fontsize="medium")
         panel.margins(x=0.0)
         panel.grid(alpha=0.25)
     for panel in panels[len(curves) :]:
         panel.set_visible(False)
     for panel in (panels[rows - 1], panels[len(curves) - 1]):
         panel.tick_params(labelbottom=True)
-        panel.set_xlabel("time [s]")
+        panel.set_xlabel("time (s)")
     figure.suptitle(title, x=0.01, ha="left", fontsize="medium")
     return figure
 

@@ -169,7 +169,7 @@ def draw(found: Sequence[Run], file: Path) -> None:
                 _draw_kind(axis, [each for each in found if (each.kind, each.master) == (kind, master)])
                 axis.set_title(f"{kind}, {master}", loc="left", fontsize=9)
             row[0].set_ylabel("share of manoeuvres")
-        figure.supxlabel("largest distance of the load from its path [mm]", fontsize=9)
+        figure.supxlabel("largest distance of the load from its path (mm)", fontsize=9)
         figure.savefig(file, metadata={"Software": None})
         plt.close(figure)
 

@@ -38,8 +38,8 @@ def test_a_notebook_shows_ends_and_extremes_of_every_trajectory(solution):
 def test_a_figure_has_a_panel_for_every_trajectory_and_angles_in_degrees(solution):
     figure = solution.plot(["M_b", "s", "phi"])
     panels = {panel.get_title(loc="left"): panel.lines[0] for panel in figure.axes}
-    assert list(panels) == ["M_b [N m]", "s [m]", "phi [deg]"]
-    np.testing.assert_allclose(panels["phi [deg]"].get_ydata(), np.degrees(solution["phi"]))
+    assert list(panels) == ["M_b (N m)", "s (m)", "phi (deg)"]
+    np.testing.assert_allclose(panels["phi (deg)"].get_ydata(), np.degrees(solution["phi"]))
     mpl.pyplot.close(figure)
 
 

@@ -35,7 +35,7 @@ class TestScenes:
             scene = factory()
             assert name in result.stdout
             for each in (*scene.model().inputs, *scene.model().outputs):
-                assert f"{each.name} [{each.unit}]" in result.stdout
+                assert f"{each.name} ({each.unit})" in result.stdout
             for model in scene.models:
                 assert model in result.stdout
 

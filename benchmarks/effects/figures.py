@@ -29,7 +29,7 @@ def draw_levels(pairs: Sequence[Pair], target: Path) -> None:
         for axis, crane in zip(axes, _SHOWN, strict=True):
             _levels_of(axis, [each for each in shown if each.crane == crane], effects)
             axis.set_title(crane)
-            axis.set_xlabel("load off its path if left out [mm]")
+            axis.set_xlabel("load off its path if left out (mm)")
         axes[1].legend(title="duration", loc="lower right")
         figure.savefig(target)
         plt.close(figure)
@@ -72,8 +72,8 @@ def draw_comparison(pairs: Sequence[Pair], target: Path) -> None:
             for axis in (left, right):
                 axis.axvline(line_, color="#888888", lw=0.8, ls="--", zorder=0)
         right.axhspan(0.9, 1.1, color="#dddddd", zorder=0)
-        left.set(xscale="log", yscale="log", xlim=span, ylim=span, xlabel="simulated [mm]", ylabel="estimated [mm]")
-        right.set(xlabel="simulated [mm]", ylabel="estimated / simulated", ylim=(0.75, 1.25))
+        left.set(xscale="log", yscale="log", xlim=span, ylim=span, xlabel="simulated (mm)", ylabel="estimated (mm)")
+        right.set(xlabel="simulated (mm)", ylabel="estimated / simulated", ylim=(0.75, 1.25))
         left.legend(loc="upper left")
         figure.savefig(target)
         plt.close(figure)

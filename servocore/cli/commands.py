@@ -78,7 +78,7 @@ def list_scenes() -> None:
     for name, factory in REGISTRY.items():
         scene = factory()
         model = scene.model()
-        ends = ["\n".join(escape(f"{e.name} [{e.unit}]") for e in group) for group in (model.inputs, model.outputs)]
+        ends = ["\n".join(f"{e.name} ({e.unit})" for e in group) for group in (model.inputs, model.outputs)]
         summary, needs = described(factory)
         table.add_row(
             name,
