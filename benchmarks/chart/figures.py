@@ -19,13 +19,14 @@ from benchmarks.chart.own import CLOSED_FORM, COMPILED, INVERTED, NAME, SOLVED
 from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
+from benchmarks.route_looks import look
 
 STYLE: Any = {
     "font.size": 9, "axes.titlesize": 9.5, "axes.labelsize": 9, "legend.fontsize": 8, "axes.grid": True,
     "grid.color": "0.88", "grid.linewidth": 0.6, "axes.axisbelow": True, "svg.hashsalt": "speed-accuracy",
     "figure.dpi": 100, "savefig.dpi": 160, "svg.fonttype": "path",
 }  # fmt: skip
-COLOURS = ("#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c6d1f", "#56b4e9", "#7f7f7f", "#5b3794", "#e69f00")
+COLOURS = ("#0072b2", "#000000", "#d55e00", "#009e73", "#cc79a7", "#8c6d1f", "#56b4e9", "#7f7f7f", "#5b3794", "#e69f00")
 MARKERS = "osD^vPXd<>hp8H*1234"
 DASHES: tuple[object, ...] = (
     "-",
@@ -94,8 +95,8 @@ def _overview(record: Record, scene: str) -> Figure:
         axis.plot([point[0]], [point[1]], marker="*", color=COLOURS[0], markersize=11)
         axis.annotate("default: sc.solve(scene)", point, (-46, 40), textcoords="offset points", fontsize=9,
                       arrowprops={"arrowstyle": "->", "linewidth": 1.6})  # fmt: skip
-    axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
-             ylabel="largest error of any input / its peak [1]",
+    axis.set(xscale="log", yscale="log", xlabel="time of the solve (s)",
+             ylabel="largest error of any input / its peak",
              title=f"{scene.replace('_', ' ')}, 200 intervals: every solver at its best")  # fmt: skip
     figure.legend(loc="outside lower center", ncols=5)
     return figure
@@ -114,10 +115,10 @@ def _two_forms(rows: Sequence[Row], spread: Spread, scene: str, what: str) -> Fi
         axis.set(
             xscale="log",
             yscale="log",
-            xlabel="time of the solve [s]",
+            xlabel="time of the solve (s)",
             title=FORM_TITLES[form].format(projected=PROJECTED_INDEX.get(scene, 3)),
         )
-    label = "largest error of any input / its peak [1]" if what == "error" else "largest constraint violation [m, rad]"
+    label = "largest error of any input / its peak" if what == "error" else "largest constraint violation (m, rad)"
     axes[0].set_ylabel(label)
     handles = {text: line for axis in axes for line, text in zip(*axis.get_legend_handles_labels(), strict=True)}
     handles = {text: handles[text] for text in sorted(handles, key=lambda text: text != NAME)}
@@ -161,12 +162,13 @@ def _family(method: str) -> dict[str, Any]:
     adaptive = method.endswith("adaptive")
     for k, (start, dash) in enumerate(FAMILIES.items()):
         if method.startswith(start):
+            own = look(start)["color"]
             member = "".join(each for each in method.removesuffix(", adaptive") if each.isdigit())
             return {
-                "color": COLOURS[k + 1],  # black and the last belong to exact inversions, as in the overview
+                "color": own,
                 "linestyle": (0, (1, 1)) if adaptive else dash,
                 "marker": MARKERS[int(member or 0) % len(MARKERS)],
-                "markerfacecolor": "white" if k % 2 or adaptive else COLOURS[k + 1],
+                "markerfacecolor": "white" if k % 2 or adaptive else own,
                 "markersize": 5,
                 "linewidth": 1.1,
             }
@@ -190,8 +192,8 @@ def _methods(rows: Sequence[Row], scene: str) -> Figure:
         axis.plot([row.point[0] for row in exact], [row.point[1] for row in exact], marker + ":",
                   color=COLOURS[-1 if COMPILED in method else 0], markersize=9,
                   label=f"{words}\n(40, 100, 200 instants)")  # fmt: skip
-    axis.set(xscale="log", yscale="log", xlabel="time of the solve [s]",
-             ylabel="largest error of any input / its peak [1]", ylim=(1e-15, top),
+    axis.set(xscale="log", yscale="log", xlabel="time of the solve (s)",
+             ylabel="largest error of any input / its peak", ylim=(1e-15, top),
              title=f"{scene.replace('_', ' ')}, {model}: "
              "projected form, and exact inversion on the reduced form")  # fmt: skip
     figure.legend(loc="outside right center")
@@ -209,7 +211,7 @@ def _orders(lines: Sequence[OrderLine], round_off: float) -> Figure:
     if round_off and len(steps):
         axis.plot(steps, round_off / steps**2, color="0.3", linewidth=2.0, linestyle=(0, (1, 2)),
                   label=f"round-off, {round_off:.1e} s²/h²")  # fmt: skip
-    axis.set(xscale="log", yscale="log", xlabel="step h [s]", ylabel="largest error of any input / its peak [1]",
+    axis.set(xscale="log", yscale="log", xlabel="step h (s)", ylabel="largest error of any input / its peak",
              ylim=(1e-10, 1e1), title="rotary crane, path of degree 13, projected form")  # fmt: skip
     figure.legend(loc="outside right center")
     return figure
