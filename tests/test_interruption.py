@@ -8,11 +8,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import typer
+from click.testing import Result
 from typer.testing import CliRunner
 
 from crane_fmu.run import nothing_left
@@ -43,7 +45,7 @@ COMMANDS = {
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to a process alone")
 @pytest.mark.parametrize("arguments", COMMANDS.values(), ids=COMMANDS)
-def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments, tmp_path):
+def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments: list[str], tmp_path: Path) -> None:
     work, scratch = tmp_path / "work", tmp_path / "scratch"
     for each in (work, scratch):
         each.mkdir()
@@ -61,7 +63,9 @@ def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments, tmp_path):
     assert [*work.iterdir(), *scratch.iterdir()] == []
 
 
-def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(tmp_path, monkeypatch):
+def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
 
     def break_off() -> None:
@@ -75,14 +79,14 @@ def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(tmp_path, monk
     assert tempfile.tempdir == str(tmp_path)
 
 
-def _command(run):
+def _command(run: Callable[[], object]) -> Result:
     app = typer.Typer(name="tool", cls=SentenceGroup, **SETTINGS)
     app.command("run")(run)
     app.command("other")(lambda: None)
     return CliRunner().invoke(app, ["run"])
 
 
-def test_an_error_that_a_library_makes_of_ctrl_c_is_told_as_ctrl_c():
+def test_an_error_that_a_library_makes_of_ctrl_c_is_told_as_ctrl_c() -> None:
     def run() -> None:
         try:
             signal.raise_signal(signal.SIGINT)
@@ -94,7 +98,7 @@ def test_an_error_that_a_library_makes_of_ctrl_c_is_told_as_ctrl_c():
 
 
 @pytest.mark.parametrize("reports", [True, False])
-def test_ctrl_c_that_a_library_swallows_is_heeded_at_the_next_report_of_progress(reports):
+def test_ctrl_c_that_a_library_swallows_is_heeded_at_the_next_report_of_progress(reports: bool) -> None:
     def run() -> None:
         with PatientProgress("working") as progress:
             with suppress(KeyboardInterrupt):
@@ -107,12 +111,14 @@ def test_ctrl_c_that_a_library_swallows_is_heeded_at_the_next_report_of_progress
     assert (done.exit_code, done.stderr) == (130, "tool: stopped\n")
 
 
-def test_the_next_command_knows_nothing_of_an_earlier_ctrl_c():
+def test_the_next_command_knows_nothing_of_an_earlier_ctrl_c() -> None:
     assert _command(lambda: signal.raise_signal(signal.SIGINT)).exit_code == 130
     assert _command(lambda: None).exit_code == 0
 
 
-def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(capsys, monkeypatch):
+def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     progress = PatientProgress("counting")
     progress(1, 20)
     monkeypatch.setattr(PatientProgress, "_slow", lambda _: True)
@@ -121,7 +127,7 @@ def test_without_a_terminal_a_line_tells_every_tenth_after_the_first_second(caps
     assert capsys.readouterr().err.splitlines() == [f"counting: {each} %" for each in range(10, 100, 10)]
 
 
-def test_a_folder_that_a_failed_build_made_is_gone(tmp_path, monkeypatch):
+def test_a_folder_that_a_failed_build_made_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import crane_fmu.build.fmu as building
 
     def fails(*_: object) -> None:

@@ -208,9 +208,9 @@ def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path):
     assert relative_errors(waypoints_from_csv(file), LINE, 4).max() < 1e-13
 
 
-def test_waypoints_take_no_derivatives_and_at_least_two_rows(tmp_path):
-    with pytest.raises(InvalidReference, match="header time,x,y,z was expected"):
-        waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 2), 2))
+def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path):
+    with pytest.raises(InvalidReference, match="header time,x,y,z, optionally followed by vx,vy,vz, then stop was exp"):
+        waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 3), 3))
     with pytest.raises(InvalidReference, match="1 rows of data, but such a path needs at least 2"):
         waypoints_from_csv(write(tmp_path / "b.csv", table(LINE, 1.0, 1)[:1], 1))
 

@@ -33,7 +33,8 @@ from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import PREFIXES, csv_of, from_csv
+from servocore.references.csv_file import csv_of, from_csv
+from servocore.references.csv_table import PREFIXES
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
 

@@ -6,9 +6,9 @@ FMU evaluates references and must run where SciPy is not installed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import factorial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,9 @@ from servocore.errors import InvalidReference
 from servocore.references.piecewise import PiecewisePolynomial
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
     from scipy.interpolate import BSpline
     from scipy.sparse import csc_array
 
@@ -84,7 +87,24 @@ def interpolation_knots(t: FloatArray, ends: Ends) -> FloatArray:
     return t[first : len(t) - last]
 
 
-def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: Ends) -> BSpline:
+class Slopes(NamedTuple):
+    """First derivatives that a spline shall have.
+
+    Attributes
+    ----------
+    rows : ndarray of int, shape (k,)
+        At which samples; their times are knots twice.
+    values : ndarray, shape (k, dimension)
+        In m/s.
+    """
+
+    rows: npt.NDArray[np.intp]
+    values: FloatArray
+
+
+def fit(
+    t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: Ends, slopes: Slopes | None = None
+) -> BSpline:
     """Least-squares spline, C^(degree - 1); an interpolating one if there are as many unknowns as samples.
 
     Rest at an end means that the first (last) order + 1 B-spline coefficients are equal: their columns of the
@@ -101,6 +121,8 @@ def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: End
         Knots strictly between first and last sample.
     ends : Ends
         Which ends rest.
+    slopes : Slopes, optional
+        First derivatives to be met as well.
 
     Returns
     -------
@@ -113,13 +135,17 @@ def fit(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, ends: End
         If the samples do not determine the spline, because they are spaced too unevenly.
     """
     from scipy.interpolate import BSpline  # noqa: PLC0415
-    from scipy.sparse import block_array, csc_array, eye_array  # noqa: PLC0415
+    from scipy.sparse import block_array, csc_array, eye_array, vstack  # noqa: PLC0415
     from scipy.sparse.linalg import splu  # noqa: PLC0415
 
     degree = ends.degree
     knots = np.concatenate([np.full(degree + 1, t[0]), inner_knots, np.full(degree + 1, t[-1])])
     spread = _spread(len(knots) - degree - 1, ends)
     matrix = csc_array(BSpline.design_matrix(t, knots, degree) @ spread)
+    if slopes is not None and len(slopes.rows):
+        rates = BSpline(knots, np.eye(len(knots) - degree - 1), degree)(t[slopes.rows], nu=1)
+        matrix = csc_array(vstack([matrix, csc_array(rates @ spread)]))
+        positions = np.concatenate([positions, slopes.values])
     samples, unknowns = matrix.shape
     try:
         if samples == unknowns:
@@ -182,4 +208,17 @@ def to_path(spline: BSpline, ends: Ends, fit_error: float | None) -> PiecewisePo
         ends=np.array(spline.c[[0, -1]]),
         rests_before=ends.start,
         rests_after=ends.end,
+    )
+
+
+def joined(legs: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
+    """Return one path of several, each of which starts at rest where and when the one before ends at rest."""
+    if len(legs) == 1:
+        return legs[0]
+    return replace(
+        legs[0],
+        end_time=legs[-1].end_time,
+        knots=np.concatenate([legs[0].knots, *(each.knots[1:] for each in legs[1:])]),
+        coefficients=np.concatenate([each.coefficients for each in legs]),
+        ends=np.array([legs[0].ends[0], legs[-1].ends[1]]),
     )

@@ -2,47 +2,32 @@
 
 from __future__ import annotations
 
-import csv
-from itertools import chain
-from os import PathLike
-from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.errors import InvalidReference, require_kind
+from servocore.errors import InvalidReference
 from servocore.files import csv_text
 from servocore.references.bspline import REST_ORDER, require_order
+from servocore.references.csv_table import PREFIXES, Table, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import fewest_samples, sampled, through
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from os import PathLike
 
-    from servocore.references.base import FloatArray, Reference
+    from servocore.references.base import Reference
 
 COLUMNS = ("x", "y", "z")
 """Position columns if no others are named: of a load in space."""
-
-PREFIXES = ("", "v", "a", "j", "s")
-"""What stands before the name of a position column: nothing, or the order of its derivative by time."""
 
 SPLINE_AGREEMENT = 0.01
 """A derivative column may differ from the spline through the positions by this fraction of its peak."""
 
 HERMITE_AGREEMENT = 0.5
 """A row may differ from the path through every second row or fewer by this fraction of its peak."""
-
-
-class _Table(NamedTuple):
-    """A file that was read: its position columns, line numbers and times (n,), derivatives (n, groups, columns)."""
-
-    path: Path
-    columns: tuple[str, ...]
-    lines: list[int]
-    t: FloatArray
-    derivatives: FloatArray
 
 
 def from_csv(
@@ -54,6 +39,9 @@ def from_csv(
 ) -> PiecewisePolynomial:
     """Path from a file with times, positions and, if known, their derivatives.
 
+    Commas, semicolons or tabs divide the cells; the encoding is UTF-8 or UTF-16. Units are those of SI unless the
+    header names others, as `time [ms],x [mm]`. What is converted is told by a warning.
+
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, then `ax,ay,az`, then `jx,jy,jz`, then
     `sx,sy,sz` (velocity, acceleration, jerk, snap); with other columns, their names in place of x, y and z. With
     derivatives up to `rest_order` the path is the Hermite polynomial between rows, which takes up every number given.
@@ -63,7 +51,7 @@ def from_csv(
     Parameters
     ----------
     path : path-like
-        A comma-separated UTF-8 file.
+        A CSV file.
     tolerance : float, optional
         How far the path may stay away from a position, in m: for rounded or noisy files; see `sampled`.
     columns : sequence of str
@@ -82,10 +70,16 @@ def from_csv(
     ------
     InvalidReference
         If the file cannot be read, is not such a table, has too few rows or times that do not increase, if
-        the path is too rough, or if its columns contradict one another.
+        the path is too rough, its columns contradict one another, or its numbers look like milliseconds or
+        millimetres where no header says so.
+
+    Warns
+    -----
+    ServocoreWarning
+        If something had to be converted.
     """
     require_order(rest_order)
-    return _path_of(_read(path, columns, len(PREFIXES)), tolerance, rest_order)
+    return _path_of(read_table(path, columns, len(PREFIXES)), tolerance, rest_order)
 
 
 def samples_or_waypoints(
@@ -93,7 +87,8 @@ def samples_or_waypoints(
 ) -> tuple[PiecewisePolynomial, int | None]:
     """Return the path of a file, and of how many waypoints it is; None where it is sampled.
 
-    Positions alone in fewer rows than samples need are waypoints, as of `waypoints_from_csv`; without a tolerance.
+    Positions alone in fewer rows than samples need are waypoints, as of `waypoints_from_csv`; without a tolerance. So
+    are rows with a column `stop`, or with velocities of some rows only.
 
     Raises
     ------
@@ -101,9 +96,10 @@ def samples_or_waypoints(
         As `from_csv`.
     """
     require_order(rest_order)
-    table = _read(path, columns, len(PREFIXES))
+    table = read_table(path, columns, len(PREFIXES), waypoints=True)
     rows, positions_alone = len(table.t), table.derivatives.shape[1] == 1
-    if positions_alone and tolerance is None and rows < fewest_samples(rest_order):
+    few = positions_alone and tolerance is None and rows < fewest_samples(rest_order)
+    if few or table.stops is not None or not np.isfinite(table.derivatives).all():
         return _path_through(table, rest_order), rows
     return _path_of(table, tolerance, rest_order), None
 
@@ -136,12 +132,15 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> 
 def waypoints_from_csv(
     path: str | PathLike[str], columns: Sequence[str] = COLUMNS, *, rest_order: int = REST_ORDER
 ) -> PiecewisePolynomial:
-    """Smooth path from rest to rest through the waypoints of a file with the header `time,x,y,z`.
+    """Smooth path from rest to rest through the waypoints of a file.
+
+    The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, velocities to be met, in which cells may be empty
+    where any is right, and by `stop`, which is 1 where the path comes to rest in between and 0 or empty elsewhere.
 
     Parameters
     ----------
     path : path-like
-        A comma-separated UTF-8 file, at least two rows; s and m.
+        A CSV file, at least two rows; s and m, unless the header names other units, as in `from_csv`.
     columns : sequence of str
         Names of the position columns, as in `from_csv`.
     rest_order : int
@@ -150,22 +149,28 @@ def waypoints_from_csv(
     Returns
     -------
     PiecewisePolynomial
-        `through(positions, time)`.
+        `through(positions, time, velocities=..., stops=...)`.
 
     Raises
     ------
     InvalidReference
         If the file cannot be read or is not such a table, or its times do not increase.
     """
-    return _path_through(_read(path, columns, 1), rest_order)
+    return _path_through(read_table(path, columns, 2, waypoints=True), rest_order)
 
 
-def _path_through(table: _Table, rest_order: int) -> PiecewisePolynomial:
+def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     _need_rows(table, 2)
-    return through(table.derivatives[:, 0], table.t, rest_order=rest_order)
+    if table.derivatives.shape[1] > 2:
+        raise InvalidReference(f"{table.path}: waypoints have velocities at most, no accelerations")
+    speeds = table.derivatives[:, 1] if table.derivatives.shape[1] > 1 else None
+    try:
+        return through(table.derivatives[:, 0], table.t, rest_order=rest_order, velocities=speeds, stops=table.stops)
+    except InvalidReference as error:
+        raise InvalidReference(f"{table.path}: {error}") from None
 
 
-def _path_of(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
+def _path_of(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
     if table.derivatives.shape[1] <= rest_order or tolerance is not None:
         return _sampled_path(table, tolerance, rest_order)
     _need_rows(table, 2)
@@ -175,7 +180,7 @@ def _path_of(table: _Table, tolerance: float | None, rest_order: int) -> Piecewi
     return found
 
 
-def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
+def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
     _need_rows(table, fewest_samples(rest_order))
     try:
         path = sampled(table.t, table.derivatives[:, 0], tolerance, rest_order=rest_order)
@@ -189,7 +194,7 @@ def _sampled_path(table: _Table, tolerance: float | None, rest_order: int) -> Pi
     return path
 
 
-def _refuse_contradiction(table: _Table, worst: Disagreement, limit: float, judge: str) -> None:
+def _refuse_contradiction(table: Table, worst: Disagreement, limit: float, judge: str) -> None:
     if worst.fraction <= limit:
         return
     given = table.derivatives[worst.row, worst.order, worst.component]
@@ -201,65 +206,9 @@ def _refuse_contradiction(table: _Table, worst: Disagreement, limit: float, judg
     )
 
 
-def _need_rows(table: _Table, fewest: int) -> None:
+def _need_rows(table: Table, fewest: int) -> None:
     if len(table.t) < fewest:
         raise InvalidReference(
             f"{table.path}, line {table.lines[-1]}: the file ends after {len(table.t)} rows of data, but "
             f"such a path needs at least {fewest}"
         )
-
-
-def _read(path: str | PathLike[str], columns: Sequence[str], groups: int) -> _Table:
-    """Read and check a table with up to `groups` groups of columns."""
-    require_kind(path, (str, PathLike), "the file of a path", "its name", InvalidReference)
-    file, components = Path(path), tuple(columns)
-    if not components or len({"time", *components}) <= len(components):
-        raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            reader = csv.reader(stream)
-            rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidReference(f"{file} cannot be read as a table: {error}") from None
-    rows = [(line, cells) for line, cells in rows if any(cells)]
-    blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
-    shortest = ",".join(["time", *components])
-    if not rows:
-        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
-    (first, names), *rows = rows
-    if names not in [["time", *chain(*blocks[: count + 1])] for count in range(groups)]:
-        more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
-        found = ",".join(names)
-        raise InvalidReference(
-            f"{file}, line {first}: the header {shortest}{more} was expected, but {found!r} was found"
-        )
-    if not rows:
-        raise InvalidReference(f"{file}, line {first}: there is a header but no rows of data below it")
-    lines = [line for line, _ in rows]
-    numbers = np.array([_numbers(file, line, cells, names) for line, cells in rows])
-    stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
-    if stuck.size:
-        late = stuck[0] + 1
-        raise InvalidReference(
-            f"{file}, line {lines[late]}, column time: {numbers[late, 0]:.17g} s does not come after "
-            f"{numbers[late - 1, 0]:.17g} s of the row before"
-        )
-    return _Table(file, components, lines, numbers[:, 0], numbers[:, 1:].reshape(len(lines), -1, len(components)))
-
-
-def _numbers(file: Path, line: int, cells: Sequence[str], names: Sequence[str]) -> list[float]:
-    if len(cells) != len(names):
-        raise InvalidReference(
-            f"{file}, line {line}: {len(cells)} cells were found, but the header has {len(names)} columns, "
-            f"up to {names[-1]}"
-        )
-    values = []
-    for cell, name in zip(cells, names, strict=True):
-        try:
-            value = float(cell)
-        except ValueError:
-            value = float("nan")
-        if not np.isfinite(value):
-            raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is not a finite number")
-        values.append(value)
-    return values

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from servocore.errors import InvalidReference, require_real
 from servocore.references.base import FloatArray, numbers_of, points, positive_time
-from servocore.references.bspline import REST_ORDER, Ends, fit, interpolation_knots, to_path
+from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpolation_knots, joined, to_path
 from servocore.references.profiles import three_phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     import numpy.typing as npt
     from scipy.interpolate import BSpline
@@ -33,14 +34,16 @@ def through(
     duration: float | None = None,
     *,
     rest_order: int = REST_ORDER,
+    velocities: npt.ArrayLike | None = None,
+    stops: npt.ArrayLike | None = None,
 ) -> PiecewisePolynomial:
     """Smooth path through waypoints, from rest to rest.
 
     The spline of degree 2 k + 1, k = `rest_order`, with knots at the waypoints: C^(2 k) between start and end,
     where derivatives 1 to k vanish; of all such curves, it has the least integral of ``|gamma^(k + 1)|^2``. Between
     two waypoints alone it is `rest_to_rest` with a polynomial of that degree, `DEGREE9` for k = 4. Before the
-    start and after the end it rests. It does not stop at inner waypoints, and may swing out where neighbouring
-    legs differ much in speed: choose times accordingly.
+    start and after the end it rests. It does not stop at inner waypoints unless asked to, and may swing out where
+    neighbouring legs differ much in speed: choose times, or velocities, accordingly.
 
     Parameters
     ----------
@@ -53,6 +56,10 @@ def through(
         waypoints is a three-phase motion with ramps of a quarter of the duration, and start at 0.
     rest_order : int
         The k above, one or more: as many derivatives as the inputs contain (velocity, acceleration, jerk, snap).
+    velocities : array_like, shape (n, dimension), optional
+        In m/s, to be met at the waypoints; NaN where any is right. The path is C^(2 k - 1) there.
+    stops : array_like of bool, shape (n,), optional
+        Where the path comes to rest in between: derivatives 1 to k vanish.
 
     Returns
     -------
@@ -63,7 +70,8 @@ def through(
     ------
     InvalidReference
         If waypoints or times are not finite, times do not increase, neighbouring waypoints coincide and no
-        times are given, not exactly one of times and duration is given, or `rest_order` is not a whole number from 1.
+        times are given, not exactly one of times and duration is given, `rest_order` is not a whole number from 1, or
+        the path would move where it rests.
     """
     resting = Ends(start=True, end=True, order=rest_order)
     table = points(waypoints, "waypoint")
@@ -72,7 +80,45 @@ def through(
     if (times is None) == (duration is None):
         raise InvalidReference("give either the times of the waypoints or the duration of the whole path")
     at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
-    return to_path(fit(at, table, interpolation_knots(at, resting), resting), resting, None)
+    ends = [0, *_inner_stops(stops, len(table)), len(table) - 1]
+    speeds = _speeds(velocities, table, ends)
+    legs = []
+    for first, last in pairwise(ends):
+        leg = slice(first, last + 1)
+        given = 1 + np.flatnonzero(np.isfinite(speeds[leg][1:-1]).all(axis=1))
+        knots = np.sort(np.concatenate([interpolation_knots(at[leg], resting), at[leg][given]]))
+        spline = fit(at[leg], table[leg], knots, resting, Slopes(given, speeds[leg][given]))
+        legs.append(to_path(spline, resting, None))
+    return joined(legs)
+
+
+def _inner_stops(stops: npt.ArrayLike | None, count: int) -> list[int]:
+    """Return the numbers of inner waypoints at which the path rests."""
+    if stops is None:
+        return []
+    wanted = np.asarray(stops)
+    if wanted.shape != (count,) or wanted.dtype != bool:
+        raise InvalidReference(f"the stops of {count} waypoints are {count} times True or False")
+    return [int(each) for each in np.flatnonzero(wanted[1:-1]) + 1]
+
+
+def _speeds(velocities: npt.ArrayLike | None, waypoints: FloatArray, rests: Sequence[int]) -> FloatArray:
+    """Return velocities (n, dimension), NaN where none is given; refuse those that move where the path rests."""
+    if velocities is None:
+        return np.full_like(waypoints, np.nan)
+    given = numbers_of(velocities, "the velocities of waypoints")
+    if given.shape != waypoints.shape or np.isinf(given).any():
+        raise InvalidReference(
+            f"{waypoints.shape} waypoints need as many finite velocities (NaN where any is right), not an array of"
+            f" shape {given.shape}"
+        )
+    partly = np.flatnonzero(np.isfinite(given).any(axis=1) & np.isnan(given).any(axis=1))
+    if partly.size:
+        raise InvalidReference(f"waypoint {partly[0]} has a velocity in some directions only: give all or none")
+    for each in rests:
+        if np.nan_to_num(given[each]).any():
+            raise InvalidReference(f"waypoint {each} has a velocity, but the path rests there")
+    return given
 
 
 def sampled(

@@ -1,0 +1,314 @@
+"""Tables of numbers from CSV files, whatever program wrote them; every complaint names file, line and column.
+
+What is unambiguous is read and told in a note: UTF-16, semicolons or tabs between cells, decimal commas, units in the
+header, times since 1970. What only looks odd, such as times that seem to be milliseconds, is refused with the remedy.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from itertools import chain
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from servocore.errors import InvalidReference, ServocoreWarning, require_kind
+
+if TYPE_CHECKING:
+    from servocore.references.base import FloatArray
+
+PREFIXES = ("", "v", "a", "j", "s")
+"""What stands before the name of a position column: nothing, or the order of its derivative by time."""
+
+STOP = "stop"
+"""The column of waypoints that says where the path comes to rest."""
+
+_TIMES = {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
+_LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "km": 1e-3, "rad": 1.0, "deg": 180.0 / np.pi, "°": 180.0 / np.pi}
+_EPOCHS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+_SINCE_1970 = 1e9, 4e9  # s: the years 2001 to 2096
+_WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
+_POWERS = {"²": 2, "³": 3, "⁴": 4}
+_SLOW, _FAST = 1e-3, 20.0  # m/s: mean speeds beside which one asks whether units are what they seem
+_LONG, _FAR = 1000.0, 300.0  # s and m
+_YES, _NO = ("1", "1.0", "yes", "true", "x", "stop"), ("", "0", "0.0", "no", "false")
+
+
+class Table(NamedTuple):
+    """A file that was read.
+
+    Attributes
+    ----------
+    path : Path
+        Its name.
+    columns : tuple of str
+        Names of the position columns.
+    lines : sequence of int
+        Numbers of the lines.
+    t : ndarray, shape (n,)
+        Times in s.
+    derivatives : ndarray, shape (n, groups, columns)
+        Positions and their derivatives in SI units; NaN where a cell of waypoints is empty.
+    stops : ndarray of bool, shape (n,), or None
+        Where the path comes to rest; None without that column.
+    """
+
+    path: Path
+    columns: tuple[str, ...]
+    lines: Sequence[int]
+    t: FloatArray
+    derivatives: FloatArray
+    stops: np.ndarray | None
+
+
+def read_table(path: str | PathLike[str], columns: Sequence[str], groups: int, waypoints: bool = False) -> Table:
+    """Read and check a table with up to `groups` groups of columns.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    columns : sequence of str
+        Names of the position columns.
+    groups : int
+        How many groups there may be: positions, velocities, ...
+    waypoints : bool
+        Whether a column `STOP` may be the last, and cells of derivatives empty.
+
+    Raises
+    ------
+    InvalidReference
+        If the file cannot be read or is not such a table, its times do not increase, or its units are in doubt.
+
+    Warns
+    -----
+    ServocoreWarning
+        If something had to be converted.
+    """
+    require_kind(path, (str, PathLike), "the file of a path", "its name", InvalidReference)
+    file, components = Path(path), tuple(columns)
+    if not components or len({"time", *components}) <= len(components):
+        raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
+    data, told = _bytes_of(file)
+    layout, more = _layout(file, data, components, groups, waypoints)
+    lines, numbers, stops, commas = _numbers_of(file, data, layout)
+    told += more + commas + _since_1970(numbers, layout)
+    numbers /= layout.factors
+    stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
+    if stuck.size:
+        late = stuck[0] + 1
+        raise InvalidReference(
+            f"{file}, line {lines[late]}, column time: {numbers[late, 0]:.17g} s does not come after "
+            f"{numbers[late - 1, 0]:.17g} s of the row before"
+        )
+    table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
+    _require_likely_units(table, layout)
+    if told:
+        warnings.warn(f"{file} is read with {', '.join(told)}", ServocoreWarning, stacklevel=2)
+    return table
+
+
+def _grouped(numbers: FloatArray, components: Sequence[str]) -> FloatArray:
+    return numbers.reshape(len(numbers), -1, len(components))
+
+
+class _Layout(NamedTuple):
+    """How a file is made: names of its columns, what divides cells, factors to SI units, where rows begin."""
+
+    names: list[str]
+    delimiter: str
+    factors: FloatArray  # one for time and each number: what a second, metre, ... is in the file
+    units: dict[str, str]  # those that the header names
+    first: int  # byte at which the line after the header begins
+    line: int  # its number
+    stops: bool
+    free: int  # the first column whose cells may be empty
+
+
+def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
+    """Return a file as UTF-8 with LF at ends of lines, and what is to be told."""
+    try:
+        data = file.read_bytes()
+        told = []
+        if data.startswith(codecs.BOM_UTF8):
+            data = data.removeprefix(codecs.BOM_UTF8)
+        elif data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) or b"\0" in data[:2]:
+            encoding = "utf-16" if data[:1] in b"\xff\xfe" else "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
+            data, told = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
+        data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
+    except (OSError, UnicodeDecodeError) as error:
+        hint = "; save it as CSV in UTF-8" if isinstance(error, UnicodeDecodeError) else ""
+        raise InvalidReference(f"{file} cannot be read as a table: {error}{hint}") from None
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), told
+
+
+def _layout(
+    file: Path, data: bytes, components: Sequence[str], groups: int, waypoints: bool
+) -> tuple[_Layout, list[str]]:
+    """Read the header; return how the file is made and what is to be told."""
+    blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
+    wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
+    shortest = ",".join(wanted[0])
+    first, line, header = 0, 0, ""
+    while first < len(data) and not header:
+        end = data.find(b"\n", first) % (len(data) + 1)
+        header, first, line = data[first:end].decode(errors="replace").strip(), end + 1, line + 1
+    if not header:
+        raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
+    delimiter = next((each for each in ";\t" if each in header), ",")
+    cells = [each.strip() for each in next(csv.reader([header], delimiter=delimiter))]
+    found = [_WITH_UNIT.fullmatch(each) for each in cells]
+    names = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
+    units = {unit[1]: unit[2] for unit in found if unit}
+    stops = waypoints and names[-1] == STOP
+    if (names[:-1] if stops else names) not in wanted:
+        more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
+        more += f", then {STOP}" if waypoints else ""
+        raise InvalidReference(
+            f"{file}, line {line}: the header {shortest}{more} was expected, but {','.join(names)!r} was found"
+        )
+    factors = [_factor(file, line, name, units.get(name), k, len(components)) for k, name in enumerate(names)]
+    told = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
+    told += [
+        f"{', '.join(same)} in {unit}"
+        for unit in dict.fromkeys(units.values())
+        if (same := [name for name in units if units[name] == unit and factors[names.index(name)] != 1.0])
+    ]
+    numbers, free = factors[:-1] if stops else factors, 1 + len(components) if waypoints else len(names)
+    return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), told
+
+
+def _factor(file: Path, line: int, name: str, unit: str | None, column: int, width: int) -> float:
+    """Return how many of a column's unit make one of SI."""
+    if unit is None or name == STOP:
+        return 1.0
+    order = (column - 1) // width
+    base, slash, _ = unit.partition("/")
+    rate = _RATE.fullmatch(unit.removeprefix(base)) if slash else None
+    power = int(rate[1] or _POWERS.get(rate[2], 1)) if rate else -1 if slash else 0
+    factor = _TIMES.get(unit) if column == 0 else _LENGTHS.get(base) if power == order else None
+    if factor is None:
+        per = {0: "", 1: "/s"}.get(order, f"/s^{order}")
+        known = _TIMES if column == 0 else [f"{each}{per}" for each in _LENGTHS]
+        raise InvalidReference(
+            f"{file}, line {line}, column {name}: its unit {unit!r} is not known here; there are {', '.join(known)}"
+        )
+    return factor
+
+
+def _numbers_of(
+    file: Path, data: bytes, layout: _Layout
+) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
+    """Return lines, numbers (n, columns), stops, and what is to be told."""
+    body, told = data[layout.first :].rstrip(), []
+    if not body:
+        raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
+    if layout.delimiter != "," and b"," in body and b"." not in body:
+        body, told = body.replace(b",", b"."), ["decimal commas"]
+    if not layout.stops:
+        numbers = _quickly(body, layout)
+        if numbers is not None:
+            return range(layout.line, layout.line + len(numbers)), numbers, None, told
+    try:
+        reader = csv.reader(io.StringIO(body.decode()), delimiter=layout.delimiter)
+        rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise InvalidReference(f"{file} cannot be read as a table: {error}") from None
+    rows = [(line + layout.line - 1, cells) for line, cells in rows if any(cells)]
+    lines = [line for line, _ in rows]
+    read = [_numbers(file, line, cells, layout) for line, cells in rows]
+    stops = np.array([_stop(file, line, cells[-1]) for line, cells in rows]) if layout.stops else None
+    return lines, np.array(read), stops, told
+
+
+def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
+    """Read rows of plain finite numbers at once; None where there is anything else, for a closer look."""
+    divider, width = layout.delimiter.encode(), len(layout.names)
+    signs = np.frombuffer(body, np.uint8)
+    found = signs[(signs == divider[0]) | (signs == ord("\n"))]
+    row = np.array([divider[0]] * (width - 1) + [ord("\n")], np.uint8)
+    whole = len(found) - len(found) % width
+    if len(found) % width != width - 1 or (found[:whole].reshape(-1, width) != row).any():
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            numbers = np.fromstring(body.replace(b"\n", divider), sep=divider.decode())
+        except (DeprecationWarning, ValueError):
+            return None
+    if numbers.size != len(found) + 1 or not np.isfinite(numbers).all():
+        return None
+    return numbers.reshape(-1, width)
+
+
+def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> list[float]:
+    names = layout.names
+    if len(cells) != len(names):
+        doubled = layout.delimiter == "," and len(cells) == 2 * len(names)
+        hint = "; decimal commas need semicolons between cells" if doubled else ""
+        raise InvalidReference(
+            f"{file}, line {line}: {len(cells)} cells were found, but the header has {len(names)} columns, "
+            f"up to {names[-1]}{hint}"
+        )
+    values = []
+    for k, (cell, name) in enumerate(zip(cells, names, strict=True)):
+        if name == STOP and layout.stops:
+            continue
+        try:
+            value = float(cell)
+        except ValueError:
+            value = float("nan")
+        if cell == "" and k >= layout.free:
+            values.append(value)
+            continue
+        if not np.isfinite(value):
+            hint = "; digits are not grouped, and decimals follow a point" if "," in cell or "'" in cell else ""
+            raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is not a finite number{hint}")
+        values.append(value)
+    return values
+
+
+def _stop(file: Path, line: int, cell: str) -> bool:
+    if cell.lower() not in (*_YES, *_NO):
+        raise InvalidReference(f"{file}, line {line}, column {STOP}: {cell!r} is neither 1 nor 0")
+    return cell.lower() in _YES
+
+
+def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
+    """Let times since 1970, which are so large that nothing else is meant, begin at 0; return what is to be told."""
+    named, first = layout.units.get("time"), numbers[0, 0]
+    for unit, factor in _EPOCHS.items() if named is None else [(named, layout.factors[0])]:
+        if _SINCE_1970[0] <= first / factor <= _SINCE_1970[1]:
+            numbers[:, 0] -= first  # before any division: fractions of a millisecond stay what they are
+            numbers[:, 0] /= factor if named is None else 1.0
+            return [f"times in {unit} since 1970, of which the first becomes 0"]
+    return []
+
+
+def _require_likely_units(table: Table, layout: _Layout) -> None:
+    """Refuse times that look like milliseconds and lengths that look like millimetres where no header says so."""
+    t, positions = table.t, table.derivatives[:, 0]
+    duration, way = t[-1] - t[0], float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    if not (way > 0.0 and duration > 0.0):
+        return
+    speed, farthest = way / duration, float(np.abs(positions).max())
+    first = table.columns[0]
+    if "time" not in layout.units and duration >= _LONG and speed < _SLOW and (t == np.round(t)).all():
+        raise InvalidReference(
+            f"{table.path}: its times look like milliseconds, for {duration:g} s would make a mean speed of"
+            f" {speed:.2g} m/s: write time [ms] into the header, or time [s] if they are right"
+        )
+    if first not in layout.units and farthest >= _FAR and speed > _FAST:
+        raise InvalidReference(
+            f"{table.path}: its positions look like millimetres, for up to {farthest:g} m at a mean speed of"
+            f" {speed:.3g} m/s are out of reach: write {first} [mm] and so on into the header, or {first} [m] if they"
+            " are right"
+        )

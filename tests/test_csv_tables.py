@@ -1,0 +1,197 @@
+"""Files of other programs: read where it is clear what they mean, and told; else refused with the remedy."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import servocore as sc
+from servocore import from_csv, waypoints_from_csv
+from servocore.errors import InvalidReference, ServocoreWarning
+from servocore.references.piecewise import PiecewisePolynomial
+
+LINE = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
+T = np.linspace(0.0, 20.0, 41)
+ROWS = np.column_stack([T, LINE.jet(T, 0)[:, 0]])
+
+
+def text(rows: np.ndarray, header: str = "time,x,y,z", delimiter: str = ",", point: str = ".") -> str:
+    lines = [delimiter.join(repr(float(each)).replace(".", point) for each in row) for row in rows]
+    return "\n".join([header, *lines]) + "\n"
+
+
+def read(tmp_path: Path, content: str | bytes) -> tuple[PiecewisePolynomial, list[str]]:
+    """Return the path of a file and what was told, without the name of the file."""
+    file = tmp_path / "path.csv"
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", ServocoreWarning)
+        path = from_csv(file, tolerance=1e-9)
+    return path, [str(each.message).removeprefix(f"{file} is read with ") for each in told]
+
+
+def as_line(path: sc.Reference) -> bool:
+    """Whether a path is the line, in position and jerk."""
+    t = np.linspace(0.0, 20.0, 301)
+    off = np.abs(path.jet(t, 3) - LINE.jet(t, 3)).max(axis=(0, 2)) / np.abs(LINE.jet(t, 3)).max(axis=(0, 2))
+    return bool(off.max() < 1e-5)
+
+
+MILLI = ROWS * [1e3, 1e3, 1e3, 1e3]
+CLEAR = {
+    "semicolons": (text(ROWS, "time;x;y;z", ";"), "semicolons between cells"),
+    "decimal commas": (text(ROWS, "time;x;y;z", ";", ","), "semicolons between cells, decimal commas"),
+    "tabs": (text(ROWS, "time\tx\ty\tz", "\t"), "tabs between cells"),
+    "UTF-16": (text(ROWS).encode("utf-16"), "UTF-16 as its encoding"),
+    "UTF-16 without a mark": (text(ROWS).encode("utf-16-le"), "UTF-16 as its encoding"),
+    "units": (text(MILLI, "time [ms],x (mm),y [mm],z[mm]"), "time in ms, x, y, z in mm"),
+    "seconds since 1970": (
+        text(np.add(ROWS, [1763850000.0, 0, 0, 0])), "times in s since 1970, of which the first becomes 0"
+    ),
+    "milliseconds since 1970": (
+        text(ROWS * [1e3, 1, 1, 1] + [1763850000123.0, 0, 0, 0]), "times in ms since 1970, of which the first becomes 0"
+    ),
+    "named and since 1970": (
+        text(ROWS * [1e3, 1, 1, 1] + [1763850000123.0, 0, 0, 0], "time [ms],x,y,z"),
+        "time in ms, times in ms since 1970, of which the first becomes 0",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "note"), CLEAR.values(), ids=CLEAR)
+def test_what_is_clear_is_read_and_told_in_one_line(content: str | bytes, note: str, tmp_path: Path) -> None:
+    path, told = read(tmp_path, content)
+    assert as_line(path)
+    assert told == [note]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        text(ROWS, "time [s],x [m],y [m],z (m)"),
+        "\ufeff" + text(ROWS),
+        text(ROWS).replace("\n", "\r\n"),
+        text(ROWS).replace("\n5.0,", '\n"5.0",'),
+    ],
+)
+def test_what_needs_no_conversion_is_not_told(content: str | bytes, tmp_path: Path) -> None:
+    path, told = read(tmp_path, content)
+    assert as_line(path)
+    assert told == []
+
+
+def test_units_of_derivatives_are_converted_too(tmp_path: Path) -> None:
+    jets = LINE.jet(T, 4).reshape(len(T), -1) * 1e3
+    names = [f"{prefix}{axis} [mm{per}]" for prefix, per in zip(["", "v", "a", "j", "s"],
+             ["", "/s", "/s²", "/s^3", "/s4"], strict=True) for axis in "xyz"]  # fmt: skip
+    path, told = read(tmp_path, text(np.column_stack([T, jets]), ",".join(["time", *names])))
+    assert as_line(path)
+    assert "x, y, z in mm" in told[0]
+    assert "sx, sy, sz in mm/s4" in told[0]
+
+
+UNCLEAR = {
+    "milliseconds": (text(np.round(ROWS * [1e3, 1, 1, 1], 6)), "its times look like milliseconds, .* write time .ms."),
+    "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
+    "commas between cells and digits": (text(ROWS, point=","), "line 2: 8 cells .* decimal commas need semicolons"),
+    "grouped digits": ("time;x;y;z\n0;1.234,5;0;1\n", "column x: '1.234,5' is not a finite number; digits are not"),
+    "unknown unit": (text(ROWS, "time,x [ft],y,z"), "line 1, column x: its unit 'ft' is not known here; there are m"),
+    "unit of another order": (text(ROWS, "time,x [m/s],y,z"), "column x: its unit 'm/s' is not known"),
+    "no text": (b"\xff\xfe\x00", "cannot be read as a table: .*; save it as CSV in UTF-8"),
+    "latin letters": ("time,x,y,z\n0,1,2,3\xb2\n".encode("latin-1"), "cannot be read as a table"),
+}
+
+
+@pytest.mark.parametrize(("content", "sentence"), UNCLEAR.values(), ids=UNCLEAR)
+def test_what_is_unclear_is_refused_with_the_remedy(content: str | bytes, sentence: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidReference, match=r"path\.csv.*" + sentence):
+        read(tmp_path, content)
+
+
+def test_a_header_with_units_ends_the_doubt(tmp_path: Path) -> None:
+    slow = ROWS * [1e3, 1, 1, 1]
+    path, told = read(tmp_path, text(slow, "time [s],x,y,z"))
+    assert (path.duration, told) == (20000.0, [])
+    far = ROWS * [1, 1e3, 1e3, 1e3]
+    path, told = read(tmp_path, text(far, "time,x [m],y [m],z [m]"))
+    assert path.jet(0.0, 0)[0, 0] == pytest.approx(5000.0)
+
+
+def test_plain_numbers_and_cells_one_by_one_give_the_same_table(tmp_path: Path) -> None:
+    plain, _ = read(tmp_path, text(ROWS))
+    quoted, _ = read(tmp_path, text(ROWS).replace("5.0,", '"5.0",', 1))
+    assert (plain.coefficients == quoted.coefficients).all()
+
+
+# --- waypoints with speeds and stops ----------------------------------------------------------------------
+
+PLACES = np.array([[5.0, 0.0, -5.0], [4.0, 2.0, -3.0], [2.0, 3.0, -3.0], [-1.0, 3.0, -4.0]])
+TIMES = np.array([0.0, 8.0, 14.0, 25.0])
+
+
+def waypoints(tmp_path: Path, header: str, *ends: list[str]) -> Path:
+    rows = [",".join([*map(repr, [float(t), *map(float, place)]), *more])
+            for t, place, more in zip(TIMES, PLACES, ends, strict=True)]  # fmt: skip
+    file = tmp_path / "way.csv"
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return file
+
+
+def test_a_path_stops_where_it_is_told_to_and_legs_of_two_points_are_lines(tmp_path: Path) -> None:
+    path = waypoints_from_csv(waypoints(tmp_path, "time,x,y,z,stop", [""], ["1"], ["yes"], [""]))
+    t = np.linspace(8.0, 14.0, 101)
+    line = sc.rest_to_rest(PLACES[1], PLACES[2], 6.0, start_time=8.0)
+    np.testing.assert_allclose(path.jet(t, 4), line.jet(t, 4), rtol=0, atol=1e-10)
+    np.testing.assert_allclose(path.jet([8.0, 14.0], 4)[:, 1:], 0.0, atol=1e-9)
+    assert (path.rests_before, path.rests_after, path.smoothness) == (True, True, 4)
+
+
+def test_a_velocity_that_the_path_has_anyway_changes_nothing(tmp_path: Path) -> None:
+    free = sc.through(PLACES, TIMES)
+    own = [repr(float(each)) for each in free.jet(8.0, 1)[1]]
+    path = waypoints_from_csv(waypoints(tmp_path, "time,x,y,z,vx,vy,vz", [""] * 3, own, [""] * 3, ["0"] * 3))
+    t = np.linspace(0.0, 25.0, 301)
+    np.testing.assert_allclose(path.jet(t, 4), free.jet(t, 4), rtol=0, atol=1e-9)
+
+
+def test_a_velocity_is_met_with_all_but_one_of_the_derivatives_of_a_spline(tmp_path: Path) -> None:
+    wanted = [0.1, 0.4, 0.05]
+    path = waypoints_from_csv(
+        waypoints(tmp_path, "time,x,y,z,vx,vy,vz,stop", [""] * 4, [*map(repr, wanted), "0"], [""] * 3 + ["1"], [""] * 4)
+    )
+    np.testing.assert_allclose(path.jet(TIMES, 0)[:, 0], PLACES, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(path.jet(8.0, 1)[1], wanted, rtol=0, atol=1e-12)
+    before, after = path.jet([8.0 - 1e-9, 8.0 + 1e-9], 7)
+    np.testing.assert_allclose(before, after, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("header", "ends", "sentence"),
+    [
+        ("time,x,y,z,stop", [["0"], ["maybe"], [""], [""]], "line 3, column stop: 'maybe' is neither 1 nor 0"),
+        ("time,x,y,z,vx,vy,vz", [["1", "0", "0"], *[[""] * 3] * 3], "waypoint 0 has a velocity, but the path rests"),
+        ("time,x,y,z,vx,vy,vz", [[""] * 3, ["1", "", "0"], *[[""] * 3] * 2], "waypoint 1 has a velocity in some dir"),
+        ("time,x,y,z,vx,vy,vz,stop", [[""] * 4, ["1", "0", "0", "1"], *[[""] * 4] * 2], "waypoint 1 has a velocity, b"),
+    ],
+)
+def test_waypoints_that_contradict_themselves_are_refused(
+    header: str, ends: list[list[str]], sentence: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidReference, match=r"way\.csv.*" + sentence):
+        waypoints_from_csv(waypoints(tmp_path, header, *ends))
+
+
+@pytest.mark.parametrize(
+    ("given", "sentence"),
+    [
+        ({"stops": [1, 0, 0, 0]}, "the stops of 4 waypoints are 4 times True or False"),
+        ({"velocities": np.zeros((3, 3))}, "need as many finite velocities"),
+    ],
+)
+def test_speeds_and_stops_of_another_shape_are_refused(given: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(InvalidReference, match=sentence):
+        sc.through(PLACES, TIMES, **given)
