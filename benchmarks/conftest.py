@@ -10,7 +10,7 @@ import pytest
 MEDIANS: dict[str, float] = {}
 """Microseconds a step or an instant, by name; filled by the benchmarks."""
 
-BARE, CLOSED_FORM = "bare CasADi loop", "closed form, vectorised"
+BARE, CLOSED_FORM = "bare CasADi loop", "closed form, vectorized"
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ Exact inversion solves the derivative array at every instant (`Reduced` on a sce
 questions, each with the bound that the project sets itself:
 
 * against one projected backward Euler step of the same model: at most 3 times the cost;
-* against the closed form, evaluated by vectorised NumPy, an instant: at most 100 times;
+* against the closed form, evaluated by vectorized NumPy, an instant: at most 100 times;
 * with the size of the problem: n cars in a row, n = 2 to 8, no faster than n^2;
 * the array solved block by block (`newton.compile_solver`) against one sparse Newton block of CasADi's
   ``fast_newton`` over all its unknowns, from the same first guess.

@@ -67,7 +67,7 @@ class Trivial(Fmi2Slave):
 
 
 class Driven:
-    """An instance of an unpacked FMU, initialised, that is driven by the C functions."""
+    """An instance of an unpacked FMU, initialized, that is driven by the C functions."""
 
     def __init__(self, folder: Path, inputs: np.ndarray, texts: dict[str, str] | None = None) -> None:
         description = fmpy.read_model_description(str(folder), validate=False)

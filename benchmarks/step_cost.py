@@ -59,9 +59,9 @@ def measure(model: str, formulation: sc.Formulation, count: int) -> Row:
     loops = {"step": stepper.program.step.mapaccum(count)}
     residual, unknowns = dae.h, dae.z
     if dae.x.numel():
-        discretisation = METHOD.discretise(dae)
-        residual, unknowns = discretisation.equations.residual, discretisation.equations.unknowns
-        loops["undivided"] = undivided_step(discretisation).mapaccum(count)
+        discretization = METHOD.discretise(dae)
+        residual, unknowns = discretization.equations.residual, discretization.equations.unknowns
+        loops["undivided"] = undivided_step(discretization).mapaccum(count)
         require_agreement(*[np.asarray(loop(*arguments)[0]) for loop in loops.values()])
     runs: dict[str, Callable[[], object]] = {name: partial(loop, *arguments) for name, loop in loops.items()}
     runs["solve"] = partial(sc.solve, SCENE, formulation, METHOD, step=step, model=model)

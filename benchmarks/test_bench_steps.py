@@ -2,7 +2,7 @@
 
 The rotary crane's smallest model, 200 steps of 0.1 s. The *bare CasADi loop* is what a user without this library would
 write: the undivided residual of one projected backward Euler step in CasADi's ``fast_newton``, called step by step from
-Python. Ratios to it and to the vectorised closed form are printed below the table; `conftest.py` does that.
+Python. Ratios to it and to the vectorized closed form are printed below the table; `conftest.py` does that.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ class StructureReport:
     classification : str
         "flat", "minimum phase", "weakly minimum phase" (not damped), "non-minimum phase" or "singular here".
     eigenvalues : tuple of complex
-        Of the internal dynamics linearised at rest.
+        Of the internal dynamics linearized at rest.
     remedy : str
         What had to be done to the equations before the analysis applied.
     reason : str
@@ -134,7 +134,7 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
     """Analyse a servo constraint problem before it is solved.
 
     The signature method of Pryce gives index and internal degrees of freedom; the internal dynamics, if any, are
-    linearised at rest. For a scene the limits and the system Jacobian are watched along its reference.
+    linearized at rest. For a scene the limits and the system Jacobian are watched along its reference.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class Hostile(RuleBasedStateMachine):
     fmu: Fmu
     good: list[list[float]]
     lives = Bundle("lives")
-    serialised = Bundle("serialised")
+    serialized = Bundle("serialized")
 
     def __init__(self) -> None:
         super().__init__()
@@ -132,11 +132,11 @@ class Hostile(RuleBasedStateMachine):
 
     @rule(live=lives)
     def enter(self, live):
-        self.move(live, ("enter",), "instantiated", "initialising")
+        self.move(live, ("enter",), "instantiated", "initializing")
 
     @rule(live=lives)
     def leave(self, live):
-        self.move(live, ("leave",), "initialising", "stepping")
+        self.move(live, ("leave",), "initializing", "stepping")
 
     @rule(live=lives)
     def terminate(self, live):
@@ -233,7 +233,7 @@ class Hostile(RuleBasedStateMachine):
         """A step that may be anything; one that is refused changes nothing."""
         if live not in self.alive:
             return
-        before = live.instance.everything() if live.account.phase != "initialising" else None
+        before = live.instance.everything() if live.account.phase != "initializing" else None
         time = live.account.time + offset
         status = live.instance.step(time, h)
         possible = live.account.phase == "stepping" and offset == 0.0 and 0.0 < h <= 3600.0 and time + h > time
@@ -246,7 +246,7 @@ class Hostile(RuleBasedStateMachine):
 
     @rule(live=lives, jet=CHOSEN, count=st.integers(1, 4))
     def step_well(self, live, jet, count):
-        """Steps that nothing is wrong with are taken, if the initialisation succeeded and parameters are legal."""
+        """Steps that nothing is wrong with are taken, if the initialization succeeded and parameters are legal."""
         if live not in self.alive or live.account.phase != "stepping" or not self.healthy(live):
             return
         for _ in range(count):
@@ -292,15 +292,15 @@ class Hostile(RuleBasedStateMachine):
             state, _ = live.states.pop()
             assert live.instance.free_state(state) == OK
 
-    @rule(target=serialised, live=lives)
-    def serialise(self, live):
+    @rule(target=serialized, live=lives)
+    def serialize(self, live):
         if live not in self.alive or not live.states:
             return multiple()
         state, account = live.states[-1]
-        return live.instance.serialised(state), account.copy()
+        return live.instance.serialized(state), account.copy()
 
-    @rule(live=lives, form=serialised, damage=st.sampled_from((None, None, "cut", "shorter", "empty", "other")))
-    def deserialise(self, live, form, damage):
+    @rule(live=lives, form=serialized, damage=st.sampled_from((None, None, "cut", "shorter", "empty", "other")))
+    def deserialize(self, live, form, damage):
         if live not in self.alive:
             return
         text, account = form
@@ -310,8 +310,8 @@ class Hostile(RuleBasedStateMachine):
             "empty": lambda _: b"",
             "other": lambda b: b.replace(b'"guid": "', b'"guid": "0'),
         }
-        before = live.instance.everything() if damage and live.account.phase != "initialising" else None
-        state = live.instance.deserialised(damages[damage](text) if damage else text)
+        before = live.instance.everything() if damage and live.account.phase != "initializing" else None
+        state = live.instance.deserialized(damages[damage](text) if damage else text)
         assert live.instance.set_state(state) == OK
         assert live.instance.free_state(state) == OK
         if not damage:

@@ -71,7 +71,7 @@ class Fmu:
         self._by_reference = {each.valueReference: each for each in variables}
 
     def settable(self, reference: int, *, late: bool) -> bool:
-        """Return whether a variable may be set, after the initialisation if `late`."""
+        """Return whether a variable may be set, after the initialization if `late`."""
         variable = self._by_reference[reference]
         return variable.causality == "input" or (
             variable.causality == "parameter" and not (late and variable.variability == "fixed")
@@ -166,14 +166,14 @@ class Instance:
     def free_state(self, state: int) -> int:
         return self.call("FreeFMUstate", byref(c_void_p(state)), shown=f"{state:x}")
 
-    def serialised(self, state: int) -> bytes:
+    def serialized(self, state: int) -> bytes:
         size = c_size_t()
         assert self.call("SerializedFMUstateSize", state, byref(size)) == OK
         text = ctypes.create_string_buffer(size.value)
         assert self.call("SerializeFMUstate", state, text, size.value) == OK
         return text.raw
 
-    def deserialised(self, text: bytes) -> int:
+    def deserialized(self, text: bytes) -> int:
         state = c_void_p()
         assert self.call("DeSerializeFMUstate", text, len(text), byref(state), shown=text[:60]) == OK
         return state.value or 0

@@ -1,6 +1,6 @@
 """Stability of the loop of feedback and crane: transition matrices along a path, and margins of a crane at rest.
 
-What is linearised, by differences, is what an FMU carries, with a plant that knows of no FMU.
+What is linearized, by differences, is what an FMU carries, with a plant that knows of no FMU.
 """
 
 from __future__ import annotations

@@ -226,7 +226,7 @@ class Native:
         return OK
 
     def saved(self) -> bytes:
-        """Return the serialised state."""
+        """Return the serialized state."""
         prefix = "FMUstate" if self.fmi == 2 else "FMUState"
         state = getattr(self.fmu, f"get{prefix}")()
         found = getattr(self.fmu, f"serialize{prefix}")(state)

@@ -1,6 +1,6 @@
 /* A host that is not Python: ./native_host LIBRARY GUID LOCATION STEPS FIRST_OUTPUT OUTPUTS
 
-   Loads the FMU's binary, initialises, takes steps of 0.1 s and prints the outputs at all times, one line each. Lines
+   Loads the FMU's binary, initializes, takes steps of 0.1 s and prints the outputs at all times, one line each. Lines
    that begin with "log:" are what the FMU says. Exit codes: 0, 2 the library does not load, 3 no instance, 4 a step
    was refused. */
 

@@ -82,7 +82,7 @@ def test_n_cars_have_index_2n_plus_1_and_are_flat(count):
     assert report.classification == "flat"
 
 
-def test_generalised_coordinates_need_a_remedy_and_redundant_ones_do_not():
+def test_generalized_coordinates_need_a_remedy_and_redundant_ones_do_not():
     for name, model in CRANE_MODELS:
         remedy = sc.analyse(scene(name), model=model).remedy
         assert bool(remedy) == (model == "generalized")

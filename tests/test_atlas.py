@@ -34,7 +34,7 @@ from benchmarks.atlas.row03_inconsistent_start import prediction  # noqa: E402
 from benchmarks.atlas.row04_drift_off import one_step  # noqa: E402
 from benchmarks.atlas.row04_drift_off import scene as pendulum_scene  # noqa: E402
 from benchmarks.atlas.rows import ROWS, named  # noqa: E402
-from servocore.stepping.forward_dynamics import STABILISATION_RATE  # noqa: E402
+from servocore.stepping.forward_dynamics import STABILIZATION_RATE  # noqa: E402
 
 NAMES = [row.name for row in ROWS]
 PAGE = ROOT / "docs" / "stability"
@@ -87,11 +87,11 @@ def test_multistep_spikes_follow_from_the_coefficients():
     assert prediction(sc.RadauIIA(2)) == (pytest.approx(14.0), 2)
 
 
-def test_the_stabilised_control_of_the_drift_row_is_what_simulate_integrates():
+def test_the_stabilized_control_of_the_drift_row_is_what_simulate_integrates():
     t = np.array([0.0, 0.4])
     state = np.array([0.0, -1.0, *(0.5 * 2 * np.pi / 2.56, 0.0)])  # as the path starts: hanging, in motion
     moved = sc.simulate(pendulum_scene(1), lambda _: np.zeros(1), t=t, rtol=1e-12, atol=1e-12)
-    step = one_step(STABILISATION_RATE, project=False).mapaccum(100)
+    step = one_step(STABILIZATION_RATE, project=False).mapaccum(100)
     final = np.asarray(step(state))[:, -1]
     assert final[:2] == pytest.approx([moved["y"][-1], moved["z"][-1]], abs=1e-7)
 

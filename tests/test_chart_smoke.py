@@ -65,7 +65,7 @@ def test_a_run_writes_the_columns_that_are_promised(smoke):
 
 def test_a_run_tells_the_exact_routes_from_the_paper_s(smoke):
     errors = {row.method: row.error for row in read_rows(smoke / "results.csv") if row.scene == "rotary_crane"}
-    assert errors["vectorised NumPy"] == 0.0
+    assert errors["vectorized NumPy"] == 0.0
     assert errors["exact inversion"] < 1e-10
     assert 1e-2 < errors["backward-euler"] < 1.0
 
@@ -161,7 +161,7 @@ def test_what_must_hold_holds_in_the_committed_study():
 @committed
 def test_what_takes_longer_than_it_should_beside_c_is_explained():
     text = (DOCS / PAGE).read_text(encoding="utf-8")
-    assert "In generalised coordinates that factor is all: some thousands of operations" in text
+    assert "In generalized coordinates that factor is all: some thousands of operations" in text
 
 
 # Parts ---------------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Costs as counts: steps, Newton iterations and factorisations on the default crane, which no busy machine can shake.
+"""Costs as counts: steps, Newton iterations and factorizations on the default crane, which no busy machine can shake.
 
 A bound is what was needed when it was written, and three in a hundred more for other processors' rounding. Who makes a
 method cheaper lowers its bounds; who makes it dearer has to say why here.
@@ -37,7 +37,7 @@ NEEDED: dict[sc.Method, tuple[int, int]] = {
     sc.Gauss(2): (564, 10140),
     sc.GeneralizedAlpha(): (453, 8453),
 }
-"""Newton iterations and factorisations of 200 projected steps, smallest model."""
+"""Newton iterations and factorizations of 200 projected steps, smallest model."""
 
 EXACT = {"points": (707, 7818), "generalized": (596, 1596), "bodies": (620, 25155)}
 """The same of 200 instants of exact inversion, by model."""
@@ -57,7 +57,7 @@ def require_at_most(found: sc.Statistics, needed: tuple[int, int]) -> None:
 
 @pytest.mark.filterwarnings("ignore::servocore.ServocoreWarning")  # of inputs that an undamped method loses
 @pytest.mark.parametrize("method", NEEDED, ids=lambda method: method.name)
-def test_a_method_takes_no_more_iterations_and_factorisations_than_it_did(method):
+def test_a_method_takes_no_more_iterations_and_factorizations_than_it_did(method):
     solution = sc.solve(CRANE, sc.Projected(), method, step=CRANE.reference.duration / STEPS)
     require_at_most(solution.statistics, NEEDED[method])
 

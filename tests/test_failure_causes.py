@@ -149,7 +149,7 @@ def test_nothing_that_drives_an_output_is_structurally_singular_for_all():
 
 
 def test_a_smaller_step_is_not_advised_where_errors_grow_with_it():
-    """On the original form of index five the generalised crane fails at every step size."""
+    """On the original form of index five the generalized crane fails at every step size."""
     with pytest.raises(sc.IntegrationFailed) as caught:
         sc.solve(CRANE, sc.Original(), sc.BackwardEuler(), step=0.1, model="generalized", checks=False)
     sentence = str(caught.value)

@@ -159,23 +159,23 @@ def test_fmpy_stops_short_at_a_refused_step_and_says_why():
         ({"load.position[1]": math.nan}, "the input load.position[1] is nan"),
     ],
 )
-def test_a_failed_initialisation_is_told_by_every_step_and_outputs_are_nan(settings, sentence):
+def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(settings, sentence):
     with Host() as host:
         host.set(**settings).start()
         for _ in range(2):
             assert not host.step(0.0, 0.1)
         assert len(host.messages) == 3
-        assert all(each.startswith("the initialisation failed: ") and sentence in each for each in host.messages)
+        assert all(each.startswith("the initialization failed: ") and sentence in each for each in host.messages)
         assert np.isnan(host.outputs()).all()
         host.fmu.reset()
         assert host.start().step(0.0, 0.1)
 
 
 @pytest.mark.parametrize(("name", "value"), [("gravity", 1.6), ("winch_radius", 0.2), ("model", "bodies")])
-def test_fixed_parameters_keep_their_value_after_the_initialisation(name, value):
+def test_fixed_parameters_keep_their_value_after_the_initialization(name, value):
     with Host() as host:
         host.start().set(**{name: value})
-        assert host.messages == [f"{name} cannot change after the initialisation; the new value is ignored"]
+        assert host.messages == [f"{name} cannot change after the initialization; the new value is ignored"]
         assert host.step(0.0, 0.1)
         assert host["tension"] == pytest.approx(981.0)
 
@@ -257,7 +257,7 @@ with Host(file) as host:
 """
 
 
-def test_a_serialised_state_goes_on_in_another_process_bit_by_bit(tmp_path):
+def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path):
     t = 5.0 + np.arange(31) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:
@@ -345,7 +345,7 @@ with Host(Path(sys.argv[1])) as host:
     state = host.fmu.getFMUState()
     def fail(*_, **__):
         raise sys.modules["builtins"].__dict__[sys.argv[2]]("on purpose")
-    for place in ("_ready", "_adopt", "_settable", "_prepare", "_initialise", "_finite_inputs"):
+    for place in ("_ready", "_adopt", "_settable", "_prepare", "_initialize", "_finite_inputs"):
         kept = getattr(kind, place)
         setattr(kind, place, fail)
         assert not host.step(0.1, 0.1) or place not in ("_ready", "_adopt", "_finite_inputs")

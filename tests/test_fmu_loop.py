@@ -178,7 +178,7 @@ def test_a_short_step_is_computed_with_less_work_and_the_same_result():
     assert 0.0 < np.abs(short - other).max() < 1e-6
 
 
-def test_the_linearised_crane_over_a_step_is_that_of_the_matrix_exponential():
+def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential():
     u, d, p = UNDER
     model, turn = sampled(hanging(CRANE.model("points")), 3), fastest(Case())
     for is_short, h in ((1, SHORT_TURN / turn), (0, 1.0 / turn)):

@@ -146,7 +146,7 @@ def test_steps_of_a_nanosecond_stay_as_exact_as_the_start():
     assert abs(found["M_b"][14:] - exact["M_b"][14:]).max() < 0.3 * abs(exact["M_b"]).max()
 
 
-def test_outputs_are_exact_after_an_initialisation_in_motion():
+def test_outputs_are_exact_after_an_initialization_in_motion():
     with Host() as host:
         host.start(CRANE.reference.jet(np.array([7.0]), 4)[0], 7.0)
         exact = CRANE.exact(np.array([7.0]))
@@ -163,7 +163,7 @@ def test_a_start_in_motion_is_forgotten_after_one_step():
     assert error[2:].max() < 0.05
 
 
-def test_outputs_follow_inputs_during_the_initialisation():
+def test_outputs_follow_inputs_during_the_initialization():
     with Host() as host:
         host.fmu.setupExperiment(startTime=0.0)
         host.fmu.enterInitializationMode()
@@ -172,7 +172,7 @@ def test_outputs_follow_inputs_during_the_initialisation():
         assert host["tension"] == pytest.approx(490.5)
 
 
-def test_inputs_that_come_only_after_the_initialisation_are_taken_for_the_start():
+def test_inputs_that_come_only_after_the_initialization_are_taken_for_the_start():
     jets = CRANE.reference.jet(np.array([7.0, 7.1]), 4)
     with Host() as late, Host() as early:
         early.start(jets[0], 7.0)

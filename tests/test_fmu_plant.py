@@ -217,7 +217,7 @@ def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name, tmp_path):
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_state_of_an_initialisation_that_will_fail_is_restored_all_the_same(name):
+def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(name):
     setting = next(each.name for each in interface(name).of("parameter") if each.is_choice)
     output = interface(name).of("output")[0].name
     with Host(fmu_file(name)) as host, Host(fmu_file(name)) as other:

@@ -60,7 +60,7 @@ def test_the_paper_s_D_has_39_columns():  # noqa: N802
     assert project(scene("rotary_crane").model("bodies")).D.shape == (42, 39)
 
 
-def test_generalised_coordinates_have_a_D_that_turns_with_the_configuration():  # noqa: N802
+def test_generalized_coordinates_have_a_D_that_turns_with_the_configuration():  # noqa: N802
     found = project(scene("rotary_crane").model("generalized"))
     assert not found.boolean
     assert not found.D.is_constant()

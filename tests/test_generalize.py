@@ -146,7 +146,7 @@ def test_parameters_inputs_reference_and_home_stay_those_of_the_system():
     assert system.parameters is base.parameters
     assert (system.inputs, system.outputs, system.home) == (base.inputs, base.outputs, base.home)
     assert ca.is_equal(system.gamma, base.gamma)
-    assert system.name == "redundant pendulum, generalised"
+    assert system.name == "redundant pendulum, generalized"
     assert pendulum(name="other").name == "other"
 
 
@@ -165,9 +165,9 @@ def test_a_mapping_that_leaves_the_constraint_manifold_is_refused():
         pendulum(ca.vertcat(ca.sin(theta), -ca.cos(theta), theta))  # a rod of one metre instead of l
 
 
-def test_a_wrong_number_of_generalised_coordinates_is_refused():
+def test_a_wrong_number_of_generalized_coordinates_is_refused():
     two = sc.Coordinates(sc.Quantity("a"), sc.Quantity("b"))
-    with pytest.raises(sc.InvalidModel, match="has 1 degrees of freedom, not 2 generalised coordinates"):
+    with pytest.raises(sc.InvalidModel, match="has 1 degrees of freedom, not 2 generalized coordinates"):
         pendulum(coordinates=two)
 
 

@@ -34,7 +34,7 @@ CASES = [
 
 
 def at_rest(problem: sc.Problem, dae: sc.Dae) -> tuple[np.ndarray, np.ndarray]:
-    """Return E and A of a form, linearised where everything rests at the start of the path."""
+    """Return E and A of a form, linearized where everything rests at the start of the path."""
     system, array = problem.system, problem.array
     gamma = np.zeros(system.gamma.shape)
     gamma[:, 0] = problem.reference.jet(problem.reference.start_time, 0)[0]

@@ -40,7 +40,7 @@ rows = []
 
 FMPY = """
 import fmpy, numpy as np
-# inputs of the end of a step are set at its start, but for the initialisation; see docs/fmu.md
+# inputs of the end of a step are set at its start, but for the initialization; see docs/fmu.md
 times = [-step, 0.0] + [step * k for k in range(len(jets) - 1)]
 table = np.zeros(len(times), dtype=[("time", float), *((name, float) for name in names)])
 table["time"] = times

@@ -22,7 +22,7 @@ from servocore.numerics.square_systems import (
 def solve(
     unknowns, residual, givens=None, values=(), guess=None, unknown_scale=None, residual_scale=None, outputs=None
 ):
-    """Compile and solve; returns (solution, (most iterations, factorisations), residual)."""
+    """Compile and solve; returns (solution, (most iterations, factorizations), residual)."""
     size = unknowns.numel()
     system = SquareSystem(
         unknowns=unknowns,
@@ -60,7 +60,7 @@ def test_the_clock_counts_the_iterations_of_a_square_root(number):
     assert worst < 1e-13
 
 
-def test_the_slowest_block_counts_as_iterations_and_all_blocks_as_factorisations():
+def test_the_slowest_block_counts_as_iterations_and_all_blocks_as_factorizations():
     x = ca.SX.sym("x", 3)
     _, (most, total), _ = solve(x, ca.vertcat(x[0] ** 2 - 2, x[1] ** 3 - 30 * x[0], x[2] - x[1]), guess=[1, 1, 0])
     root = np.sqrt(2.0)

@@ -1,4 +1,4 @@
-"""The compiled plant moves as `simulate` says, holds with its brakes on, and is saved and linearised faithfully."""
+"""The compiled plant moves as `simulate` says, holds with its brakes on, and is saved and linearized faithfully."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_energy_is_kept_without_inputs_that_work():
     assert plant.values(state, None, STILL, p)["energy"] == pytest.approx(before, abs=1e-6)
 
 
-def test_its_linearisation_is_the_difference_of_neighbouring_steps():
+def test_its_linearization_is_the_difference_of_neighbouring_steps():
     plant, state, p = at_rest("generalized")
     state[3:] = 0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.02
     u, h = np.array([10.0, 5.0, -90.0]), 1e-5

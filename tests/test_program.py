@@ -68,7 +68,7 @@ def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(steppe
     np.testing.assert_array_equal(np.load(tmp_path / "state.npy"), state)
 
 
-def test_serialising_twice_gives_the_same_text(stepper):
+def test_serializing_twice_gives_the_same_text(stepper):
     text = stepper.program.to_json()
     assert text == stepper.program.to_json()
     assert json.loads(text)["format"] == "servocore program 3"

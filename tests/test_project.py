@@ -109,6 +109,26 @@ def used_names(node: ast.AST) -> list[str]:
     return []
 
 
+OXFORD = re.compile(  # stems that take -ize; other words do not: otherwise, precise, revise
+    r"(?<![a-z])(discreti|emphasi|factori|generali|initiali|lineari|minimi|maximi|normali|optimi|organi|parametri|penali"
+    r"|recogni|regulari|seriali|stabili|summari|symmetri|synchroni|utili|vectori|visuali)s(e|ing|ation|able)",
+    re.IGNORECASE,
+)
+PUBLIC_SPELLING = re.compile(r"\b(generalise|[Dd]iscretis(e|ation)|factorisations|linearised?)\b|emphasis")
+
+
+def test_words_are_spelled_as_in_oxford():
+    """With -ize where the ending is Greek, but analyse; public names keep theirs."""
+    rooms = ("servocore/", "crane_fmu/", "docs/", "examples/", "tests/", "README.md", "CONTRIBUTING.md")
+    wrong = [
+        f"{name}: {word[0]}"
+        for name, text in tracked_texts()
+        if name.startswith(rooms) and not name.endswith((".svg", "0110-words.md", "test_project.py"))
+        for word in OXFORD.finditer(PUBLIC_SPELLING.sub("", text))
+    ]
+    assert wrong == []
+
+
 def test_nothing_mentions_the_machine_it_was_written_on():
     places = ("/" + "work/", "/" + "home/", "/" + "root/", "share" + "d/design", "share" + "d/theory", "bash" + "_jobs")
     found = [f"{name} mentions {place}" for name, text in tracked_texts() for place in places if place in text]

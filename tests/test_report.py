@@ -122,15 +122,15 @@ class TestFigures:
         assert legend(figure) == ["exact inversion", "closed form"]
 
     def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found):
-        redundant, generalised = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
-        figure = trajectories.inputs_compared(redundant, generalised, found.base)
+        redundant, generalized = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
+        figure = trajectories.inputs_compared(redundant, generalized, found.base)
         assert labels(figure) == [LABELS[name] for name in INPUTS]
         assert [len(axes.lines) for axes in figure.axes] == [3, 3, 3]
         assert len(legend(figure)) == 3
         looks = {(line.get_linestyle(), line.get_marker(), line.get_linewidth()) for line in figure.axes[0].lines}
         assert len(looks) == 3, "curves must differ without their colours"
         drawn = [line.get_ydata() for line in figure.axes[2].lines]
-        for values, run in zip(drawn, (found.base, generalised, redundant), strict=True):
+        for values, run in zip(drawn, (found.base, generalized, redundant), strict=True):
             np.testing.assert_array_equal(values, run["M_w"])
 
     def test_what_plot_draws_has_six_panels_with_units(self, found):

@@ -86,7 +86,7 @@ class TestEveryProblem(ProblemSuite):
 
 @pytest.mark.parametrize(("scene_name", "model", "formulation"), UNSTABLE)
 @pytest.mark.parametrize("steps", [200, 800])
-def test_no_step_size_saves_the_original_equations_in_generalised_coordinates(scene_name, model, formulation, steps):
+def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(scene_name, model, formulation, steps):
     (of,) = (each.formulation for each in FORMULATIONS if each.formulation.name == formulation)
     step = scene(scene_name).reference.duration / steps
     with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved"):

@@ -208,7 +208,7 @@ def test_a_path_without_enough_derivatives_is_refused():
 # Failures ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_original_equations_of_the_generalised_crane_blow_up_and_say_where():
+def test_the_original_equations_of_the_generalized_crane_blow_up_and_say_where():
     """The control: at 0.1 s round-off grows until some step has no solution, and says which."""
     with pytest.raises(sc.IntegrationFailed) as caught:
         solve(formulation=sc.Original(), model="generalized", step=0.1)

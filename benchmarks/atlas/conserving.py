@@ -96,7 +96,7 @@ class Mechanism:
         return self._conserving(replace(self.system, potential=ca.SX(self.system.potential) + 0), h)  # no summands
 
     def runge_kutta(self, h: float) -> tuple[ca.Function, Array]:
-        """Return a step of the classical method on the constraints differentiated twice and stabilised."""
+        """Return a step of the classical method on the constraints differentiated twice and stabilized."""
         u, d = ca.DM.zeros(len(self.system.inputs)), ca.DM.zeros(len(self.system.outputs))
         old = ca.MX.sym("old", 2 * self.n)
         return ca.Function("step", [old], [compile_plant(self.system).step(old, u, u, d, self.p, h)]), self.start

@@ -20,7 +20,7 @@ STEPS = {
 QUICK = {"cars": (400, 4000, 20_000, 40_000)}
 FLOOR_STEPS = (4000, 10_000, 20_000, 40_000, 100_000)
 SMOOTH = polynomial(17)
-"""C^8: the discretisation error of BDF4 disappears, and what is left is round-off."""
+"""C^8: the discretization error of BDF4 disappears, and what is left is round-off."""
 ROUND_OFF = 2.0**-52
 
 
@@ -40,7 +40,7 @@ def measure(quick: bool) -> Findings:
 
 
 def _projected_floor(found: Findings) -> None:
-    """Make the discretisation error small, and see the round-off of the projected form grow."""
+    """Make the discretization error small, and see the round-off of the projected form grow."""
     cars = sc.scenes.cars()
     smooth = cars.with_reference(sc.rest_to_rest((0.0,), (1.0,), cars.reference.duration, SMOOTH))
     h = cars.reference.duration / np.array(FLOOR_STEPS)
@@ -105,7 +105,7 @@ ROW = Row(
     avoid="`Original()` (index 5), and smaller steps as the cure",
     do="`Reduced()`, what `solve` takes by itself; `Projected()` where a step method is wanted",
     theory="Backward Euler on (1) forms inputs from fourth differences of positions. Round-off ε in positions becomes"
-    " ε/h⁴ in inputs: below some step the error grows like h⁻⁴, while the discretisation error falls like h only. The"
+    " ε/h⁴ in inputs: below some step the error grows like h⁻⁴, while the discretization error falls like h only. The"
     " projected form divides by h², the reduced form by nothing.",
     survivor="`Reduced()` has no step in its error: {cars_reduced:.1e} on the cars and {rotary_crane_reduced:.1e} on"
     " the crane at every h. `Projected()` stays of first order.",

@@ -13,7 +13,7 @@ from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_le
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, looks, panels
 from servocore import periodic
-from servocore.stepping.forward_dynamics import STABILISATION_RATE
+from servocore.stepping.forward_dynamics import STABILIZATION_RATE
 
 NAME = "drift-off"
 STEP = 0.004
@@ -62,9 +62,9 @@ def one_step(rate: float, project: bool) -> ca.Function:
     system = pendulum()
     state = ca.vertcat(system.q, system.v)
     g_dot = ca.mtimes(system.G, system.v)
-    stabilised = ca.jtimes(g_dot, system.q, system.v) + 2 * rate * g_dot + rate**2 * system.constraints
+    stabilized = ca.jtimes(g_dot, system.q, system.v) + 2 * rate * g_dot + rate**2 * system.constraints
     matrix = ca.blockcat([[system.mass, system.G.T], [system.G, ca.SX(1, 1)]])
-    found = -ca.solve(matrix, ca.vertcat(system.bias, stabilised))
+    found = -ca.solve(matrix, ca.vertcat(system.bias, stabilized))
     field = ca.Function("field", [state], [ca.vertcat(system.v, found[:2])])
     k1 = field(state)
     k2 = field(state + STEP / 2 * k1)
@@ -97,7 +97,7 @@ def measure(quick: bool) -> Findings:
     for name, rate, project, power in (
         ("index 1: g'' = 0, RK4", 0.0, False, 2.0),
         ("index 2: g' = 0, RK4", 0.0, True, 1.0),
-        (f"index 1 stabilised: a = {STABILISATION_RATE:g}/s, RK4", STABILISATION_RATE, False, 0.0),
+        (f"index 1 stabilized: a = {STABILIZATION_RATE:g}/s, RK4", STABILIZATION_RATE, False, 0.0),
     ):
         t, g, _ = free_swing(one_step(rate, project), steps)
         found.curves[name] = (t, g)
@@ -107,7 +107,7 @@ def measure(quick: bool) -> Findings:
         found.add("pendulum, free", name, "power of t with which |g| grows", where, about(power, 0.15), growth, verdict)
         bound = at_least(1e-9) if power else at_most(1e-6)
         found.add("pendulum, free", name, "|g| at the end [m2]", where, bound, g[-1], verdict)
-        found.facts[f"index{name[6]}" if power else "stabilised"] = g[-1]
+        found.facts[f"index{name[6]}" if power else "stabilized"] = g[-1]
     _simulated(found)
     _followed(found, 20_000 if quick else steps)
     found.facts.update(steps=steps, step_ms=STEP * 1e3)
@@ -115,11 +115,11 @@ def measure(quick: bool) -> Findings:
 
 
 def _simulated(found: Findings) -> None:
-    """Run the library's forward dynamics, which are stabilised, for a minute of swinging."""
+    """Run the library's forward dynamics, which are stabilized, for a minute of swinging."""
     t = np.linspace(0.0, 60.0, 601)
     free = sc.simulate(scene(24), lambda _: np.zeros(1), t=t)
     worst = free.statistics.constraint_violation
-    found.add("pendulum, free", "sc.simulate", "|g| over 60 s [m2]", f"a = {STABILISATION_RATE:g}/s", at_most(1e-8),
+    found.add("pendulum, free", "sc.simulate", "|g| over 60 s [m2]", f"a = {STABILIZATION_RATE:g}/s", at_most(1e-8),
               worst, SURVIVES)  # fmt: skip
     found.facts["simulate"] = worst
 
@@ -151,16 +151,16 @@ def draw(found: Findings) -> Figure:
 ROW = Row(
     name=NAME,
     title="Drift-off after index reduction",
-    avoid="integrating differentiated constraints (g'' = 0 or g' = 0) without stabilisation",
-    do="`Projected()` or `Reduced()`, which keep the constraints themselves; `simulate`, which stabilises them",
+    avoid="integrating differentiated constraints (g'' = 0 or g' = 0) without stabilization",
+    do="`Projected()` or `Reduced()`, which keep the constraints themselves; `simulate`, which stabilizes them",
     theory="Every step commits a small error in g''. Nothing in g'' = 0 takes it back: g' grows linearly and g"
     " quadratically in time (index 1); with g' = 0 held exactly g grows linearly (index 2). Baumgarte's"
     " g'' + 2 a g' + a² g = 0 forgets errors at the rate a.",
     survivor="The projected forms solve g = 0 in every step, the reduced form solves all derivatives at once: after"
-    " {steps:.0e} steps |g| is at most {held:.0e} m². Stabilised forward dynamics stay where they are.",
-    limit="With a = 10/s and RK4 at {step_ms:.0f} ms the stabilised violation settles at {stabilised:.1e} m²: a level"
+    " {steps:.0e} steps |g| is at most {held:.0e} m². Stabilized forward dynamics stay where they are.",
+    limit="With a = 10/s and RK4 at {step_ms:.0f} ms the stabilized violation settles at {stabilized:.1e} m²: a level"
     " set by the step, not by time (`simulate` controls its step and stays below {simulate:.0e} m²). Without"
-    " stabilisation {index1:.1e} m² (index 1) and {index2:.1e} m² (index 2) after {steps:.0e} steps, and growing.",
+    " stabilization {index1:.1e} m² (index 1) and {index2:.1e} m² (index 2) after {steps:.0e} steps, and growing.",
     caption="Largest violation of the rod's length, chunk by chunk of 10000 steps.",
     measure=measure,
     draw=draw,

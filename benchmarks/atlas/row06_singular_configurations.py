@@ -224,7 +224,7 @@ ROW = Row(
     do="the default model `points` with `Reduced()`; heed the warning of inputs that are off by half their peak",
     theory="With z'' → −g the rope force and with it every direction vanish; on the slewing axis the bridge angle is"
     " undefined; with the load at girder height the rope lies flat. Beyond, there is no solution. At a swing of 90°"
-    " only the generalised coordinates are singular: their angles lose meaning, the points do not. On the way there"
+    " only the generalized coordinates are singular: their angles lose meaning, the points do not. On the way there"
     " angles turn ever faster, and a step that turns an angle by half a turn cannot be told from one the other way"
     " round. Direction cosines stand less: where a director turns by Δ₁ after Δ₀, backward Euler finds"
     " 2 sin Δ₁ − sin(Δ₁ + Δ₀) in place of Δ₁ − Δ₀, a torque of about J Δ³/h² too much.",
@@ -233,7 +233,7 @@ ROW = Row(
     " `generalized` and `bodies`: {silent_points:d}, {silent_generalized:d} and {silent_bodies:d}.",
     limit="Nearest distances solved: slack rope {slack_rope_reduced_points:g} m/s² (error {slack_rope_error:.0e}), axis"
     " {slewing_axis_reduced_points:g} m, girder {girder_height_reduced_points:g} m (error {girder_height_error:.0e},"
-    " growing like the inverse of the depth), swing {rope_horizontal_reduced_points:g}° short of 90°. In generalised"
+    " growing like the inverse of the depth), swing {rope_horizontal_reduced_points:g}° short of 90°. In generalized"
     " coordinates the reduced form is right to {rope_horizontal_reduced_generalized:g}° short of it and to"
     " {slack_rope_reduced_generalized:g} m/s² from slack. From 1e-5 m below the girder on runs come with the warning"
     " that the rope's constraint loses rank, right as they are. Steps that turn an angle among the coordinates by"

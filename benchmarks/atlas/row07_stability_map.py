@@ -152,10 +152,10 @@ ROW = Row(
     survivor="The reduced form of the default model has no window: all of its {cells:d} runs are right, the worst to"
     " {reduced_worst:.0e}. Radau IIA(3) on the projected form is within 1 % in {projected_radau3_share:.0%} of them,"
     " backward Euler in {projected_backward_euler_share:.0%}.",
-    limit="In generalised coordinates the reduced form gives up in {reduced_gen_failed:d} of {cells:d} runs,"
+    limit="In generalized coordinates the reduced form gives up in {reduced_gen_failed:d} of {cells:d} runs,"
     " where the rope swings far from the vertical of its first guess, and says so. Beyond slack every route refuses.",
     caption="Overhead crane, 5 m sideways and 3 m down: error by number of steps and by the largest downward"
-    " acceleration; gen.: generalised coordinates. Black with ×: the run failed with an error; r: refused."
+    " acceleration; gen.: generalized coordinates. Black with ×: the run failed with an error; r: refused."
     " Anything darker than mid-scale is useless.",
     measure=measure,
     draw=draw,

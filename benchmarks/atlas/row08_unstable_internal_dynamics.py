@@ -114,7 +114,7 @@ def _tip_arrives(found: Findings, arm: sc.Scene) -> None:
     solution = quietly(arm, step=0.005)
     moved = sc.simulate(arm, solution, rtol=1e-11, atol=1e-12)
     values = arm.parameter_values()
-    # y is the linearised angle of the tip: times its distance from the pivot it is a way.
+    # y is the linearized angle of the tip: times its distance from the pivot it is a way.
     length = float(values["first_length"] + values["tracked_distance"])
     way = length * float(np.ptp(arm.reference.jet(np.array([0.0, 2.0]), 0)[:, 0, 0]))
     error = float(moved["tracking_error"].max()) * length / way

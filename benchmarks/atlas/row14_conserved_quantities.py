@@ -41,7 +41,7 @@ def measure(quick: bool) -> Findings:
             _others(found, mechanism, h, steps, shown=(make, h) == SHOWN)
         if not quick:
             drift = mechanism.simulated(steps * sizes[-1], 201).energy[-1]
-            found.add(mechanism.system.name, "sc.simulate (stabilised, error control)", _change(ENERGY),
+            found.add(mechanism.system.name, "sc.simulate (stabilized, error control)", _change(ENERGY),
                       f"{steps * sizes[-1]:g} s", at_least(LOST), drift, FAILS)  # fmt: skip
             found.facts["controlled"] = max(found.facts.get("controlled", 0.0), drift)
     _steps_in_turn(found, Mechanism(SHOWN[0]()), 2.0 if quick else 20.0)
@@ -78,7 +78,7 @@ def _others(found: Findings, mechanism: Mechanism, h: float, steps: int, *, show
         "midpoint": mechanism.midpoint,
         "trapezoidal, index 3": mechanism.method(sc.Trapezoidal()),
         "generalized-alpha-0.8, index 3": mechanism.method(sc.GeneralizedAlpha(0.8)),
-        "RK4, stabilised": mechanism.runge_kutta,
+        "RK4, stabilized": mechanism.runge_kutta,
     }
     stored = bool(getattr(mechanism.system.potential, "stored", ()))
     for route, method in routes.items():
@@ -105,7 +105,7 @@ def _steps_in_turn(found: Findings, mechanism: Mechanism, duration: float) -> No
         "energy-momentum": (mechanism.energy_momentum, None),
         "midpoint": (mechanism.midpoint, 2.0),
         "generalized-alpha-0.8, index 3": (mechanism.method(sc.GeneralizedAlpha(0.8)), None),
-        "RK4, stabilised": (mechanism.runge_kutta, 4.5),  # it errs by h^4, and damps by h^5
+        "RK4, stabilized": (mechanism.runge_kutta, 4.5),  # it errs by h^4, and damps by h^5
     }
     for route, (method, order) in routes.items():
         drifts = np.array([mechanism.march(method, each, round(duration / each)).energy[-1] for each in h])
@@ -158,7 +158,7 @@ def draw(found: Findings) -> Figure:
 ROW = Row(
     name=NAME,
     title="Energy and momentum that drift",
-    avoid="implicit methods without a discrete energy balance on index 3 (trapezoidal, generalised-alpha), and index"
+    avoid="implicit methods without a discrete energy balance on index 3 (trapezoidal, generalized-alpha), and index"
     " reduction, for mechanisms that nothing damps and that move for long",
     do="`simulate(..., method=sc.EnergyMomentum(), step=h)`; a smaller step where it says that something turns too far",
     theory="Forces at the ends or in the middle of a step do other work than the change of their potential; constraint"

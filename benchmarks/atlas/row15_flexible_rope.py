@@ -114,7 +114,7 @@ def _swinging(found: Findings, elements: int, steps: int) -> None:
         "midpoint": mechanism.midpoint,
         "trapezoidal, index 3": mechanism.method(sc.Trapezoidal()),
         "generalized-alpha-0.8, index 3": mechanism.method(sc.GeneralizedAlpha(0.8)),
-        "RK4, stabilised": mechanism.runge_kutta,
+        "RK4, stabilized": mechanism.runge_kutta,
     }
     where = f"{elements} elements, h = {1e3 * STEP:g} ms"
     for route, method in routes.items():

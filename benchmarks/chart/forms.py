@@ -4,7 +4,7 @@ Nothing is held back from a peer: coordinates that the servo constraints prescri
 possible, unknowns are divided by their peaks over the exact run and equations by their largest derivative, and the
 initial values are exact. Three forms:
 
-* ``projected``: equation (29), or (19) on generalised coordinates: index 3 (2 where internal dynamics remain);
+* ``projected``: equation (29), or (19) on generalized coordinates: index 3 (2 where internal dynamics remain);
 * ``reduced``, derivative array: nothing to integrate where there are no internal dynamics, otherwise
   their states are the differential unknowns (index 1);
 * ``reduced``, inputs as derivatives: one differentiation less; the inputs, and the multipliers that need as many

@@ -1,4 +1,4 @@
-"""The library's own routes, and the vectorised closed form: lists of settings, made into candidates."""
+"""The library's own routes, and the vectorized closed form: lists of settings, made into candidates."""
 
 from __future__ import annotations
 
@@ -214,11 +214,11 @@ def _read(problem: Problem, found: tuple[sc.Solution, Array]) -> Answer:
 
 def _remark(answer: tuple[sc.Solution, Array]) -> str:
     found = answer[0].statistics
-    return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorisations} factorisations"
+    return f"{found.steps} steps, {found.newton_iterations} iterations, {found.factorisations} factorizations"
 
 
 def closed_form(problem: Problem) -> list[Candidate]:
-    """Return the formula of the exact answer by vectorised NumPy on the output grid."""
+    """Return the formula of the exact answer by vectorized NumPy on the output grid."""
     scene = problem.scene
     if scene.closed_form is None:
         return []
@@ -232,5 +232,5 @@ def closed_form(problem: Problem) -> list[Candidate]:
 
         return Prepared(run, lambda found: Answer({name: found[name] for name in problem.inputs}, 0.0))
 
-    return [Candidate(problem, CLOSED_FORM, "none", "closed form", "vectorised NumPy", f"{OUTPUT_INTERVALS} intervals",
+    return [Candidate(problem, CLOSED_FORM, "none", "closed form", "vectorized NumPy", f"{OUTPUT_INTERVALS} intervals",
                       prepare)]  # fmt: skip

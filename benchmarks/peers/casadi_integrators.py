@@ -4,7 +4,7 @@ Both ask for x' = f(x, z, t), 0 = g(x, z, t). Derivatives that a form does not g
 unknowns w, with x' = w. Jacobians are CasADi's own, and the integrator is called on arrays in place, without CasADi's
 conversions of matrices. `collocation` reports at the ends of its elements; where these are fewer than the intervals of
 the output grid, a spline of degree 7 brings the inputs there. Its systems are solved by KINSOL, which keeps
-factorisations and takes half the time of CasADi's `newton` and `fast_newton` here, with the loosest tolerance that
+factorizations and takes half the time of CasADi's `newton` and `fast_newton` here, with the loosest tolerance that
 costs no accuracy.
 """
 

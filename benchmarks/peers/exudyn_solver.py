@@ -1,8 +1,8 @@
-"""Exudyn: multibody dynamics in C++, generalised-alpha of index 3, and the trapezoidal rule with index-2 constraints.
+"""Exudyn: multibody dynamics in C++, generalized-alpha of index 3, and the trapezoidal rule with index-2 constraints.
 
 It has no servo constraints: a constraint acts along its own gradient there, never along an actuator elsewhere. So the
 algebraic part of the projected form is eliminated by hand: the motion of the actuated coordinates, which the path fixes
-algebraically for flat scenes, is prescribed to the model on generalised coordinates, and the multipliers of these
+algebraically for flat scenes, is prescribed to the model on generalized coordinates, and the multipliers of these
 constraints are the inputs. The passive coordinates then swing freely, from rest. Mass matrix and forces are user
 functions compiled by CasADi. Scenes with internal dynamics do not fix their actuated coordinates algebraically, and
 nothing in Exudyn takes a reduced form, which is no mechanism any more: both are listed with this reason.
@@ -27,14 +27,14 @@ NAME, DISTRIBUTION = "exudyn", "exudyn"
 
 DIVISIONS = (1, 2, 4, 8, 16)  # of each interval of the output grid
 METHODS = {
-    "generalised-alpha, 0.9": (0.9, False),
-    "generalised-alpha, 0.5": (0.5, False),
+    "generalized-alpha, 0.9": (0.9, False),
+    "generalized-alpha, 0.5": (0.5, False),
     "index-2 trapezoidal": (1.0, True),
 }
 
 
 def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
-    """List constant steps on the model of generalised coordinates."""
+    """List constant steps on the model of generalized coordinates."""
     import exudyn  # noqa: F401, PLC0415
 
     names = list(problem.scene.models)

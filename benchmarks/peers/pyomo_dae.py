@@ -4,7 +4,7 @@
 one, the load at rest at every instant: from constant values IPOPT takes wrong branches, or does not converge. The
 discretized model goes through pyomo's own ``nl`` file to the IPOPT (with MUMPS) that CasADi brings, with exact first
 and second derivatives, because no executable of IPOPT comes from the package index. Only the call of IPOPT is timed:
-building, discretising and writing the model, seconds each, count as preparation. With fewer elements than output
+building, discretizing and writing the model, seconds each, count as preparation. With fewer elements than output
 intervals a spline of degree 7 brings the inputs there.
 """
 
@@ -55,7 +55,7 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
 
 
 def prepare(form: Form, points: int, elements: int) -> Prepared:
-    """Build and discretise the model, and hand it to IPOPT through its file."""
+    """Build and discretize the model, and hand it to IPOPT through its file."""
     from pyomo.repn.plugins.nl_writer import NLWriter  # noqa: PLC0415
 
     m = build(form, points, elements)

@@ -115,4 +115,4 @@ def _read(t: Array, answer: Callable[[Array, Array, Array], Answer], found: tupl
 
 
 def _remark(found: tuple[Any, Array]) -> str:
-    return f"{found[0].nfev} residuals, {found[0].njev} Jacobians, {found[0].nlu} factorisations"
+    return f"{found[0].nfev} residuals, {found[0].njev} Jacobians, {found[0].nlu} factorizations"

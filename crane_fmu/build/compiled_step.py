@@ -42,7 +42,7 @@ def compiled_steps(programs: Mapping[str, str], notice: Callable[[str], None]) -
     Parameters
     ----------
     programs : mapping of str to str
-        Serialised programs by file name.
+        Serialized programs by file name.
     notice : callable
         Called with a sentence when libraries are left out.
 

@@ -9,7 +9,7 @@ window that has some. Where samples are exact the shortest window wins: derivati
 h^(7 - j), snap one of h^3.
 
 A fit is a sum over polynomials that are orthogonal on the samples, made by their recurrence of three terms: that
-needs no factorisation, whatever the times of the samples are. Windows of similar length share a function, in which
+needs no factorization, whatever the times of the samples are. Windows of similar length share a function, in which
 places of samples are left out.
 """
 

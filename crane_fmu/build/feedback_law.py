@@ -13,7 +13,7 @@ nearly linear also close to the axis, where the bridge turns far. Deviations e o
 over a step, from the motion that has the load on its path under the force d that disturbs it: a rope that holds a load
 against a force leans as one that accelerates it. delta is computed in advance: the nonlinear crane is sent over the
 step from its place on the path. With *start* e is measured, and simulated over the step in which nothing can be changed
-any more. K minimises the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e + B' w is part of the memory: some
+any more. K minimizes the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e + B' w is part of the memory: some
 Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
 prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
 

@@ -50,8 +50,8 @@ REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
             " to repeat a step restore the FMU's state first",
         ),
         (
-            "a step before the initialisation",
-            "doStep needs a finished initialisation, but the FMU is instantiated",
+            "a step before the initialization",
+            "doStep needs a finished initialization, but the FMU is instantiated",
         ),
         ("a parameter outside its range", "load_mass = -1 kg is outside its range [0.001, 1e+09] kg"),
         (

@@ -1,4 +1,4 @@
-"""The crane over a step, nonlinear and linearised, with less work where a step is short.
+"""The crane over a step, nonlinear and linearized, with less work where a step is short.
 
 A step is short where the fastest pendulum turns little in it. There one Runge-Kutta step does what two do elsewhere,
 and fewer terms of a series. What is not needed is not computed: functions branch.
@@ -55,11 +55,11 @@ def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
 
 
 def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
-    """Return (whether the step is short, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B of the linearised crane.
+    """Return (whether the step is short, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B of the linearized crane.
 
     phi_k are the functions behind the matrix exponential.
     """
-    linear, begin, term, driven = _linearised(system, forces), *_series(system.q.numel(), system.u.numel())
+    linear, begin, term, driven = _linearized(system, forces), *_series(system.q.numel(), system.u.numel())
     rates = [ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(("K", "D", "B"))]
     h = ca.MX.sym("h")
     K, D, B = rates
@@ -78,7 +78,7 @@ def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     return ca.Function("sampled", [is_short, *given, h], found.call(arguments))
 
 
-def _linearised(system: sc.MechanicalSystem, forces: int) -> ca.Function:
+def _linearized(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     """Return (state, u, d, p) -> K, D, B of the accelerations K q + D v + B u about a state."""
     n = system.q.numel()
     p, a, d = system.p, ca.SX.sym("a", n), ca.SX.sym("d", forces)
@@ -89,7 +89,7 @@ def _linearised(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
     given = [ca.vertcat(system.q, system.v), system.u, d, p]
     return function(
-        "linearised", given, [ca.densify(each) for each in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
+        "linearized", given, [ca.densify(each) for each in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
     )
 
 

@@ -177,9 +177,9 @@ def error_table(study: Study) -> Table:
 
 def _paper(study: Study) -> list[Part]:
     step = study.steps[0]
-    redundant, generalised = study.paper["bodies", step], study.paper["generalized", step]
+    redundant, generalized = study.paper["bodies", step], study.paper["generalized", step]
     return [
-        "What follows is the scheme of the paper (form projected, method backward Euler). Redundant and generalised"
+        "What follows is the scheme of the paper (form projected, method backward Euler). Redundant and generalized"
         " coordinates give the same inputs up to the error of the step. That error is of the first order and seen here"
         " as a delay against the default; it halves with the step, in every model, and so does the difference"
         " between any two models. The motion is exact.",
@@ -187,8 +187,8 @@ def _paper(study: Study) -> list[Part]:
             "inputs_paper",
             "The inputs by the scheme of the paper, over those by the default",
             f"{PAPER}, step {step:g} s; and {DEFAULT}",
-            "Redundant coordinates: model bodies, generalised ones: model generalized.",
-            trajectories.inputs_compared(redundant, generalised, study.base),
+            "Redundant coordinates: model bodies, generalized ones: model generalized.",
+            trajectories.inputs_compared(redundant, generalized, study.base),
         ),
         paper_table(study),
         difference_table(study),

@@ -120,11 +120,11 @@ def reference_function(reference: sc.Reference) -> Figure:
     return figure
 
 
-def inputs_compared(redundant: sc.Solution, generalised: sc.Solution, default: sc.Solution) -> Figure:
+def inputs_compared(redundant: sc.Solution, generalized: sc.Solution, default: sc.Solution) -> Figure:
     """Return the inputs of both sets of coordinates on top of each other, by one scheme, with those by the default."""
     curves = (
         Curve("default: exact inversion", default.t, default, DEFAULT_LINE),
-        Curve("generalised coordinates (GEN)", generalised.t, generalised, PAPER_LINE),
+        Curve("generalized coordinates (GEN)", generalized.t, generalized, PAPER_LINE),
         Curve("redundant coordinates (RED)", redundant.t, redundant, REDUNDANT),
     )
     return stack(INPUTS, curves, height=2.1)

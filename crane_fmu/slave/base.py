@@ -23,7 +23,7 @@ from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 
 _STATE_FORMAT = "servocore fmu state 2"
-_INSTANTIATED, _INITIALISING, _STEPPING, _TERMINATED = "instantiated", "initialising", "stepping", "terminated"
+_INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED = "instantiated", "initializing", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
 _BUNDLE = Path(__file__).parents[2].name
 
@@ -59,9 +59,9 @@ class State(Protocol):
 
 
 def required(found: Found | None) -> Found:
-    """Return what an initialisation has made; raises `InvalidSetting` if there was none."""
+    """Return what an initialization has made; raises `InvalidSetting` if there was none."""
     if found is None:
-        raise InvalidSetting("the FMU is not initialised")
+        raise InvalidSetting("the FMU is not initialized")
     return found
 
 
@@ -108,7 +108,7 @@ class TableSlave(GuardedSlave):
 
     @abstractmethod
     def _prepare(self) -> None:
-        """Make ready for the settings, which are fixed once the initialisation is over."""
+        """Make ready for the settings, which are fixed once the initialization is over."""
 
     @abstractmethod
     def _begin(self, time: float) -> State:
@@ -142,16 +142,16 @@ class TableSlave(GuardedSlave):
     def enter_initialization_mode(self) -> None:
         """From now on outputs are computed when they are read."""
         self._require_phase("enterInitializationMode", _INSTANTIATED)
-        self._phase = _INITIALISING
+        self._phase = _INITIALIZING
         self._stale = True
 
     @guarded(nothing)
     def exit_initialization_mode(self) -> None:
         """Compute the outputs at the start time; a failure is told again by every step."""
-        self._require_phase("exitInitializationMode", _INITIALISING)
+        self._require_phase("exitInitializationMode", _INITIALIZING)
         self._phase = _STEPPING
         if self._stale:
-            self._initialise()
+            self._initialize()
 
     @guarded(nothing)
     def terminate(self) -> None:
@@ -163,7 +163,7 @@ class TableSlave(GuardedSlave):
         if self._phase != phase:
             raise InvalidSetting(f"{call} is ignored: the FMU is {self._phase}, not {phase}")
 
-    def _initialise(self) -> None:
+    def _initialize(self) -> None:
         self._stale = False
         self._snapshot = None
         try:
@@ -175,7 +175,7 @@ class TableSlave(GuardedSlave):
                 self._adopt(self._begin(self._start_time))
             self._failure = ""
         except BaseException as error:
-            self._failure = f"the initialisation failed: {error}"
+            self._failure = f"the initialization failed: {error}"
             for k in self._outputs:
                 self._reals[k] = math.nan
             raise InvalidSetting(self._failure) from error
@@ -193,7 +193,7 @@ class TableSlave(GuardedSlave):
 
     def _ready(self) -> State:
         if self._phase != _STEPPING:
-            raise InvalidSetting(f"doStep needs a finished initialisation, but the FMU is {self._phase}")
+            raise InvalidSetting(f"doStep needs a finished initialization, but the FMU is {self._phase}")
         if self._snapshot is None:
             raise InvalidSetting(self._failure or "the FMU has no state to step from")
         return self._snapshot
@@ -260,7 +260,7 @@ class TableSlave(GuardedSlave):
         variable = self._interface.variables[vr]
         late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
         if late or variable.causality == "output" or variable.is_choice != choice:
-            reason = "cannot change after the initialisation" if late else "cannot be set as such"
+            reason = "cannot change after the initialization" if late else "cannot be set as such"
             self.remark(f"{variable.name} {reason}; the new value is ignored")
             return False
         return True
@@ -274,10 +274,10 @@ class TableSlave(GuardedSlave):
 
     @guarded(lambda vrs: [math.nan] * len(vrs))
     def get_real(self, vrs: list[int]) -> list[float]:
-        """Return values; during initialisation the outputs follow the inputs set so far."""
-        if self._phase == _INITIALISING and self._stale:
+        """Return values; during initialization the outputs follow the inputs set so far."""
+        if self._phase == _INITIALIZING and self._stale:
             try:
-                self._initialise()
+                self._initialize()
             except BaseException as error:  # the outputs are not numbers then; the inputs still are
                 self.report_error("get_real", error)
         reals = self._reals
@@ -296,8 +296,8 @@ class TableSlave(GuardedSlave):
 
     @guarded(lambda: {})
     def _get_fmu_state(self) -> dict[str, Any]:
-        # while initialising, what was computed before a setting changed is obsolete, and may not fit the settings
-        snapshot = None if self._stale and self._phase == _INITIALISING else self._snapshot
+        # while initializing, what was computed before a setting changed is obsolete, and may not fit the settings
+        snapshot = None if self._stale and self._phase == _INITIALIZING else self._snapshot
         return {
             "format": _STATE_FORMAT,
             "guid": self.guid,

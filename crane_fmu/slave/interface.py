@@ -141,7 +141,7 @@ class Interface:
         return Interface(tuple(replace(each, start=given.get(each.name, each.start)) for each in self.variables))
 
     def to_json(self) -> str:
-        """Serialise; equal tables give equal text."""
+        """Serialize; equal tables give equal text."""
         return json.dumps([asdict(each) for each in self.variables], indent=1, sort_keys=True)
 
     @classmethod

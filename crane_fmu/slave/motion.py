@@ -118,7 +118,7 @@ def with_path(program: Program, now: Snapshot, jet: Array, p: Array) -> Snapshot
     InvalidReference
         If the jet breaks a limit of the crane.
     InconsistentStart
-        If inputs came only after the initialisation and no values are found for them.
+        If inputs came only after the initialization and no values are found for them.
     """
     if now.step == 0.0 and not np.array_equal(jet, now.jet):
         return begin(program, jet, p, now.time)

@@ -8,7 +8,7 @@ import numpy as np
 
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
-from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearisation
+from servocore.structure.zero_dynamics import DAMPED, internal_equilibrium, linearization
 
 FLAT = "flat"
 MINIMUM_PHASE = "minimum phase"
@@ -19,7 +19,7 @@ SINGULAR = "singular here"
 
 @dataclass(frozen=True)
 class InternalDynamics:
-    """The internal dynamics of a problem, linearised at rest.
+    """The internal dynamics of a problem, linearized at rest.
 
     Attributes
     ----------
@@ -39,14 +39,14 @@ class InternalDynamics:
 
 
 def internal_dynamics(problem: Problem) -> InternalDynamics:
-    """Linearise the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
+    """Linearize the internal dynamics of a problem at rest; unlike `analyse` without a look along the reference."""
     if problem.flat:
         return InternalDynamics(FLAT, ())
-    return problem.resolved.once(_linearised, tuple(problem.p.tolist()))
+    return problem.resolved.once(_linearized, tuple(problem.p.tolist()))
 
 
-def _linearised(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
-    linear = resolved.once(linearisation, resolved.once(inversion))
+def _linearized(resolved: ResolvedSystem, p: tuple[float, ...]) -> InternalDynamics:
+    linear = resolved.once(linearization, resolved.once(inversion))
     eigenvalues = internal_equilibrium(linear, np.array(p), np.array(resolved.system.home)).eigenvalues
     return InternalDynamics(_classified(eigenvalues), eigenvalues)
 

@@ -18,7 +18,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
-        """Summarise at least one value."""
+        """Summarize at least one value."""
         lower, median, upper = (float(each) for each in np.percentile(values, (25, 50, 75)))
         return cls(median, lower, upper)
 

@@ -86,7 +86,7 @@ Other work may have shared the machine: trust the ratios.
   is of first order in the step, and the figures hold for {instants} instants.
 * With internal dynamics the exact row has the error of its integration, and of the independent solution that it is
   compared with.
-* Fewer coordinates do not mean less work: generalised coordinates fill the mass matrix with sines, and their equations
+* Fewer coordinates do not mean less work: generalized coordinates fill the mass matrix with sines, and their equations
   do not fall apart into blocks ([decision 3](decisions/0003-block-triangular-newton.md)).
 * A route that a model does not offer says why below its table.
 * `servocore levels SCENE --csv FILE.csv` writes the figures for machines, `--parameters FILE.toml` takes other data.

@@ -1,4 +1,4 @@
-"""The equations of motion as they stand, equation (1), or (10) on generalised coordinates."""
+"""The equations of motion as they stand, equation (1), or (10) on generalized coordinates."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The projected equations: (29) on redundant coordinates, (19) on generalised ones."""
+"""The projected equations: (29) on redundant coordinates, (19) on generalized ones."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from servocore.structure.projection import project
 
 @dataclass(frozen=True)
 class Projected:
-    """Equation (29), and (19) when the system has generalised coordinates: index 3 for the crane.
+    """Equation (29), and (19) when the system has generalized coordinates: index 3 for the crane.
 
     The momentum equation is split by D^T and C M^-1; the second part, with the servo constraint differentiated
     twice in place of the accelerations, is algebraic. Needs inertia in the servo constrained directions; elsewhere

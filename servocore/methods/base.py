@@ -197,7 +197,7 @@ def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
 
 
 def instantaneous(dae: Dae) -> Discretisation:
-    """Return the one discretisation of a `Dae` without differential states: its equations, at the new instant."""
+    """Return the one discretization of a `Dae` without differential states: its equations, at the new instant."""
     reference, (gamma,) = dae.reference_symbols(1)
     old, h, start = ca.SX.sym("old", dae.z.numel()), ca.SX.sym("h"), Start.of(dae)
     residual, first = dae.at(dae.h, dae.x, dae.z, gamma), start.values[:, 0]
@@ -235,7 +235,7 @@ def on_history(
     Parameters
     ----------
     dae : Dae
-        What is discretised; its x and z are the unknowns of the step.
+        What is discretized; its x and z are the unknowns of the step.
     history : casadi.SX
         Symbols of the state, shape (len x + len z, instants).
     residual : casadi.SX

@@ -88,7 +88,7 @@ class _Collocation:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        return _discretise(dae, self.tableau)
+        return _discretize(dae, self.tableau)
 
 
 @dataclass(frozen=True)
@@ -157,8 +157,8 @@ class Gauss(_Collocation):
         return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4)
 
 
-def _discretise(dae: Dae, method: Tableau) -> Discretisation:
-    """Discretise by stage values; the state is the unknowns at the end of the last step and at its stages."""
+def _discretize(dae: Dae, method: Tableau) -> Discretisation:
+    """Discretize by stage values; the state is the unknowns at the end of the last step and at its stages."""
     s, size_x = len(method.c), dae.x.numel()
     size = size_x + dae.z.numel()
     old, past, unknowns = ca.SX.sym("old", size), ca.SX.sym("past", size, s), ca.SX.sym("stage", size, s)

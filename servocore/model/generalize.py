@@ -1,4 +1,4 @@
-"""`generalise`: the same system in generalised coordinates, section 3.1 of the paper."""
+"""`generalise`: the same system in generalized coordinates, section 3.1 of the paper."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def generalise(
     observables: Mapping[Quantity, ca.SX] | None = None,
     name: str | None = None,
 ) -> MechanicalSystem:
-    """Return the same system in generalised coordinates mu with q = F(mu), section 3.1 of the paper.
+    """Return the same system in generalized coordinates mu with q = F(mu), section 3.1 of the paper.
 
     With P = DF and G P = 0 the constraints drop out: M~ = P^T M P, V~ = V(F(mu)), B~ = B P
     and the velocity-dependent inertia forces are P^T M P_dot nu (equations 5 to 12).
@@ -34,7 +34,7 @@ def generalise(
     system : MechanicalSystem
         The system in redundant coordinates q.
     coordinates : Coordinates
-        The generalised coordinates mu; as many as `system` has degrees of freedom.
+        The generalized coordinates mu; as many as `system` has degrees of freedom.
     mapping : casadi.SX
         F(mu, p), shape (n,).
     guess : casadi.SX, optional
@@ -54,7 +54,7 @@ def generalise(
     InvalidModel
         If the number of coordinates is wrong or F leaves the constraint manifold.
     """
-    require_kind(system, MechanicalSystem, "what is generalised", "a MechanicalSystem", InvalidModel)
+    require_kind(system, MechanicalSystem, "what is generalized", "a MechanicalSystem", InvalidModel)
     require_kind(coordinates, Coordinates, f"{system.name}: coordinates", "Coordinates(...)", InvalidModel)
     mapping = as_expression(mapping, f"{system.name}: the mapping")
     mu, nu, P = coordinates.q, coordinates.v, ca.jacobian(mapping, coordinates.q)
@@ -70,7 +70,7 @@ def generalise(
     )
     return replace(
         system,
-        name=name or f"{system.name}, generalised",
+        name=name or f"{system.name}, generalized",
         coordinates=coordinates,
         mass=ca.mtimes([P.T, mass, P]),
         potential=potential,
@@ -98,7 +98,7 @@ def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping
     if len(coordinates) != system.degrees_of_freedom:
         raise InvalidModel(
             f"{system.name} has {system.degrees_of_freedom} degrees of freedom,"
-            f" not {len(coordinates)} generalised coordinates"
+            f" not {len(coordinates)} generalized coordinates"
         )
     if mapping.shape != (n, 1):
         raise InvalidModel(f"{system.name}: the mapping has shape {mapping.shape}, expected {(n, 1)}")

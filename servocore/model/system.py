@@ -5,7 +5,7 @@
     c(q, t) = Phi(q) - gamma(t) = 0            servo constraints, C = D Phi
     g(q, t) = 0                                holonomic constraints, G = D g
 
-`-B^T u` is the generalised force that the inputs exert. M may be singular (massless coordinates), M and B may
+`-B^T u` is the generalized force that the inputs exert. M may be singular (massless coordinates), M and B may
 depend on q. The reference gamma and its derivatives are symbols too: a compiled step serves every path. Where f, V or g
 hold the time, it is one more row of gamma, whose derivatives are 1, 0, 0, ...: whatever a path can do, it can.
 """

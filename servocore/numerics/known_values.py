@@ -66,7 +66,7 @@ class KnownValues:
         return found
 
     def counts(self) -> ca.MX:
-        """Return the iterations of the slowest block, and the factorisations of all."""
+        """Return the iterations of the slowest block, and the factorizations of all."""
         most, total = ca.MX(0), ca.MX(self.linear_blocks)
         for count in self.iterations:
             most, total = ca.fmax(most, count), total + count

@@ -15,7 +15,7 @@ Saved = TypeVar("Saved")
 
 
 def to_json(value: Any, form: str) -> str:
-    """Serialise a dataclass of functions, numbers, texts and tuples of them or of small dataclasses.
+    """Serialize a dataclass of functions, numbers, texts and tuples of them or of small dataclasses.
 
     Parameters
     ----------

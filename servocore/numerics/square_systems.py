@@ -2,7 +2,7 @@
 
 `compile_solver` permutes a system to block triangular form (`casadi.Sparsity.btf`). A block that is linear in one
 or two unknowns becomes an explicit expression; every other block is torn (unknowns that a row gives explicitly are
-substituted) and what remains goes to CasADi's ``fast_newton`` with its sparse QR factorisation. The servo
+substituted) and what remains goes to CasADi's ``fast_newton`` with its sparse QR factorization. The servo
 constraint problems of this library fall apart well: one backward Euler step of the nine-coordinate crane, 25
 unknowns, needs Newton's method on two blocks of three.
 
@@ -141,7 +141,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     -------
     casadi.Function
         givens -> (\*outputs, counts, residual), where counts holds the Newton iterations of the slowest block
-        and the factorisations of all blocks, and residual is the largest scaled residual. NaN says that it failed.
+        and the factorizations of all blocks, and residual is the largest scaled residual. NaN says that it failed.
 
     Raises
     ------

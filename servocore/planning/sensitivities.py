@@ -21,7 +21,7 @@ from servocore.solvers.within_limits import exact_states
 from servocore.stepping.forward_dynamics import forward_rate
 
 _STEPS = 2000
-"""Least number of steps in which the linearised plant is integrated, by the classical method of order four."""
+"""Least number of steps in which the linearized plant is integrated, by the classical method of order four."""
 
 DRIFT = " drift"
 """How the name of an output's deviation ends."""
@@ -37,7 +37,7 @@ class Sensitivities:
         Times in s.
     quantities : tuple of Quantity
         The inputs that the path asks for, and each output with `DRIFT` behind its name: where the load goes instead
-        if the inputs stay as they were, by the linearised plant.
+        if the inputs stay as they were, by the linearized plant.
     parameters : tuple of str
         Names.
     units : tuple of str
@@ -81,7 +81,7 @@ def sensitivities(
     """Return exact derivatives of inputs, and of the motion under given inputs, by parameters.
 
     The inputs follow from the equations and their derivatives at an instant, so that the implicit function theorem
-    gives their derivatives; the motion under the inputs of the present parameters follows the linearised plant, from
+    gives their derivatives; the motion under the inputs of the present parameters follows the linearized plant, from
     the state in which the path asks the plant to start.
 
     Parameters
@@ -172,12 +172,12 @@ def _implicit(resolved: ResolvedSystem) -> ca.Function:
 
 
 def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: list[int]) -> Array:
-    """Return doutputs/dp (steps + 1, m, k) under inputs that stay, by the plant linearised along the motion.
+    """Return doutputs/dp (steps + 1, m, k) under inputs that stay, by the plant linearized along the motion.
 
     `t` holds the ends and the middle of every step.
     """
     n = len(problem.system.coordinates)
-    function = problem.resolved.once(_linearised)
+    function = problem.resolved.once(_linearized)
     found = [each.reshape(each.shape[0], len(t), -1).transpose(1, 0, 2) for each in at_instants(
         function, motion[: 2 * n], motion[2 * n :], jets=np.zeros((len(t), 1, 1)), p=problem.p)]  # fmt: skip
     A, b, C, d = found[0], found[1][:, :, columns], found[2], found[3][:, :, columns]
@@ -193,7 +193,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
     return np.array(held)
 
 
-def _linearised(resolved: ResolvedSystem) -> ca.Function:
+def _linearized(resolved: ResolvedSystem) -> ca.Function:
     """Compile (state, u, nothing, p) -> derivatives of state_dot by state and p, and of the outputs by both."""
     system, rate = resolved.system, forward_rate(resolved.system, held=False)
     state, u, p = (ca.MX.sym(*each) for each in (
@@ -202,4 +202,4 @@ def _linearised(resolved: ResolvedSystem) -> ca.Function:
     output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)
     results = [ca.jacobian(moved, state), ca.jacobian(moved, p), ca.jacobian(output, state), ca.jacobian(output, p)]
     nothing = ca.MX.sym("nothing", 1, 1)
-    return ca.Function("sc_linearised", [state, u, nothing, p], [ca.densify(each) for each in results])
+    return ca.Function("sc_linearized", [state, u, nothing, p], [ca.densify(each) for each in results])

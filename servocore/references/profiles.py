@@ -124,7 +124,7 @@ class Profile(ABC):
 class PolynomialProfile(Profile):
     """The polynomial of degree 2k+1 with k vanishing derivatives at both ends.
 
-    With T = elapsed/duration and R = 1 - T it is the regularised incomplete beta function I_T(k+1, k+1):
+    With T = elapsed/duration and R = 1 - T it is the regularized incomplete beta function I_T(k+1, k+1):
 
         s  = T^(k+1) sum_i binom(k+i, i) R^i        (all terms positive)
         s' = c (T R)^k,   c = (2k+1)!/(k!)^2

@@ -60,7 +60,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Five generalised coordinates s_x, s_y, l and two swing angles; singular where swing_y = 90 degrees."""
+    """Five generalized coordinates s_x, s_y, l and two swing angles; singular where swing_y = 90 degrees."""
     return hanging_load.swinging(points(), "gantry crane, generalized", [BRIDGE, TROLLEY], SWINGS)
 
 

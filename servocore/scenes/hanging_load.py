@@ -119,7 +119,7 @@ def on_rails(
 def swinging(
     base: MechanicalSystem, name: str, rails: Sequence[Quantity], swings: Sequence[Quantity]
 ) -> MechanicalSystem:
-    """Return a crane `on_rails` in generalised coordinates: rails, rope length and one swing angle a rail.
+    """Return a crane `on_rails` in generalized coordinates: rails, rope length and one swing angle a rail.
 
     Parameters
     ----------

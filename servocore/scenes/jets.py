@@ -38,7 +38,7 @@ class Jet:
     Attributes
     ----------
     coefficients : ndarray, shape (order+1, *shape)
-        Normalised Taylor coefficients f^(k)/k!.
+        Normalized Taylor coefficients f^(k)/k!.
     """
 
     coefficients: FloatArray

@@ -89,7 +89,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Two generalised coordinates x and s, derived from `points`."""
+    """Two generalized coordinates x and s, derived from `points`."""
     base = points()
     coordinates = Coordinates(CAR, SLIDE)
     x, s = ca.vertsplit(coordinates.q)

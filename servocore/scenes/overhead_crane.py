@@ -42,7 +42,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Three generalised coordinates s, l and the swing angle."""
+    """Three generalized coordinates s, l and the swing angle."""
     return hanging_load.swinging(points(), "overhead crane, generalized", [TROLLEY], [SWING])
 
 

@@ -65,7 +65,7 @@ PARAMETERS = Parameters(
     Parameter("tracked_distance", INSIDE, "m", 0.0, 1e3, "y_2, from joint 2 to the tracked point"),
 )
 INPUT = Quantity("u", "N.m", "torque on link 1, positive as a")
-OUTPUT = Quantity("y", "rad", "linearised angle of the tracked point, a + y_2/(l_1 + y_2) b")
+OUTPUT = Quantity("y", "rad", "linearized angle of the tracked point, a + y_2/(l_1 + y_2) b")
 FIRST = Quantity("a", "rad", "angle of link 1")
 SECOND = Quantity("b", "rad", "angle of link 2 against link 1")
 POINT_X = Quantity("point_x", "m", "tracked point")
@@ -120,7 +120,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Two generalised coordinates a and b, derived from `points`: M depends on b."""
+    """Two generalized coordinates a and b, derived from `points`: M depends on b."""
     base = points()
     coordinates = Coordinates(FIRST, SECOND)
     a, b = ca.vertsplit(coordinates.q)

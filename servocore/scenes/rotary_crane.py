@@ -119,7 +119,7 @@ def points(trolley: Quantity = TROLLEY, *, invariant: bool = False) -> Mechanica
 
 
 def generalized(trolley: Quantity = TROLLEY) -> MechanicalSystem:
-    """Five generalised coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
+    """Five generalized coordinates phi, s, l and two swing angles, derived from `points` by q = F(mu).
 
     The swing angles turn with the bridge: alpha in its plane, beta out of it. Singular where beta = 90 degrees.
     """

@@ -27,7 +27,7 @@ from servocore.solvers.fixed_step_loop import Progress, Run, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
-from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearisation
+from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
 
 Places = npt.NDArray[np.int64]
 _Triplets = tuple[Array, tuple[Places, Places]]
@@ -158,7 +158,7 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
                 f"a bounded inversion needs a path that is at rest at its ends or repeats itself, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
             )
-    linear = problem.resolved.once(linearisation, problem.resolved.once(inversion))
+    linear = problem.resolved.once(linearization, problem.resolved.once(inversion))
     left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
     bounded = _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
     _require_as_many_conditions_as_states(bounded)

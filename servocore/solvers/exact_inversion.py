@@ -185,7 +185,7 @@ class ExactInversion:
     """The inputs of a scene at any instants, in any order, by exact inversion.
 
     What can be done once is done once: the equations are differentiated and compiled, and the path is looked at. An
-    instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimisations, and
+    instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimizations, and
     tables that are read as they are needed; `solve` gives the motion as well, and looks closer at the result.
 
     Parameters

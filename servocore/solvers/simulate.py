@@ -42,7 +42,7 @@ def simulate(
 ) -> Solution:
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
-    The holonomic constraints are differentiated twice and stabilised, see `servocore.stepping.forward_dynamics`; the
+    The holonomic constraints are differentiated twice and stabilized, see `servocore.stepping.forward_dynamics`; the
     resulting ordinary differential equation goes to SciPy's DOP853 with error control, and to its Radau where it turns
     out to be very stiff. With a method of constant step
     nothing is differentiated.
@@ -74,7 +74,7 @@ def simulate(
     -------
     Solution
         Observables, outputs and coordinates, with `tracking_error`; the statistics count integrator steps, and
-        evaluations of the accelerations as factorisations. With `EnergyMomentum` also ``energy``, the ``work`` of
+        evaluations of the accelerations as factorizations. With `EnergyMomentum` also ``energy``, the ``work`` of
         inputs and forces since the start, and ``angular_momentum_x``, ``_y``, ``_z`` about the origin.
 
     Raises

@@ -84,11 +84,11 @@ def compile_program(
     """
     system, dae = resolved.system, resolved.dae(formulation)
     array, inverse, reduced = _inverse(resolved, formulation)
-    discretisation = discretized(dae, method)
+    discretization = discretized(dae, method)
     start_order = max(array.reference_order, dae.reference_order, limits_order(system, limits), 2)
     known = observed(system)
-    start: Callable[[], ca.Function] = partial(compile_start, array, inverse, dae, reduced, discretisation, start_order)
-    step: Callable[[], ca.Function] = partial(_compile_step, discretisation)
+    start: Callable[[], ca.Function] = partial(compile_start, array, inverse, dae, reduced, discretization, start_order)
+    step: Callable[[], ca.Function] = partial(_compile_step, discretization)
     # Without differential states every instant stands alone: a step is a start.
     pointwise = dae.x.numel() == 0
     if pointwise:
@@ -98,20 +98,20 @@ def compile_program(
         name=f"{dae.name}, {method.name}" if not pointwise else dae.name,
         start=start,
         step=step,
-        observe=compile_observation(system, dae, discretisation, known, start_order),
+        observe=compile_observation(system, dae, discretization, known, start_order),
         margins=partial(compile_margins, system, limits, start_order),
-        guess_residual=partial(_compile_guess_residual, discretisation),
-        rescale=partial(_compile_rescale, discretisation),
-        between=partial(_compile_between, discretisation),
+        guess_residual=partial(_compile_guess_residual, discretization),
+        rescale=partial(_compile_rescale, discretization),
+        between=partial(_compile_between, discretization),
         index=dae.index,
         smaller_steps_help=not pointwise and errs_less_with_smaller_steps(method, dae.index),
         order=start_order if pointwise else dae.reference_order,
         start_order=start_order,
-        nodes=discretisation.nodes,
-        start_instants=start_instants(array, discretisation),
+        nodes=discretization.nodes,
+        start_instants=start_instants(array, discretization),
         channels=tuple(each for each, _ in known),
         parameters=system.parameters.names,
-        equations=discretisation.labels,
+        equations=discretization.labels,
         limits=limit_texts(limits),
     )
 

@@ -1,9 +1,9 @@
 """Forward dynamics of a system, compiled: what moves when inputs push.
 
     M v_dot + bias + G^T lam + B^T u = C^T d        d: a disturbing force on the servo output
-    g'' + 2 a g' + a^2 g = 0                        a = `STABILISATION_RATE`, the time included
+    g'' + 2 a g' + a^2 g = 0                        a = `STABILIZATION_RATE`, the time included
 
-The holonomic constraints are differentiated twice and stabilised. *Held*, the inputs are not given but are what keeps
+The holonomic constraints are differentiated twice and stabilized. *Held*, the inputs are not given but are what keeps
 B v as it is: brakes. One step of a `Plant` is the classical Runge-Kutta method of order four with inputs that change
 linearly over it.
 """
@@ -19,7 +19,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.stepping.plant import Plant
 
-STABILISATION_RATE = 10.0
+STABILIZATION_RATE = 10.0
 """Rate in 1/s at which violations of the holonomic constraints decay."""
 
 
@@ -29,7 +29,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     Parameters
     ----------
     system : MechanicalSystem
-        Any; its constraints are differentiated twice and stabilised.
+        Any; its constraints are differentiated twice and stabilized.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         held_observe=ca.Function(
             "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, p)]
         ),
-        linearise=ca.Function("sc_plant_linearise", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
+        linearise=ca.Function("sc_plant_linearize", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
         channels=channels,
         parameters=system.parameters.names,
     )
@@ -81,22 +81,22 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     Where the equations hold the time, it is one more argument.
     """
     q, v, G, B = system.q, system.v, system.G, system.input_matrix
-    a = STABILISATION_RATE
+    a = STABILIZATION_RATE
     # Of gamma's components constraints may hold the time alone, and its rate is one.
     g_dot = ca.substitute(system.constraint_rate, system.gamma[:, 1], ca.SX.ones(system.gamma.size1()))
     g_ddot = ca.jtimes(g_dot, q, v) + ca.jtimes(g_dot, system.time, ca.SX.ones(system.time.shape))
     # Baumgarte: g'' + 2 a g' + a^2 g = 0 lets violations die out like (1 + a t) exp(-a t); g'' = 0 alone drifts.
-    stabilised = g_ddot + 2 * a * g_dot + a**2 * system.constraints
+    stabilized = g_ddot + 2 * a * g_dot + a**2 * system.constraints
     d = ca.SX.sym("d", len(system.outputs))
-    # A disturbance d works along the servo outputs, so that its generalised force is C^T d.
+    # A disturbance d works along the servo outputs, so that its generalized force is C^T d.
     momentum = system.bias - ca.mtimes(system.C.T, d)
     m_h, m = system.lam.numel(), len(system.inputs)
     if held:
         bordered = ca.vertcat(G, B)
-        right = ca.vertcat(momentum, stabilised, ca.jtimes(ca.mtimes(B, v), q, v))
+        right = ca.vertcat(momentum, stabilized, ca.jtimes(ca.mtimes(B, v), q, v))
     else:
         bordered = G
-        right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilised)
+        right = ca.vertcat(momentum + ca.mtimes(B.T, system.u), stabilized)
     corner = ca.SX(bordered.size1(), bordered.size1())
     # [M A^T; A 0] is regular for a singular M as well if M is definite on ker A; eliminating by M^-1 is not.
     matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])

@@ -145,7 +145,7 @@ class Plant:
         return by_state.reshape(n, n), by_input.reshape(n, -1), by_disturbance.reshape(n, -1), output.reshape(-1, n)
 
     def to_json(self) -> str:
-        """Serialise, with the functions in CasADi's own format.
+        """Serialize, with the functions in CasADi's own format.
 
         Returns
         -------

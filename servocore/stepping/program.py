@@ -1,7 +1,7 @@
 """`Program`: a servo constraint problem compiled to a few functions of plain vectors, ready to run anywhere.
 
 This module and what it imports need NumPy and CasADi only: an FMU carries them with the saved functions and nothing of
-the modelling side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialise.
+the modelling side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialize.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class StepReport:
     converged : bool
         False if Newton's method failed; the state is then NaN.
     newton_iterations, factorisations : int
-        Iterations of the slowest block; factorisations of all blocks.
+        Iterations of the slowest block; factorizations of all blocks.
     residual : float
         Largest residual of all equations at the solution, scaled by the step size to the level of accelerations.
     """
@@ -287,7 +287,7 @@ class Program:
         return used.reshape(-1, used.shape[2]).T
 
     def to_json(self) -> str:
-        """Serialise, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code.
+        """Serialize, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code.
 
         Returns
         -------

@@ -18,7 +18,7 @@ LARGEST_RESIDUAL = 1e-9
 """Of the derivative array where its guess counts as exact."""
 
 _MOST_OPERATIONS = 2500  # of equations that do not fall apart: beyond, evaluating takes longer than calling
-_REGULARISATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
+_REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
 
 _Equations = tuple[SquareSystem, list[ca.SX]]
 
@@ -219,7 +219,7 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
     """Return (gamma, p) -> guess of the unknowns: configuration at rest, with the forces that hold it.
 
     The forces are those of least squares, from normal equations. A guess need not be exact, and as plain expressions
-    with a sparse LDL' factorisation they cost a fifth of a compiled QR factorisation.
+    with a sparse LDL' factorization they cost a fifth of a compiled QR factorization.
     """
     system = array.system
     n, gamma = len(system.coordinates), system.gamma[:, : array.reference_order + 1]
@@ -228,7 +228,7 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
         ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
     configuration = ca.SX.sym("q", n)
     matrix, load = ca.substitute(at_rest, [system.q], [configuration])
-    normal = ca.mtimes(matrix.T, matrix) + _REGULARISATION * ca.SX.eye(matrix.size2())
+    normal = ca.mtimes(matrix.T, matrix) + _REGULARIZATION * ca.SX.eye(matrix.size2())
     forces = ca.ldl_solve(ca.mtimes(matrix.T, load), *ca.ldl(normal))
     held = ca.Function("sc_statics", [configuration, system.p, system.time], [forces], {"cse": True})
     values = ca.vertcat(system.guess, held(system.guess, system.p, system.time))

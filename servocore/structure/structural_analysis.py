@@ -1,7 +1,7 @@
 """Structural analysis of a servo constraint problem: the signature method, and remedies where it is misled.
 
 The second-order equations (1) in the variables y = (q, lam, u) are looked at as they stand. The method sees structure,
-not values: in generalised coordinates accelerations that cancel hide the true index, and the system Jacobian is then
+not values: in generalized coordinates accelerations that cancel hide the true index, and the system Jacobian is then
 singular everywhere. The remedy is a linear combination of equations: the momentum equations that no input enters, less
 what the servo constraints say of the same accelerations (`combine`); and if that does not help, whatever combination is
 free of the highest derivatives (`servocore.structure.linear_combination`).

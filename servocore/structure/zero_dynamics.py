@@ -27,7 +27,7 @@ class Equilibrium:
     states : ndarray, shape (n_x,)
         Internal states.
     eigenvalues : tuple of complex
-        Of the linearisation.
+        Of the linearization.
     stable, unstable : ndarray, shapes (n_s, n_x) and (n_u, n_x)
         Rows that span the left eigenspaces: `unstable @ (x - states)` = 0 on the stable manifold (to first order) and
         the other way round. Eigenvalues on the imaginary axis count as stable.
@@ -40,8 +40,8 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearisation:
-    """What gives the equilibrium of internal dynamics and their linearisation there.
+class Linearization:
+    """What gives the equilibrium of internal dynamics and their linearization there.
 
     Attributes
     ----------
@@ -69,17 +69,17 @@ class Linearisation:
         return result
 
 
-def linearisation(resolved: Analysed, inverse: Inversion) -> Linearisation:
-    """Compile the linearisation of internal dynamics; meant for `ResolvedSystem.once`."""
+def linearization(resolved: Analysed, inverse: Inversion) -> Linearization:
+    """Compile the linearization of internal dynamics; meant for `ResolvedSystem.once`."""
     array = resolved.array
     reference = array.system.gamma[:, : array.reference_order + 1]
     arguments = [array.column(array.unknowns), reference, array.system.p]
     wanted = array.column(array.determined), array.column(array.states)
     matrices = [ca.densify(ca.jacobian(array.residual, each)) for each in wanted]
-    return Linearisation(array, inverse, Call(ca.Function("sc_terms", arguments, matrices)))
+    return Linearization(array, inverse, Call(ca.Function("sc_terms", arguments, matrices)))
 
 
-def internal_equilibrium(linear: Linearisation, p: Array, output: Array) -> Equilibrium:
+def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equilibrium:
     """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
     array, inversion = linear.array, linear.inversion
     gamma = np.zeros((array.system.gamma.size1(), array.reference_order + 1))

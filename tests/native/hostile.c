@@ -65,7 +65,7 @@ static void save(fmi2Component c, fmi2Byte *bytes, size_t *size)
     if (fmi2GetFMUstate(c, &state) != fmi2OK) fail("a state is not saved");
     if (fmi2SerializedFMUstateSize(c, state, size) != fmi2OK || *size > LARGEST_STATE) fail("a state has no size");
     memset(bytes, 0, *size);
-    if (fmi2SerializeFMUstate(c, state, bytes, *size) != fmi2OK) fail("a state is not serialised");
+    if (fmi2SerializeFMUstate(c, state, bytes, *size) != fmi2OK) fail("a state is not serialized");
     fmi2FreeFMUstate(c, &state);
 }
 

@@ -47,7 +47,7 @@ def quadrotor(unit: float, nominal: float) -> sc.MechanicalSystem:
 
 
 @cache
-def quadrotor_in_generalised_coordinates(zeros: bool) -> sc.MechanicalSystem:
+def quadrotor_in_generalized_coordinates(zeros: bool) -> sc.MechanicalSystem:
     """The same with the angle of the cable; `zeros` writes the zeros of the input matrix."""
     q = coordinates("x z", "theta cable")
     x, z, theta, cable = ca.vertsplit(q.q)
@@ -62,7 +62,7 @@ def quadrotor_in_generalised_coordinates(zeros: bool) -> sc.MechanicalSystem:
 
 
 def quadrotor_with_a_load(
-    unit: float = 1.0, nominal: float = 1.0, generalised: bool = False, zeros: bool = False
+    unit: float = 1.0, nominal: float = 1.0, generalized: bool = False, zeros: bool = False
 ) -> Case:
     M, J, m, rope, gravity = 1.2, 0.03 * unit**2, 0.4, 0.9 * unit, g * unit
 
@@ -77,7 +77,7 @@ def quadrotor_with_a_load(
         return found | {"x": body[0].value, "z": body[1].value}
 
     path = sc.rest_to_rest((0.0, 0.0), (2.0 * unit, 0.7 * unit), 3.0, sc.DEGREE13)
-    model = partial(quadrotor_in_generalised_coordinates, zeros) if generalised else partial(quadrotor, unit, nominal)
+    model = partial(quadrotor_in_generalized_coordinates, zeros) if generalized else partial(quadrotor, unit, nominal)
     return Case(sc.Scene("quadrotor", {"cable": model}, path), exact, index=7)
 
 

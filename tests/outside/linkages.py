@@ -275,7 +275,7 @@ def elastic_rod_in_two_coordinates(rod: float, stretch: float) -> sc.MechanicalS
     )  # fmt: skip
 
 
-def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalised: bool = False) -> Case:
+def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalized: bool = False) -> Case:
     def exact(t, reference):
         (x,) = jets.components(reference.jet(t, 4))
         force = 2.0 * x.d().d()  # of the rod on the slider
@@ -295,5 +295,5 @@ def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalised: b
         return {"a": a.value, "stretch": d.value, "T": torque.value}
 
     path = sc.rest_to_rest((rod + 0.02,), (rod + 0.1,), 0.5)
-    model = partial(elastic_rod_in_two_coordinates if generalised else elastic_rod, rod, stretch)
+    model = partial(elastic_rod_in_two_coordinates if generalized else elastic_rod, rod, stretch)
     return Case(sc.Scene("elastic_slider_crank", {"rod": model}, path), exact, index=5)

@@ -41,10 +41,10 @@ CASES = {
         slider_crank_from_rest,
     )
 } | {
-    "quadrotor_with_zeros_in_its_input_matrix": partial(hanging.quadrotor_with_a_load, generalised=True, zeros=True),
+    "quadrotor_with_zeros_in_its_input_matrix": partial(hanging.quadrotor_with_a_load, generalized=True, zeros=True),
     "aircraft_at_its_centre_of_oscillation": refused.aircraft_at_its_centre_of_oscillation,
-    "quadrotor_in_generalised_coordinates": partial(hanging.quadrotor_with_a_load, generalised=True),
-    "elastic_slider_crank_in_two_coordinates": partial(linkages.elastic_slider_crank, generalised=True),
+    "quadrotor_in_generalized_coordinates": partial(hanging.quadrotor_with_a_load, generalized=True),
+    "elastic_slider_crank_in_two_coordinates": partial(linkages.elastic_slider_crank, generalized=True),
     "slider_crank_with_small_deflections": partial(slider_crank_from_rest, nominal=1e-5),
     "cars_of_a_micrometre_said_to_be_a_metre": partial(moving.chain_of_cars, (1.0, 1.0), unit=1e-6),
     **{

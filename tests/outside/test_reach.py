@@ -77,7 +77,7 @@ def test_where_a_parameter_decides_the_point_beside_has_internal_dynamics():
     assert [(each.classification, each.index, each.internal_degrees_of_freedom) for each in found] == [
         ("flat", 5, 0), ("weakly minimum phase", 3, 2), ("non-minimum phase", 3, 2),
     ]  # fmt: skip
-    # Linearised at hover: (h - side J / m) theta'' = -g theta.
+    # Linearized at hover: (h - side J / m) theta'' = -g theta.
     for report, height in zip(found[1:], (0.1, 0.0), strict=True):
         rate = np.sqrt(complex(-9.81 / (height - 2.0 * 0.02 / 1.5)))
         np.testing.assert_allclose(sorted(map(abs, report.eigenvalues)), [abs(rate)] * 2, rtol=1e-9)

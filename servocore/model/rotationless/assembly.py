@@ -172,7 +172,7 @@ class Assembly:
         constraints : mapping of str to casadi.SX
             Rows that vanish, by name of the joint. Orthonormality of the directors is added in front of them.
         inputs : mapping of Quantity to casadi.SX
-            For every input the scalar function e(q) that it drives: u acts as the generalised force
+            For every input the scalar function e(q) that it drives: u acts as the generalized force
             u grad e(q). A torque drives an angle, a force drives a displacement.
         outputs : mapping of Quantity to casadi.SX
             For every component of the servo output the function of q that follows the reference.

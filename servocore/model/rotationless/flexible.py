@@ -1,6 +1,6 @@
 """Flexible parts: geometrically exact beams with directors at their nodes, and ropes of points.
 
-Strains are products of positions and directors, so that rotations leave them as they are, discretised too (Betsch and
+Strains are products of positions and directors, so that rotations leave them as they are, discretized too (Betsch and
 Steinmann 2002), and their energies are those of quadratic invariants, which `EnergyMomentum` conserves.
 """
 
