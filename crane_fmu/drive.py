@@ -181,16 +181,16 @@ def _variables(plant: Path) -> dict[str, str]:
         described = fmpy.read_model_description(str(plant), validate=False)
     except Exception as error:  # FMPy raises what its parts raise
         raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {error}") from error
-    return {each.name: each.causality for each in described.modelVariables}
+    return {variable.name: variable.causality for variable in described.modelVariables}
 
 
 def _found(plant: Path, known: Mapping[str, str], name: str, names: Mapping[str, str]) -> str:
     """Return what a signal is called in the plant."""
     wanted = ("input",) if name in GIVEN else ("output", "local")
     candidates = [names[name]] if name in names else [name, _OWN.get(name, name)]
-    for each in candidates:
-        if known.get(each) in wanted:
-            return each
+    for candidate in candidates:
+        if known.get(candidate) in wanted:
+            return candidate
     there = ", ".join(each for each, causality in known.items() if causality == wanted[0]) or "none"
     what = f"no {wanted[0]} {candidates[0]!r}" + ("" if name in names else f"; map one with --map {name}=NAME")
     raise sc.InvalidSetting(f"{plant.name} has {what}; its {wanted[0]}s are {there}")

@@ -83,9 +83,9 @@ def numbered(fmu: Path, values: Mapping[str, float | str]) -> dict[str, float | 
         If a choice has no such item.
     """
     items = {
-        each.name: {item.name: int(item.value) for item in each.declaredType.items}
-        for each in fmpy.read_model_description(str(fmu), validate=False).modelVariables
-        if each.type == "Enumeration"
+        variable.name: {item.name: int(item.value) for item in variable.declaredType.items}
+        for variable in fmpy.read_model_description(str(fmu), validate=False).modelVariables
+        if variable.type == "Enumeration"
     }
     found: dict[str, float | int] = {}
     for name, value in values.items():

@@ -119,7 +119,7 @@ class Dae:
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of the rows."""
-        return tuple(each.name for each in self.equations)
+        return tuple(equation.name for equation in self.equations)
 
     def at(self, expression: ca.SX, x: ca.SX, z: ca.SX, reference: ca.SX) -> ca.SX:
         """Evaluate an expression of this equation at other unknowns and another instant.
@@ -175,6 +175,6 @@ class Dae:
             One entry an unknown, and one an equation.
         """
         if self.index <= 1:
-            return ca.SX([each.nominal for each in self.unknowns]), ca.SX.ones(len(self.equations))
-        unknowns = [each.nominal * h**-each.level for each in self.unknowns]
-        return ca.vertcat(*unknowns), ca.vertcat(*[h**-each.level for each in self.equations])
+            return ca.SX([unknown.nominal for unknown in self.unknowns]), ca.SX.ones(len(self.equations))
+        unknowns = [unknown.nominal * h**-unknown.level for unknown in self.unknowns]
+        return ca.vertcat(*unknowns), ca.vertcat(*[h**-equation.level for equation in self.equations])

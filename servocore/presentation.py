@@ -70,13 +70,13 @@ def html_table(t: Array, curves: Sequence[Curve], heading: Sequence[str]) -> str
     from html import escape  # noqa: PLC0415 - for notebooks
 
     rows = "".join(
-        f"<tr><th>{escape(each.name)}</th><td>{escape(each.unit)}</td>"
-        + "".join(f"<td>{value:.6g}</td>" for value in _ends_and_extremes(each.values))
-        + f"<td style='text-align:left'>{escape(each.description)}</td></tr>"
-        for each in curves
+        f"<tr><th>{escape(curve.name)}</th><td>{escape(curve.unit)}</td>"
+        + "".join(f"<td>{value:.6g}</td>" for value in _ends_and_extremes(curve.values))
+        + f"<td style='text-align:left'>{escape(curve.description)}</td></tr>"
+        for curve in curves
     )
     columns = ("", "unit", f"at {t[0]:g} s", f"at {t[-1]:g} s", "least", "largest", "")
-    head = "".join(f"<th>{each}</th>" for each in columns)
+    head = "".join(f"<th>{column}</th>" for column in columns)
     text = "<br>".join(escape(line) for line in heading if line)
     return f"<p>{text}</p><table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
 
@@ -95,8 +95,8 @@ def data_frame(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
     """
     with refused_if_missing():
         import pandas as pd  # noqa: PLC0415
-    frame = pd.DataFrame({each.name: each.values for each in curves}, index=pd.Index(t, name="time"))
-    frame.attrs.update(about, units={"time": "s"} | {each.name: each.unit for each in curves})
+    frame = pd.DataFrame({curve.name: curve.values for curve in curves}, index=pd.Index(t, name="time"))
+    frame.attrs.update(about, units={"time": "s"} | {curve.name: curve.unit for curve in curves})
     return frame
 
 
@@ -112,6 +112,6 @@ def dataset(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
         import xarray as xr  # noqa: PLC0415
     time = xr.Variable("time", t, {"units": "s", "long_name": "time"})
     variables = {
-        each.name: ("time", each.values, {"units": each.unit, "long_name": each.description}) for each in curves
+        curve.name: ("time", curve.values, {"units": curve.unit, "long_name": curve.description}) for curve in curves
     }
     return xr.Dataset(variables, {"time": time}, about)

@@ -129,9 +129,9 @@ def _require_driving(system: MechanicalSystem) -> None:
     """Raise `InvalidModel`, naming them, if some inputs or outputs are dead or follow from others."""
     home, p = system.home_configuration()
     jacobians = ca.Function("jacobians", [system.q, system.p], [system.input_matrix, system.C])
-    found = [jacobians(*each) for each in probes(home, system.coordinates.nominal, p)]
+    found = [jacobians(*probe) for probe in probes(home, system.coordinates.nominal, p)]
     for k, (kind, quantities) in enumerate((("input", system.inputs), ("output", system.outputs))):
-        rows, names = [filled(each[k]) for each in found], [each.name for each in quantities]
+        rows, names = [filled(each[k]) for each in found], [quantity.name for quantity in quantities]
         require_driving(system.name, rows, names, kind)
 
 

@@ -103,7 +103,7 @@ def _no_traces() -> Iterator[None]:
     Modules that an FMU of the same content has left in this process are dropped first: the builder would take them
     for those it packs, and find no slave that is its own.
     """
-    for name in [each for each in sys.modules if each.startswith(PREFIX)]:
+    for name in [module for module in sys.modules if module.startswith(PREFIX)]:
         del sys.modules[name]
     write_bytecode = sys.dont_write_bytecode
     sys.dont_write_bytecode = True

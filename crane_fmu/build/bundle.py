@@ -181,7 +181,7 @@ def _imports(source: str) -> Iterator[tuple[str, list[str]]]:
         if not isinstance(node, ast.ImportFrom) or node in for_types or node.module is None:
             continue
         if node.module.split(".")[0] in _OURS:
-            yield node.module, [each.name for each in node.names]
+            yield node.module, [alias.name for alias in node.names]
 
 
 def _home(package: str, name: str) -> str | None:

@@ -137,9 +137,9 @@ def _complete_structure(structure: ET.Element, interface: Interface) -> None:
     """
     sources = [
         str(k)
-        for k, each in enumerate(interface.variables, start=1)
-        if (each.causality == "input" and each.name not in FEEDBACK_INPUTS)
-        or (each.causality == "parameter" and not each.is_choice)
+        for k, variable in enumerate(interface.variables, start=1)
+        if (variable.causality == "input" and variable.name not in FEEDBACK_INPUTS)
+        or (variable.causality == "parameter" and not variable.is_choice)
     ]
     outputs, initial = list(structure.iter("Unknown")), ET.SubElement(structure, "InitialUnknowns")
     for unknown in outputs:

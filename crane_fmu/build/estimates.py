@@ -206,7 +206,7 @@ def _fit(n: int) -> ca.Function:
     nodes, even = times / span, place / gaps
     is_even = ca.mmax(ca.if_else(inside, ca.fabs(nodes - even), 0)) * gaps <= _EVEN
     x = ca.if_else(inside, 2 * ca.if_else(is_even, even, nodes) + 1, 0)
-    left = ca.horzcat(*(ca.if_else(inside, each - each[-1], 0) for each in ca.horzsplit(values)))
+    left = ca.horzcat(*(ca.if_else(inside, column - column[-1], 0) for column in ca.horzsplit(values)))
     ends = ca.DM([[0, 1], *[[0, 0]] * _HIGHEST])
     state = [ca.MX.zeros(n), ca.MX(inside), ca.MX(1), ca.MX(ends), left]
     state += [ca.MX.zeros(_ROWS, DIMENSION), ca.MX.zeros(_ROWS), ca.MX.zeros(_ROWS)]
@@ -215,7 +215,7 @@ def _fit(n: int) -> ca.Function:
         state = list(term(x, degree - j, *state))
     *_, left, found, square, newest = state
     scale = (2 / span) ** ca.MX(ca.DM(range(1, _ROWS)))
-    rows = ca.horzcat(*(each * scale for each in ca.horzsplit(found[1:, :])))
+    rows = ca.horzcat(*(column * scale for column in ca.horzsplit(found[1:, :])))
     freedom = ca.fmax(count - degree - 1, 1)
     results = [rows, ca.sqrt(square[1:]) * scale, ca.fabs(newest[1:]) * scale, ca.sumsqr(left) / (freedom * DIMENSION)]
     return ca.Function(f"fit_{n}", [times, values, count, degree], results)
@@ -235,12 +235,12 @@ def _polynomial(n: int) -> ca.Function:
     end_before, end = ca.horzsplit(ends)
     moved, norm = x * now, ca.dot(now, now)
     share = ca.if_else(more >= 0, 1 / norm, 0)  # beyond the degree nothing is left to divide by
-    weights = [ca.dot(now, each) * share for each in ca.horzsplit(left)]
+    weights = [ca.dot(now, column) * share for column in ca.horzsplit(left)]
     a, b = ca.dot(moved, now) * share, norm / norm_before
     following = ca.if_else(more >= 1, moved - a * now - b * before, 0)
     risen = ca.vertcat(0, ca.DM(range(1, _ROWS)) * end[:-1])  # k-th derivative of x times a polynomial, at 1
     after = [now, following, ca.if_else(more >= 1, norm, 1), ca.horzcat(end, (1 - a) * end + risen - b * end_before)]
-    after += [ca.horzcat(*(each - now * by for each, by in zip(ca.horzsplit(left), weights, strict=True)))]
+    after += [ca.horzcat(*(column - now * by for column, by in zip(ca.horzsplit(left), weights, strict=True)))]
     after += [found + end @ ca.horzcat(*weights), square + end**2 * share, newest + end * end[0] * share]
     return ca.Function(f"polynomial_{n}", given, after)
 

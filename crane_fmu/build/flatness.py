@@ -94,7 +94,7 @@ def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca
     sizes = [ca.norm_2(off[:2, k]) for k in range(4)]
     reach = RETURN_SHARE * gravity
     snap = reach * gravity / length
-    across = [(snap / ca.fmax(math.comb(4, k) * each, 1e-12)) ** (1 / (4 - k)) for k, each in enumerate(sizes)]
+    across = [(snap / ca.fmax(math.comb(4, k) * size, 1e-12)) ** (1 / (4 - k)) for k, size in enumerate(sizes)]
     down = [ca.sqrt(reach / ca.fmax(ca.fabs(off[2, 0]), 1e-12)), reach / ca.fmax(ca.fabs(off[2, 1]), 1e-12)]
     a = ca.fmin(RETURN_TURN / h, ca.vertcat(*(ca.mmin(ca.vertcat(*each)) for each in (across, across, down))))
     y = [sum(math.comb(k, j) * a ** (k - j) * off[:, j] for j in range(k + 1)) for k in range(4)]

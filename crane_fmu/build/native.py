@@ -96,15 +96,15 @@ def estimates_of(crane: sc.Scene, connected: str = ORDERS[-1]) -> sc.SampledEsti
     orders = range(len(ORDERS) - 1)
     return sc.SampledEstimates(
         functions=estimate_functions(outputs),
-        unknown=tuple(in_motion(each) for each in orders),
-        rough=tuple(too_rough(each) for each in orders),
+        unknown=tuple(in_motion(order) for order in orders),
+        rough=tuple(too_rough(order) for order in orders),
         start=ORDERS.index(connected),
     )
 
 
 def _measured() -> tuple[tuple[sc.Quantity, int | None], ...]:
     """Return what is measured with the sizes of vectors, in the order in which the law takes it."""
-    units = {each.name: each.unit for each in ROTARY_CRANE.interface().of("input")}
+    units = {variable.name: variable.unit for variable in ROTARY_CRANE.interface().of("input")}
     sizes: dict[str, int | None] = {}
     for name in FEEDBACK_INPUTS:
         of, _, index = name.partition("[")
@@ -129,7 +129,7 @@ def _judge() -> ca.Function:
 
 def tension_of(crane: sc.Scene) -> tuple[sc.Quantity, ca.Function]:
     """Return the rope's tension as (channels of the plant, force on the load, p) -> N."""
-    names = [each.name for each in sc.compile_plant(crane.model(_COORDINATES)).channels]
+    names = [channel.name for channel in sc.compile_plant(crane.model(_COORDINATES)).channels]
     channels, d, p = ca.SX.sym("channels", len(names)), ca.SX.sym("d", 3), ca.SX.sym("p", 6)
     known: Mapping[str, ca.SX] = dict(zip(names, ca.vertsplit(channels), strict=True))
     pull = p[2] * ca.vertcat(*(known[f"{axis}_ddot"] for axis in "xyz")) - d + ca.vertcat(0, 0, p[2] * p[5])

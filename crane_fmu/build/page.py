@@ -124,7 +124,10 @@ def documentation_page(kind: FmuKind) -> str:
 
 
 def _table(variables: tuple[Variable, ...]) -> str:
-    rows = [f"| `{each.name}` | {each.unit or 'choice'} | {_extent(each)} | {each.description} |" for each in variables]
+    rows = [
+        f"| `{variable.name}` | {variable.unit or 'choice'} | {_extent(variable)} | {variable.description} |"
+        for variable in variables
+    ]
     third: dict[Causality, str] = {"input": "start", "output": "range", "parameter": "default, range, change"}
     header = f"| name | unit | {third[variables[0].causality]} | |"
     return "\n".join([header, "|---|---|---|---|", *rows])

@@ -89,7 +89,7 @@ def _linearized(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     lower = -ca.ldl_solve(ca.densify(ca.horzcat(balance, system.input_matrix.T)), *factors)
     given = [ca.vertcat(system.q, system.v), system.u, d, p]
     return function(
-        "linearized", given, [ca.densify(each) for each in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
+        "linearized", given, [ca.densify(column) for column in ca.horzsplit(lower, [0, n, 2 * n, lower.shape[1]])]
     )
 
 

@@ -75,7 +75,7 @@ def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
 
 
 def _configuration(guid: str) -> str:
-    libraries = ", ".join(f'"{_c_text(each)}"' for each in python_libraries())
+    libraries = ", ".join(f'"{_c_text(library)}"' for library in python_libraries())
     packages = ", ".join(f'"{each}"' for each in REQUIRED_PACKAGES)
     return (
         f'#define FMU_GUID "{_c_text(guid)}"\n'

@@ -128,10 +128,10 @@ def build_ssp(
             fmus = native_fmus(draft, NativeWishes(reference, starts, wishes.targets), progress)
         else:
             fmus = _python_fmus(draft, reference, starts, progress)
-        members = {f"resources/{each.name}": each.read_bytes() for each in fmus}
+        members = {f"resources/{fmu.name}": fmu.read_bytes() for fmu in fmus}
         system = zipped({_STRUCTURE: description(starts, duration), **members}, _STRUCTURE)
         put(draft, {SYSTEM_FILE: system})
-        names = [*(each.name for each in fmus), SYSTEM_FILE]
+        names = [*(fmu.name for fmu in fmus), SYSTEM_FILE]
     return tuple(directory / name for name in names)
 
 
@@ -167,10 +167,10 @@ def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
         element = _child(elements, "Component", name=component, type="application/x-fmu-sharedlibrary", source=source)
         connectors = _child(element, "Connectors")
         variables = KINDS[name].interface().variables
-        for each in variables:  # what is connected, and what is worth watching: all outputs
-            if each.causality == "output" or (component, each.name) in fed:
-                place = _child(connectors, "Connector", name=each.name, kind=each.causality)
-                ET.SubElement(place, f"{{{_SSC}}}Real", unit=each.unit)
+        for variable in variables:  # what is connected, and what is worth watching: all outputs
+            if variable.causality == "output" or (component, variable.name) in fed:
+                place = _child(connectors, "Connector", name=variable.name, kind=variable.causality)
+                ET.SubElement(place, f"{{{_SSC}}}Real", unit=variable.unit)
         _bind(element, [each for each in variables if each.causality == "parameter"], starts)
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
@@ -181,7 +181,11 @@ def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
 
 def _bind(element: ET.Element, parameters: Sequence[Variable], starts: Starts) -> None:
     """Bind numbers to the parameters of a component."""
-    bound = {each.name: starts[each.name] for each in parameters if each.name in starts and not each.is_choice}
+    bound = {
+        parameter.name: starts[parameter.name]
+        for parameter in parameters
+        if parameter.name in starts and not parameter.is_choice
+    }
     if not bound:
         return
     values = _child(_child(_child(element, "ParameterBindings"), "ParameterBinding"), "ParameterValues")
@@ -201,8 +205,8 @@ Wire = tuple[tuple[str, str], tuple[str, str]]
 def connections() -> list[Wire]:
     """Return the connections as ((element, output), (element, input))."""
     trajectory, crane, plant = COMPONENTS.values()
-    path = [each.name for each in LOAD_TRAJECTORY.interface().of("output")]
-    forces = [each.name for each in CRANE_PLANT.interface().of("input")]
+    path = [variable.name for variable in LOAD_TRAJECTORY.interface().of("output")]
+    forces = [variable.name for variable in CRANE_PLANT.interface().of("input")]
     wires = [((trajectory, name), (crane, name)) for name in path]
     wires += [((crane, name), (plant, name)) for name in forces]
     for name in FEEDBACK_INPUTS:

@@ -119,7 +119,11 @@ def at_rest(starts: Starts) -> dict[str, float]:
     dict of str to float
         By the name of the output, in its unit.
     """
-    defaults = {each.name: each.start for each in variables.crane_plant().variables if each.causality == "parameter"}
+    defaults = {
+        variable.name: variable.start
+        for variable in variables.crane_plant().variables
+        if variable.causality == "parameter"
+    }
     known = {name: float(starts.get(name, defaults[name] or 0.0)) for name in (*CRANE_PARAMETERS, *_START)}
     place = [known[name] for name in _START]
     tension = known["load_mass"] * known["gravity"]

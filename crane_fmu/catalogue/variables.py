@@ -145,17 +145,17 @@ def _measured() -> Iterator[Variable]:
 
 
 def _crane_parameters() -> Iterator[Variable]:
-    for each in sc.scenes.rotary_crane().model().parameters.declared:
+    for parameter in sc.scenes.rotary_crane().model().parameters.declared:
         yield Variable(
-            name=each.name,
+            name=parameter.name,
             causality="parameter",
-            variability="fixed" if each.name in _FIXED_PARAMETERS else "tunable",
-            description=each.description,
-            unit=each.unit,
-            start=each.default,
-            minimum=each.lower,
-            maximum=each.upper,
-            nominal=each.default,
+            variability="fixed" if parameter.name in _FIXED_PARAMETERS else "tunable",
+            description=parameter.description,
+            unit=parameter.unit,
+            start=parameter.default,
+            minimum=parameter.lower,
+            maximum=parameter.upper,
+            nominal=parameter.default,
         )
 
 
@@ -199,5 +199,5 @@ def _number(
 
 def _choice(name: str, choices: Iterable[str], text: str) -> Variable:
     names = tuple(choices)
-    items = ", ".join(f"{k} {each}" for k, each in enumerate(names, start=1))
+    items = ", ".join(f"{k} {label}" for k, label in enumerate(names, start=1))
     return Variable(name, "parameter", "fixed", f"{text}: {items}", start=names[0], choices=names)

@@ -250,12 +250,12 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
         sys.stdout.reconfigure(errors="replace")  # a stream that knows no Greek gets question marks
     console = table_console()
     console.print(*done.summary, "", sep="\n")
-    for each in done.tables:
-        shown = rich.table.Table(*each.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
-        for row in each.rows:
+    for table in done.tables:
+        shown = rich.table.Table(*table.headings, box=rich.box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for row in table.rows:
             shown.add_row(*row)
-        console.print(f"[bold]{each.title}[/bold]", f"[dim]{each.by}[/dim]", shown, sep="\n")
-        console.print(each.note, "", sep="\n" if each.note else "")
+        console.print(f"[bold]{table.title}[/bold]", f"[dim]{table.by}[/dim]", shown, sep="\n")
+        console.print(table.note, "", sep="\n" if table.note else "")
     for note in done.notes:
         console.print(note)
     console.print(f"{len(done.files)} files in {done.folder}; the report is {done.folder / REPORT}", soft_wrap=True)

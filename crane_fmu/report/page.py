@@ -115,9 +115,9 @@ def parameter_table(scene: sc.Scene) -> Table:
     """Return the crane's data."""
     values = scene.parameter_values()
     rows = [
-        (symbol, f"{values[each.name]:g} {UNITS.get(each.unit, each.unit)}", each.name, meaning)
-        for each in scene.model().parameters.declared
-        for symbol, meaning in (MEANINGS[each.name],)
+        (symbol, f"{values[parameter.name]:g} {UNITS.get(parameter.unit, parameter.unit)}", parameter.name, meaning)
+        for parameter in scene.model().parameters.declared
+        for symbol, meaning in (MEANINGS[parameter.name],)
     ]
     return Table(
         "Data of the crane, a declared assumption",

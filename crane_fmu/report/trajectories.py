@@ -83,9 +83,9 @@ def stack(names: Sequence[str], curves: Sequence[Curve], columns: int = 1, heigh
     """Return a figure with one panel a quantity, angles in degrees; several curves get a legend."""
     figure, axes = panels([LABELS[name] for name in names], columns, height)
     for axis, name in zip(axes, names, strict=True):
-        for each in curves:
-            values = np.degrees(each.values[name]) if name == "phi" else each.values[name]
-            axis.plot(each.t, values, label=each.label, markevery=max(1, len(values) // 25), **each.look)
+        for curve in curves:
+            values = np.degrees(curve.values[name]) if name == "phi" else curve.values[name]
+            axis.plot(curve.t, values, label=curve.label, markevery=max(1, len(values) // 25), **curve.look)
         axis.margins(x=0.01)
         _keep_rounding_flat(axis)
     if len(curves) > 1:

@@ -51,10 +51,10 @@ def called(function: ca.Function) -> Call:
     buffer, evaluate = function.buffer()
     arguments = [np.zeros(function.numel_in(k)) for k in range(function.n_in())]
     results = [np.zeros(function.numel_out(k)) for k in range(function.n_out())]
-    for k, each in enumerate(arguments):
-        buffer.set_arg(k, each.data)
-    for k, each in enumerate(results):
-        buffer.set_res(k, each.data)
+    for k, argument in enumerate(arguments):
+        buffer.set_arg(k, argument.data)
+    for k, result in enumerate(results):
+        buffer.set_res(k, result.data)
 
     def call(*given: Array | Sequence[float] | float) -> list[Array]:
         for place, value in zip(arguments, given, strict=True):

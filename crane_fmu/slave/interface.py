@@ -129,20 +129,26 @@ class Interface:
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
-        return tuple(each for each in self.variables if each.causality == causality)
+        return tuple(variable for variable in self.variables if variable.causality == causality)
 
     def index(self, name: str) -> int:
         """Value reference of the variable called `name`; raises ValueError if there is none."""
-        return [each.name for each in self.variables].index(name)
+        return [variable.name for variable in self.variables].index(name)
 
     def with_starts(self, starts: Mapping[str, float | str]) -> Interface:
         """Return the table with other start values, for those variables that it has."""
-        given = {name: value for name, value in starts.items() if name not in {each.name for each in self.of("output")}}
-        return Interface(tuple(replace(each, start=given.get(each.name, each.start)) for each in self.variables))
+        given = {
+            name: value
+            for name, value in starts.items()
+            if name not in {variable.name for variable in self.of("output")}
+        }
+        return Interface(
+            tuple(replace(variable, start=given.get(variable.name, variable.start)) for variable in self.variables)
+        )
 
     def to_json(self) -> str:
         """Serialize; equal tables give equal text."""
-        return json.dumps([asdict(each) for each in self.variables], indent=1, sort_keys=True)
+        return json.dumps([asdict(variable) for variable in self.variables], indent=1, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Interface:

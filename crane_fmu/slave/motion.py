@@ -147,7 +147,7 @@ def _history(program: Program, now: Snapshot, h: float, p: Array) -> Array:
     # Before the first step the method's own start will do; later, what it would have come to.
     steps = max(0, _FULL_DERIVATIVES - program.order) if now.step > 0.0 else 0
     instants = [(c - steps) * h for c in program.start_instants]
-    state, report = program.begin(np.stack([_padded(program, taylor(now.jet, each)) for each in instants]), p, h)
+    state, report = program.begin(np.stack([_padded(program, taylor(now.jet, instant)) for instant in instants]), p, h)
     for k in range(steps):
         if report.converged:
             offsets = [(k + c - steps) * h for c in program.nodes]

@@ -28,7 +28,7 @@ class PlainState:
 
     def to_plain(self) -> dict[str, Any]:
         """Return plain numbers and lists."""
-        return {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
+        return {field.name: _plain(getattr(self, field.name)) for field in fields(self)}
 
     def at(self, time: float) -> Self:
         """Return the same by another clock, for what has a time."""
@@ -37,4 +37,4 @@ class PlainState:
     @classmethod
     def from_plain(cls, plain: Mapping[str, Any]) -> Self:
         """Undo `to_plain`."""
-        return cls(**{each.name: _READ[each.type](plain[each.name]) for each in fields(cls)})
+        return cls(**{field.name: _READ[field.type](plain[field.name]) for field in fields(cls)})

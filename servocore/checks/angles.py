@@ -28,7 +28,7 @@ def ambiguous_angles(problem: Problem, program: Program) -> tuple[int, ...]:
     if program.index <= 1:
         return ()
     names = [channel.name for channel in program.channels]
-    return tuple(names.index(each) for each in problem.resolved.once(_periodic_coordinates))
+    return tuple(names.index(statement) for statement in problem.resolved.once(_periodic_coordinates))
 
 
 def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
@@ -43,16 +43,16 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
     evaluate = Call(ca.Function("sc_terms", arguments, [ca.densify(ca.vertcat(*map(ca.vec, terms)))]))
     point, p = np.sin(1.0 + np.arange(len(system.coordinates))), system.parameters.values()
     time = np.full(system.time.numel(), 0.7)
-    observed = {each.name: expression for each, expression in system.observables.items()}
+    observed = {quantity.name: expression for quantity, expression in system.observables.items()}
     found = []
-    for k, each in enumerate(system.coordinates.quantities):
-        if each.unit != "rad" or not ca.is_equal(observed.get(each.name, system.q[k]), system.q[k]):
+    for k, quantity in enumerate(system.coordinates.quantities):
+        if quantity.unit != "rad" or not ca.is_equal(observed.get(quantity.name, system.q[k]), system.q[k]):
             continue
         aside = np.arange(len(point)) == k
         here, there, round_again = (evaluate(point + turn * aside, point, p, time)[0] for turn in (0.0, 1.0, 2 * np.pi))
         scale = 1e-9 * np.maximum(np.abs(here), np.abs(there))
         if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > 1e3 * scale)).any():
-            found.append(each.name)
+            found.append(quantity.name)
     return tuple(found)
 
 
@@ -148,8 +148,8 @@ def _bisected(problem: Problem, program: Program, angular: _Angular, row: int, t
 def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> _Angular | None:
     """Return angles and rates as functions of the state of an exact inversion, or None if they are none of q."""
     system, array = resolved.system, resolved.array
-    known = {each.name: system.q[k] for k, each in enumerate(system.coordinates.quantities)}
-    known |= {each.name: expression for each, expression in system.observables.items()}
+    known = {quantity.name: system.q[k] for k, quantity in enumerate(system.coordinates.quantities)}
+    known |= {quantity.name: expression for quantity, expression in system.observables.items()}
     angles = ca.vertcat(*[known[name] for name in names if name in known])
     wanted = [(k, order) for order in (0, 1) for k in range(len(system.coordinates))]
     foreign = ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))

@@ -125,8 +125,10 @@ def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[
     """Return which channels are inputs or observables but angles, which of these must be positive, and coordinates."""
     system = resolved.system
     known = {*system.inputs, *system.observables}
-    columns = [k for k, each in enumerate(channels) if each in known and each.unit != "rad"]
-    coordinates = [k for k, each in enumerate(channels) if each in system.coordinates.quantities and k not in columns]
+    columns = [k for k, channel in enumerate(channels) if channel in known and channel.unit != "rad"]
+    coordinates = [
+        k for k, channel in enumerate(channels) if channel in system.coordinates.quantities and k not in columns
+    ]
     return columns, [row for row, k in enumerate(columns) if channels[k].positive], coordinates
 
 

@@ -269,7 +269,7 @@ def configurations(problem: Problem, solution: Solution) -> Array | None:
 
 def _columns(resolved: ResolvedSystem, names: tuple[str, ...]) -> list[int] | None:
     """Places of the coordinates among reported names; None if something else is reported under a name of one."""
-    reported = {each.name: expression for each, expression in observed(resolved.system)}
+    reported = {quantity.name: expression for quantity, expression in observed(resolved.system)}
     coordinates = resolved.system.coordinates
     if not all(ca.is_equal(reported[name], coordinates[name]) for name in coordinates.names):
         return None

@@ -110,7 +110,7 @@ class Judge:
         try:
             return self.compared(problem, solution).estimate
         except ServocoreError as error:
-            names = [each.name for each in problem.system.inputs]
+            names = [quantity.name for quantity in problem.system.inputs]
             peaks = dict(zip(names, np.abs(solution.values[:, : len(names)]).max(axis=0).tolist(), strict=True))
             return ErrorEstimate(dict.fromkeys(names), peaks, f"unknown: {error}")
 

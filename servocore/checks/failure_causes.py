@@ -55,7 +55,7 @@ class _Reach:
         reference = problem.reference
         times = np.linspace(reference.start_time, reference.end_time, _INSTANTS)
         # Outputs of one unit are of one size, so that near is what it is in space.
-        units = np.array([each.unit for each in problem.system.outputs])
+        units = np.array([quantity.unit for quantity in problem.system.outputs])
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
@@ -131,10 +131,10 @@ def out_of_reach(problem: Problem) -> str:
         _, k, miss = max(missed, key=lambda each: each[0])
         _, again = reach.nearest(float(times[k]), _around(problem, x))
         if reach.missed(again):
-            first = min(each[1] for each in missed)
+            first = min(name[1] for name in missed)
             begin = _first_missed(problem, reach, times[first - 1], times[first]) if first else float(times[0])
             return _miss_in_words(problem, begin, float(times[k]), again)
-        missed = [each for each in missed if each[1] != k]
+        missed = [name for name in missed if name[1] != k]
     return ""
 
 
@@ -289,7 +289,7 @@ def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
     J = jacobian(found, jet.T, p)[0]
     if condition_number(J) < SINGULAR_CONDITION:
         return ""
-    places, n = array.places(each for each in array.unknowns if each[1]), len(problem.system.coordinates)
+    places, n = array.places(unknown for unknown in array.unknowns if unknown[1]), len(problem.system.coordinates)
     moving = np.array(found)
     moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
     where = ", ".join(f"{name} = {found[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))

@@ -27,7 +27,7 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     The margins are surveyed on a grid that follows the stretches of the path. Around the lowest local minima of each
     the grid is refined to 1e-4 of its spacing, unless they are so high that nothing between two instants can matter.
     """
-    of_path = tuple(each for each in problem.limits if each.of_path)
+    of_path = tuple(limit for limit in problem.limits if limit.of_path)
     _require_at(problem, tuple(each for each in of_path if each.at_instants_only), t, native)
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:

@@ -39,7 +39,7 @@ HIDDEN = "limit "
 
 def motion_limits(problem: Problem) -> tuple[Limit, ...]:
     """Return the limits of a problem that the path alone does not tell."""
-    return tuple(each for each in problem.limits if not each.of_path)
+    return tuple(limit for limit in problem.limits if not limit.of_path)
 
 
 def counts_turns(expression: Expression, rate: bool, system: MechanicalSystem) -> bool:
@@ -109,7 +109,7 @@ class Watched:
 
 def watched_limits(problem: Problem) -> Watched:
     """Return what the `motion_limits` of a flat problem compare."""
-    wanted = tuple((each.expression, each.rate) for each in motion_limits(problem))
+    wanted = tuple((limit.expression, limit.rate) for limit in motion_limits(problem))
     return problem.resolved.once(compile_watched, wanted)
 
 
@@ -125,10 +125,10 @@ def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bo
     rows = array.y.size1()
     needs, used = [], set[tuple[int, int]]()
     top = dict(array.unknowns)  # the highest of each comes last
-    for each in values:
-        entries = {(c % rows, c // rows) for c in ca.jacobian_sparsity(each, ca.vec(y)).get_col()}
+    for value in values:
+        entries = {(c % rows, c // rows) for c in ca.jacobian_sparsity(value, ca.vec(y)).get_col()}
         orders = [array.reference_order - (top[j] - k) for j, k in entries]
-        needs.append(max([*orders, highest_derivative(each, system.gamma)]))
+        needs.append(max([*orders, highest_derivative(value, system.gamma)]))
         used |= entries
     beyond = sorted(each for each in used if each not in array.unknowns)
     if any(k > top[j] + 1 for j, k in beyond):
@@ -324,7 +324,7 @@ def with_watched(problem: Problem) -> Problem:
     limits = motion_limits(problem)
     if not limits:
         return problem
-    resolved = problem.resolved.once(_observing, tuple((each.expression, each.rate) for each in limits))
+    resolved = problem.resolved.once(_observing, tuple((limit.expression, limit.rate) for limit in limits))
     return replace(problem, resolved=resolved)
 
 
@@ -347,7 +347,7 @@ def judged(problem: Problem, solution: Solution) -> Solution:
 
     Rates of forces and inputs are those of their differences from instant to instant.
     """
-    hidden = [k for k, each in enumerate(solution.channels) if each.name.startswith(HIDDEN)]
+    hidden = [k for k, channel in enumerate(solution.channels) if channel.name.startswith(HIDDEN)]
     if not hidden:
         return solution
     limits, t = motion_limits(problem), solution.t

@@ -71,7 +71,7 @@ class Comparison:
     @property
     def estimate(self) -> ErrorEstimate:
         """Largest distance of every input that is known."""
-        names = [each.name for each in self.inputs]
+        names = [quantity.name for quantity in self.inputs]
         peaks = np.abs(self.better[:, : len(names)]).max(axis=0)
         largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
         rows = zip(names, largest.tolist(), self.known.tolist(), strict=False)

@@ -43,7 +43,10 @@ def along(scene: Scene, reference: Path | None, model: str | None = None) -> Sce
     """
     if reference is None:
         return scene
-    names, order = [each.name for each in scene.model(model).outputs], Problem.of(scene, model).array.reference_order
+    names, order = (
+        [quantity.name for quantity in scene.model(model).outputs],
+        Problem.of(scene, model).array.reference_order,
+    )
     return scene.with_reference(from_csv(reference, columns=names, rest_order=order))
 
 

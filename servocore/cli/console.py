@@ -134,8 +134,8 @@ def held_notes() -> Iterator[list[warnings.WarningMessage]]:
             warnings.simplefilter("always", ServocoreWarning)
             yield notes
     finally:
-        for each in notes:
-            warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
+        for note in notes:
+            warnings.warn_explicit(note.message, note.category, note.filename, note.lineno)
 
 
 def end_as_of_no_use(name: str, sentence: str) -> NoReturn:

@@ -181,7 +181,7 @@ def _export_beside(
         if plant:
             export_plant(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
         else:
-            names = [each.name for each in subject.model(model).outputs]
+            names = [quantity.name for quantity in subject.model(model).outputs]
             path = None if reference is None else from_csv(reference, columns=names)
             export_trajectory(
                 subject, output, TrajectoryWishes(path), fmi=fmi, model=model, targets=targets, tell=progress.describe

@@ -137,7 +137,7 @@ def _path(
         return None
     if from_files and len(given) > 1:
         raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-    names = [each.name for each in scene.model(model).outputs]
+    names = [quantity.name for quantity in scene.model(model).outputs]
     rest_order = Problem.of(scene, model).array.reference_order
     if from_files:
         file = files[from_files[0]]
@@ -180,17 +180,17 @@ def _chosen_columns(wanted: str | None, system: MechanicalSystem) -> list[str]:
     if wanted is None:
         return column_names(system)
     known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
-    names = [each.strip() for each in wanted.split(",")]
-    for each in names:
-        if each not in known:
-            raise InvalidSetting(f"--columns: there is no {each!r}; there are {', '.join(known)}")
+    names = [name.strip() for name in wanted.split(",")]
+    for name in names:
+        if name not in known:
+            raise InvalidSetting(f"--columns: there is no {name!r}; there are {', '.join(known)}")
     return names
 
 
 def summary(solution: Solution, system: MechanicalSystem, path: Reference) -> list[str]:
     """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
-    for name in [each.name for each in system.inputs] + (["swing"] if "swing" in solution else []):
+    for name in [quantity.name for quantity in system.inputs] + (["swing"] if "swing" in solution else []):
         k = int(np.abs(solution[name]).argmax())
         value, unit = float(solution[name][k]), solution.unit(name)
         shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"

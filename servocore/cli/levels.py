@@ -88,7 +88,7 @@ def measure_levels(
         levels.append(level)
     describe(f"measuring {scene.name}")
     for (k, route), seconds in timed_in_turn(runs, repeats).items():
-        microseconds = Spread.of([1e6 * each / instants for each in seconds])
+        microseconds = Spread.of([1e6 * duration / instants for duration in seconds])
         levels[k].costs[route] = replace(levels[k].costs[route], microseconds=microseconds)
     return tuple(levels)
 
@@ -116,7 +116,7 @@ def input_error(scene: Scene, solution: Solution) -> float | None:
         exact = scene.exact(solution.t)
     except InvalidModel:
         return None
-    names = [each.name for each in scene.model().inputs]
+    names = [quantity.name for quantity in scene.model().inputs]
     return max(float(np.abs(solution[k] - exact[k]).max() / (np.abs(exact[k]).max() or 1.0)) for k in names)
 
 

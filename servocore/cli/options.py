@@ -76,7 +76,7 @@ class PointsCommand(TyperCommand):
 def point(option: str, text: str, names: Sequence[str]) -> list[float]:
     """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
     try:
-        found = [float(each) for each in text.replace(",", " ").split()]
+        found = [float(name) for name in text.replace(",", " ").split()]
     except ValueError:
         found = []
     if len(found) != len(names):

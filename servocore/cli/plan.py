@@ -143,7 +143,7 @@ def plan_scene(
 
             contents[plot] = plan_figure(subject.with_limits(**bounds), path, report, plot.suffix[1:].lower())
     if path_file is not None:
-        contents[path_file] = csv_of(path, [each.name for each in subject.model(model).outputs])
+        contents[path_file] = csv_of(path, [quantity.name for quantity in subject.model(model).outputs])
     deliver(_table(subject, solution, model), output, contents, report)
 
 
@@ -173,7 +173,7 @@ def _way(
     scene: Scene, start: str | None, end: str | None, between: Sequence[str], reference: Path | None
 ) -> Reference | np.ndarray:
     """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
-    names = [each.name for each in scene.model().outputs]
+    names = [quantity.name for quantity in scene.model().outputs]
     if reference is not None:
         if start is not None or end is not None or between:
             raise InvalidSetting("a way is given either by --reference or by --from and --to, not by both")

@@ -79,9 +79,9 @@ def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array,
         if np.isfinite(bound):
             axes.axhline(factor * bound, color=_BOUND, linewidth=0.8, linestyle=":", label="_limit")
     label = "held back by this limit"
-    for each in report.active:
-        if each.quantity == limit.quantity:
-            during = (t >= each.begin) & (t <= each.end)
+    for active_limit in report.active:
+        if active_limit.quantity == limit.quantity:
+            during = (t >= active_limit.begin) & (t <= active_limit.end)
             axes.plot(t[during], values[during], color=_ACTIVE, linewidth=3.5, label=label, solid_capstyle="round")
             label = "_more"
 
@@ -98,11 +98,11 @@ def sensitivities_figure(found: Sensitivities, kind: str) -> bytes:
     rows = -(-len(found.quantities) // 2)
     figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
     panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
-    for axes, each in zip(panels, found.quantities, strict=False):
+    for axes, quantity in zip(panels, found.quantities, strict=False):
         for k, (name, size) in enumerate(zip(found.parameters, found.sizes, strict=True)):
             look = ("-", "--", "-.", ":")[k % 4]
-            axes.plot(found.t, found[each.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
-        axes.set_title(f"{each.name} ({each.unit})", fontsize="medium", loc="left")
+            axes.plot(found.t, found[quantity.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
+        axes.set_title(f"{quantity.name} ({quantity.unit})", fontsize="medium", loc="left")
         axes.margins(x=0.01)
     for axes in panels[len(found.quantities) :]:
         axes.set_visible(False)

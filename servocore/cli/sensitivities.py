@@ -71,10 +71,10 @@ def _table(found: Sensitivities) -> rich.table.Table:
     table.add_column("of")
     for name in found.parameters:
         table.add_column(f"by {name}", justify="right")
-    for each in found.quantities:
+    for quantity in found.quantities:
         effects = [
-            found[each.name, name] * size / 100.0 for name, size in zip(found.parameters, found.sizes, strict=True)
+            found[quantity.name, name] * size / 100.0 for name, size in zip(found.parameters, found.sizes, strict=True)
         ]
-        shown = [f"{effect[np.abs(effect).argmax()]:.3g} {each.unit}" for effect in effects]
-        table.add_row(each.name, *shown)
+        shown = [f"{effect[np.abs(effect).argmax()]:.3g} {quantity.unit}" for effect in effects]
+        table.add_row(quantity.name, *shown)
     return table

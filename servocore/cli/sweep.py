@@ -116,7 +116,7 @@ def _varied(texts: Sequence[str], sample: int | None, seed: int) -> Any:
         raise InvalidSetting("nothing varies: use --vary NAME=LOW:HIGH:COUNT")
     if sample is not None and sample < 1:
         raise InvalidSetting(f"--sample must be at least 1, not {sample}")
-    ranges = dict(_range(each, sample is None) for each in texts)
+    ranges = dict(_range(text, sample is None) for text in texts)
     if len(ranges) < len(texts):
         raise InvalidSetting("--vary names something twice")
     if sample is not None:

@@ -40,7 +40,7 @@ def sweep_page(found: Any, title: str, store: str) -> tuple[str, bytes]:
 
 def _draw(axes: Axes, figure: Figure, found: Any, name: str) -> None:
     """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
-    varied = [each for each in found.coords if each not in ("case", "path", "instant")]
+    varied = [coord for coord in found.coords if coord not in ("case", "path", "instant")]
     label = f"peak of {name.removeprefix('peak_')} ({found[name].attrs['units']})"
     if "case" in found.sizes:
         x = found[varied[0]].to_numpy()
@@ -53,10 +53,10 @@ def _draw(axes: Axes, figure: Figure, found: Any, name: str) -> None:
             axes.set_ylabel(_titled(found, varied[1]))
         axes.set_xlabel(_titled(found, varied[0]))
         return
-    shown = found[name].max([each for each in found[name].dims if each not in varied[:2]])
+    shown = found[name].max([dimension for dimension in found[name].dims if dimension not in varied[:2]])
     if len(varied) < 2 or min(shown.sizes.values()) < 2:
         long = max(shown.dims, key=lambda each: shown.sizes[each])
-        line = shown.max([each for each in shown.dims if each != long])
+        line = shown.max([dimension for dimension in shown.dims if dimension != long])
         axes.plot(found[long].to_numpy(), line.to_numpy())
         axes.set_xlabel(_titled(found, long))
         axes.set_ylabel(label)
@@ -79,7 +79,7 @@ def _titled(found: Any, name: Any) -> str:
 
 def _page(found: Any, title: str, first: str, picture: bytes, store: str) -> str:
     failures = found.failure.to_numpy().ravel()
-    told = list(dict.fromkeys(str(each) for each in failures[failures != ""]))
+    told = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
     rows = []
     for name in found:
         if name == "failure" or "instant" in found[name].dims:

@@ -72,7 +72,8 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
         at, moving = read(now)
         lag = signal[m : 2 * m] + zero - at
         lag = ca.vertcat(*(
-            ca.atan2(ca.sin(lag[k]), ca.cos(lag[k])) if each.wraps else lag[k] for k, each in enumerate(quantities)
+            ca.atan2(ca.sin(lag[k]), ca.cos(lag[k])) if quantity.wraps else lag[k]
+            for k, quantity in enumerate(quantities)
         ))  # fmt: skip
         u = signal[:m] + gains[:m] * lag + gains[m:] * (signal[2 * m :] - moving)
         return rate(now, u, ca.DM.zeros(m), p)[0]
@@ -82,7 +83,7 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
     third = driven(x + h / 2 * second, signals[:, 1])
     last = driven(x + h * third, signals[:, 2])
     after = x + h / 6 * (first + 2 * second + 2 * third + last)
-    swing = [each for quantity, each in system.observables.items() if quantity.name in hanging]
+    swing = [expression for quantity, expression in system.observables.items() if quantity.name in hanging]
     signal = ca.MX.sym("now", 3 * m)
     seen = ca.Function("sc_loop_seen", [state, system.p], [ca.densify(ca.vertcat(system.output, *swing))])
     rates, output = driven(x, signal), seen(x, p)[: len(system.outputs)]
@@ -91,7 +92,7 @@ def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: t
         step=ca.Function("sc_loop_step", [x, signals, p, gains, zero, h], [after]),
         read=Call(read),
         linear=Call(
-            ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(each) for each in jacobians])
+            ca.Function("sc_loop_linear", [x, signal, p, gains, zero], [ca.densify(jacobian) for jacobian in jacobians])
         ),
         seen=seen,
     )

@@ -66,7 +66,7 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
         *zip(system.coordinates.quantities, ca.vertsplit(system.q), strict=True),
     ]
     by_name = {each.name: (each, expression) for each, expression in known}
-    missing = [each for each in names if each not in by_name]
+    missing = [name for name in names if name not in by_name]
     if missing:
         raise InvalidModel(
             f"{system.name} reports no {', '.join(missing)} for its drives to measure; there are {', '.join(by_name)}"
@@ -75,7 +75,7 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
         raise InvalidModel(
             f"{system.name} has {len(system.inputs)} inputs, and drives that measure {', '.join(names) or 'nothing'}"
         )
-    found = [by_name[each] for each in names]
+    found = [by_name[name] for name in names]
     column = ca.vertcat(*(each for _, each in found))
     if ca.depends_on(column, ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))):
         raise InvalidModel(f"{system.name}: {', '.join(names)} are not all positions, which drives measure")
@@ -99,7 +99,7 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
     _, y = measured_in(system, names)
     wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
     matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(each) for each in wanted])
-    M, G, B, J = (np.asarray(each) for each in matrices(q, p))
+    M, G, B, J = (np.asarray(matrix) for matrix in matrices(q, p))
     bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
     mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
     moved = np.diag(J @ mobility)  # acceleration of each position by its own input

@@ -94,7 +94,7 @@ def _require_signs(problem: Problem, t: Array, values: Array) -> None:
     """Raise `IntegrationFailed` if something has a sign that it must not have."""
     wrong = np.argwhere(~(values > 0.0))
     if len(wrong):
-        k, which = (int(each) for each in wrong[0])
+        k, which = (int(name) for name in wrong[0])
         quantity = _positive(problem.system)[which][0]
         raise IntegrationFailed(
             f"{problem.system.name}: at t = {t[k]:.6g} s {quantity.name} is {values[k, which]:.4g} {quantity.unit},"
@@ -107,7 +107,7 @@ def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple
     array, system, inverse = resolved.array, resolved.system, resolved.once(inversion)
     quantities, y = measured_in(system, measured)
     q, v = ([array.position(f"q.{name}", order) for name in system.coordinates.names] for order in (0, 1))
-    u = [array.position(f"u.{each.name}", 0) for each in system.inputs]
+    u = [array.position(f"u.{quantity.name}", 0) for quantity in system.inputs]
     signs = ca.vertcat(ca.SX(0, 1), *(each for _, each in _positive(system)))
     read = ca.Function("sc_positions", [system.q, system.v, system.p], [y, ca.jtimes(y, system.q, system.v), signs])
     gamma, p = (ca.MX.sym(name, *inverse.function.size_in(k)) for k, name in enumerate(("gamma", "p")))
@@ -115,4 +115,4 @@ def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple
     solved = ca.if_else(residual < np.inf, 0, np.nan)
     *moved, positive = read(unknowns[q], unknowns[v], p)
     row = ca.vertcat(unknowns[u], *moved, unknowns[q], unknowns[v], positive) + solved
-    return ca.Function("sc_drive_signals", [gamma, p], [ca.densify(row)]), [each.wraps for each in quantities]
+    return ca.Function("sc_drive_signals", [gamma, p], [ca.densify(row)]), [quantity.wraps for quantity in quantities]

@@ -92,28 +92,28 @@ class EffectsReport:
     unit: str = "m"
 
     def __getitem__(self, name: str) -> EffectRow:
-        for each in self.rows:
-            if each.name == name:
-                return each
-        raise KeyError(f"{name}; there are {', '.join(each.name for each in self.rows)}")
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(f"{name}; there are {', '.join(line.name for line in self.rows)}")
 
     @property
     def needed(self) -> tuple[str, ...]:
         """Names of the effects of the smallest model, worst first."""
-        return tuple(each.name for each in self.rows if each.needed)
+        return tuple(row.name for row in self.rows if row.needed)
 
     @property
     def arguments(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """What `Scene.with_effects` is given for the smallest model: effects to add, and effects to leave out."""
-        declared = {each.name: each for each in self.scene.effects.declared}
-        added = [each.name for each in self.rows if each.needed and not each.left_out and each.name in declared]
+        declared = {effect.name: effect for effect in self.scene.effects.declared}
+        added = [row.name for row in self.rows if row.needed and not row.left_out and row.name in declared]
         covered = {own for name in added for own in declared[name].includes}
         without = [each.name for each in self._spared if each.left_out]
-        return tuple(each for each in added if each not in covered), tuple(without)
+        return tuple(effect for effect in added if effect not in covered), tuple(without)
 
     @property
     def _spared(self) -> list[EffectRow]:
-        return [each for each in self.rows if not each.needed and each.how != REFUSED]
+        return [row for row in self.rows if not row.needed and row.how != REFUSED]
 
     def smallest(self) -> Scene:
         """Return the scene with the smallest model that keeps the tolerance.
@@ -131,8 +131,8 @@ class EffectsReport:
         """The smallest model in one or two sentences."""
         added, without = self.arguments
         least = sum(each.error for each in self._spared)
-        refused = [each.name for each in self.rows if each.how == REFUSED]
-        declared = {each.name for each in self.scene.effects.declared}
+        refused = [row.name for row in self.rows if row.how == REFUSED]
+        declared = {effect.name for effect in self.scene.effects.declared}
         unnamed = [each for each in self.needed if each not in declared]
         call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
         how = f"scene.with_effects({call})".replace("'", '"') if call else "the scene as it is"
@@ -151,7 +151,7 @@ class EffectsReport:
         list of tuple of str
             One tuple a row.
         """
-        return [self._cells(each) for each in self.rows]
+        return [self._cells(row) for row in self.rows]
 
     def _cells(self, row: EffectRow) -> tuple[str, ...]:
         counts = (row.index, row.internal_states, row.derivatives)
@@ -169,10 +169,10 @@ class EffectsReport:
     def remarks(self) -> list[str]:
         """Sentences below the table: laws, reasons, verdict."""
         laws: dict[str, list[str]] = {}
-        for each in self.rows:
-            laws.setdefault(each.law, []).append(each.name)
+        for row in self.rows:
+            laws.setdefault(row.law, []).append(row.name)
         told = [f"{law}: {', '.join(names)}." for law, names in laws.items() if law]
-        reasons = [f"{each.name}: {each.reason}." for each in self.rows if each.reason]
+        reasons = [f"{line.name}: {line.reason}." for line in self.rows if line.reason]
         return ["Path and duration are the scene's; the time law is as smooth as a row needs.", *told, *reasons,
                 self.verdict]  # fmt: skip
 
@@ -200,7 +200,7 @@ class EffectsReport:
         table = [HEADINGS, ("---",) * len(HEADINGS), *self.cells()]
         lines = ["| " + " | ".join(row) + " |" for row in table]
         return "\n".join(
-            [f"## {title or self.scene.name}", "", *lines, "", *(f"* {each}" for each in self.remarks), ""]
+            [f"## {title or self.scene.name}", "", *lines, "", *(f"* {remark}" for remark in self.remarks), ""]
         )
 
 

@@ -108,7 +108,7 @@ def effects(
     )
     study.require_parameters(plant or {})
     require_feasible(Problem.of(scene))
-    rows = [study.row(each) for each in study.cases(plant or {})]
+    rows = [study.row(case) for case in study.cases(plant or {})]
     unit = scene.model().outputs[0].unit
     return EffectsReport(scene, _judged(rows, tolerance), float(tolerance), _in_words(drives), unit)
 
@@ -122,10 +122,10 @@ def _in_words(drives: Drives | None) -> str:
 def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
     """Return the rows worst first, with what is needed: the errors of all that is left out add up to less."""
     found, total = [], 0.0
-    for each in sorted(rows, key=lambda row: row.error):
-        refused = each.how == REFUSED
-        total += 0.0 if refused else each.error
-        found.append(replace(each, needed=total > tolerance and not refused))
+    for line in sorted(rows, key=lambda row: row.error):
+        refused = line.how == REFUSED
+        total += 0.0 if refused else line.error
+        found.append(replace(line, needed=total > tolerance and not refused))
     return tuple(reversed(found))
 
 
@@ -164,7 +164,7 @@ class _Study:
             )
         known = dict(declared.parameters)
         for name, factory in plant.items():
-            known |= {each.name: each for each in self._plant(name, factory).parameters.declared}
+            known |= {parameter.name: parameter for parameter in self._plant(name, factory).parameters.declared}
         for name, value in self.parameters.items():
             if name not in known:
                 raise InvalidModel(f"no parameter of an effect is called {name}; there are {', '.join(known)}")
@@ -174,7 +174,7 @@ class _Study:
         """Return a model of one's own; raise `InvalidModel` if it is none, or not one of this scene."""
         if not callable(factory):
             raise InvalidModel(f"the plant {name} must be a function that returns a model, not {described(factory)}")
-        if name in {each.name for each in self.scene.effects.declared}:
+        if name in {effect.name for effect in self.scene.effects.declared}:
             raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
         found, model = factory(), self.scene.model()
         require_kind(found, MechanicalSystem, f"what the plant {name} returns", "a MechanicalSystem", InvalidModel)
@@ -182,7 +182,7 @@ class _Study:
             ("inputs", found.inputs, model.inputs),
             ("outputs", found.outputs, model.outputs),
         ):
-            names, known = ([each.name for each in quantities] for quantities in (own, expected))
+            names, known = ([quantity.name for quantity in quantities] for quantities in (own, expected))
             if len(names) != len(known):
                 raise InvalidModel(
                     f"the plant {name} has the {what} {', '.join(names)}, {self.scene.name} has {', '.join(known)}"
@@ -212,7 +212,7 @@ class _Study:
         changed = replace(self.scene, models={"plant": factory}, effects=effects_ or self.scene.effects)
         known = changed.model().parameters.names
         values = {**self.scene.parameters, **self.parameters}
-        return replace(changed, parameters={name: each for name, each in values.items() if name in known})
+        return replace(changed, parameters={name: value for name, value in values.items() if name in known})
 
     def row(self, case: _Case) -> EffectRow:
         """Return the row of an effect."""

@@ -101,7 +101,8 @@ def inverse_model(
         title=scene.name,
         model=model or scene.default_model,
         description=f"Inverse dynamics of {scene.name.replace('_', ' ')}: the inputs"
-        f" {', '.join(each.name for each in system.inputs)} that make {', '.join(each.name for each in system.outputs)}"
+        f" {', '.join(quantity.name for quantity in system.inputs)} that make"
+        f" {', '.join(quantity.name for quantity in system.outputs)}"
         " follow a path",
         kernel="inverse",
         own=_own(compiled, len(system.outputs), feedback) | {"estimates": estimates.own() if estimates else None},
@@ -157,7 +158,7 @@ def _variables(
         found.append(rows.internal_step(place))
         place += 1
     if not problem.flat:
-        quantities = {f"q.{each.name}": each for each in system.coordinates.quantities}
+        quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
         found += rows.start_variables(array.named_states, units, place)
         found += rows.state_variables(array.named_states, units, place + len(units))
@@ -236,7 +237,7 @@ class _Known:
     @property
     def of_path(self) -> tuple[Limit, ...]:
         """Limits of the path alone."""
-        return tuple(each for each in self.problem.limits if each.of_path)
+        return tuple(limit for limit in self.problem.limits if limit.of_path)
 
     @property
     def orders(self) -> int:
@@ -248,7 +249,7 @@ class _Known:
     def split(self, values: Matrix, margins: Matrix) -> tuple[Matrix, Matrix]:
         """Return outputs, and margins of all limits, of all values and the margins of the path."""
         count, sides = len(self.outputs), self.bounds[len(self.of_path) :]
-        kept = [each.side * (values[count + each.row] - each.bound) + _ROUND_OFF * abs(each.bound) for each in sides]
+        kept = [side.side * (values[count + side.row] - side.bound) + _ROUND_OFF * abs(side.bound) for side in sides]
         return values[:count], ca.vertcat(margins, *kept)
 
 
@@ -261,7 +262,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
         If one is of an angle that counts turns, or of the rate of a force, which no instant tells.
     """
     path = [Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in problem.limits if e.of_path]
-    hidden = [each.name for each in problem.system.observables if each.name.startswith(HIDDEN)]
+    hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
     found = []
     for row, (limit, name) in enumerate(zip((e for e in problem.limits if not e.of_path), hidden, strict=True)):
         if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
@@ -325,7 +326,7 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     outputs, kept = known.split(read(first, path, P)[0], margins(path, P))
     S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", G.shape[0], orders * len(nodes))
     at_nodes = [
-        timed_path(system, each, T + node * h) for each, node in zip(ca.horzsplit(N, orders), nodes, strict=True)
+        timed_path(system, column, T + node * h) for column, node in zip(ca.horzsplit(N, orders), nodes, strict=True)
     ]
     used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
     after, _, left = program.step(S, used, h, P)

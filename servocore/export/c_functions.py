@@ -29,4 +29,4 @@ def renamed(function: ca.Function, name: str) -> ca.Function:
 def scratch_of(functions: Collection[ca.Function]) -> dict[str, int]:
     """Return how much working memory the largest of some functions takes, by kind."""
     sizes = {"arguments": "sz_arg", "results": "sz_res", "integers": "sz_iw", "numbers": "sz_w"}
-    return {kind: max(getattr(each, size)() for each in functions) for kind, size in sizes.items()}
+    return {kind: max(getattr(function, size)() for function in functions) for kind, size in sizes.items()}

@@ -72,8 +72,8 @@ def c_files(model: InverseModel) -> dict[str, str]:
     mathematics = model.mathematics.only(_CALLED)
     source, name = mathematics.source()[1], model.identifier
     values = tables(model) | {
-        "parameter_list": [each for each in model.of("parameter") if each.name != INTERNAL_STEP],
-        "rest": [start for each in model.of("input") for start in each.starts],
+        "parameter_list": [variable for variable in model.of("parameter") if variable.name != INTERNAL_STEP],
+        "rest": [start for variable in model.of("input") for start in variable.starts],
         "parameters": model.numbers("parameter") - len(model.settings),
         "functions": tuple(mathematics.functions),
         "scratch": mathematics.scratch(),

@@ -34,8 +34,8 @@ def cross_check_files(scene: Scene, model: InverseModel, solution: Solution, ste
     path, t = scene.reference, solution.t
     step = float(t[1] - t[0])
     jets = path.jet(t, model.mathematics.orders - 1).reshape(len(t), -1)
-    outputs = [each.name for each in model.of("output")]
-    names = [name for each in model.of("input") for name in each.scalar_names]
+    outputs = [variable.name for variable in model.of("output")]
+    names = [name for variable in model.of("input") for name in variable.scalar_names]
     begin = model.start_time
     options = {"StartTime": begin, "StopTime": begin + path.duration, "StepSize": step, "RelTol": 0.0}
     options["OutputIntervalLength"] = step

@@ -70,8 +70,8 @@ def fmi2_description(model: NativeModel, token: str) -> bytes:
 def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
     structure = _add(root, "ModelStructure")
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
-    parameters = [k for each in model.of("parameter") if each.name != INTERNAL_STEP for k in _places(each)]
-    for row, place in enumerate(k for each in model.of("output") for k in _places(each)):
+    parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
+    for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
         of_path = [k for k, used in enumerate(model.depends[row]) if used]
         for parent, on in ((outputs, of_path), (initial, [*of_path, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
@@ -119,9 +119,9 @@ def _time_reference(model: NativeModel) -> int:
 
 def _fmi3_structure(root: ET.Element, model: NativeModel) -> None:
     structure = _add(root, "ModelStructure")
-    numbers = {id(each): k for k, each in enumerate(model.variables)}
-    inputs = [numbers[id(each)] for each in model.of("input")]
-    parameters = [numbers[id(each)] for each in model.of("parameter") if each.name != INTERNAL_STEP]
+    numbers = {id(variable): k for k, variable in enumerate(model.variables)}
+    inputs = [numbers[id(variable)] for variable in model.of("input")]
+    parameters = [numbers[id(variable)] for variable in model.of("parameter") if variable.name != INTERNAL_STEP]
     time = [_time_reference(model)] if model.timed else []
     unknowns, row = [], 0
     for output in model.of("output"):
@@ -149,9 +149,9 @@ def terminals(model: NativeModel) -> bytes:
     every = _add(root, "Terminals")
     for name, (causality, text) in model.terminals.items():
         terminal = _add(every, "Terminal", name=name, matchingRule="bus", description=text)
-        for each in model.variables:
-            if each.causality == causality:
-                _add(terminal, "TerminalMemberVariable", variableName=each.name, memberName=each.name,
+        for variable in model.variables:
+            if variable.causality == causality:
+                _add(terminal, "TerminalMemberVariable", variableName=variable.name, memberName=variable.name,
                               variableKind="signal")  # fmt: skip
     return document(root)
 
@@ -171,7 +171,7 @@ def _add(parent: ET.Element, tag: str, /, **attributes: str) -> ET.Element:
 
 def _unit_definitions(root: ET.Element, model: NativeModel) -> None:
     definitions = _add(root, "UnitDefinitions")
-    for unit in sorted({each.unit for each in model.variables} | {"s"}):
+    for unit in sorted({variable.unit for variable in model.variables} | {"s"}):
         element, exponents = _add(definitions, "Unit", name=unit), base_units(unit)
         if exponents is not None:
             _add(element, "BaseUnit", **{base: str(n) for base, n in exponents.items()})

@@ -66,7 +66,7 @@ class Mathematics:
 
     def only(self, names: Sequence[str]) -> Mathematics:
         """Return the same with those functions only that are named."""
-        return replace(self, functions={name: each for name, each in self.functions.items() if name in names})
+        return replace(self, functions={name: function for name, function in self.functions.items() if name in names})
 
     def scratch(self) -> dict[str, int]:
         """Return how much working memory the functions take, by kind."""

@@ -64,7 +64,7 @@ def marching(problem: Problem, identifier: str) -> Marching:
     past, path = ca.MX.sym("past", m, orders * len(instants)), ca.MX.sym("path", m, orders)
     p, h, time = ca.MX.sym("p", system.p.numel()), ca.MX.sym("h"), ca.MX.sym("time")
     known = [
-        timed_path(system, each, time + k * h) for each, k in zip(ca.horzsplit(past, orders), instants, strict=True)
+        timed_path(system, column, time + k * h) for column, k in zip(ca.horzsplit(past, orders), instants, strict=True)
     ]
     first, _, residual = program.start(ca.horzcat(*known), h, p)
     begin = [first, read(first, known[0], p)[0], residual]

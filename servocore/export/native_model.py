@@ -109,15 +109,15 @@ class NativeModel:
     @property
     def settings(self) -> tuple[Variable, ...]:
         """Parameters that are not the model's."""
-        return tuple(each for each in self.of("parameter") if each.setting)
+        return tuple(variable for variable in self.of("parameter") if variable.setting)
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
-        return tuple(each for each in self.variables if each.causality == causality)
+        return tuple(variable for variable in self.variables if variable.causality == causality)
 
     def numbers(self, causality: Causality) -> int:
         """Return how many numbers the variables of one causality have."""
-        return sum(each.size or 1 for each in self.of(causality))
+        return sum(variable.size or 1 for variable in self.of(causality))
 
     def source(self) -> tuple[str, str]:
         """Return header and C source ``IDENTIFIER_mathematics``; all names in them begin with the identifier."""

@@ -92,10 +92,12 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
     identifier = wishes.identifier or identifier_of(f"{scene.name}_plant")
     used = _used(problem, plant)
     offsets = wishes.offsets or (
-        {} if problem.system.lam.numel() else {f"start.{each}": (each,) for each in _coordinates(problem)}
+        {}
+        if problem.system.lam.numel()
+        else {f"start.{coordinate}": (coordinate,) for coordinate in _coordinates(problem)}
     )
     variables = _variables(problem, scene.tracked, [*used, *(each for each, _ in wishes.extra)], offsets, wishes)
-    require_different(problem, variables, (*(each.name for each in CHOICES), "time"))
+    require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem)
     functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets, wishes)
     outputs = (*used, *(each for each, _ in wishes.extra))
@@ -105,13 +107,13 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         title=f"{scene.name} plant",
         model=model,
         description=f"Forward dynamics of {scene.name.replace('_', ' ')}: where it goes under its inputs"
-        f" {', '.join(each.name for each in problem.system.inputs)}",
+        f" {', '.join(quantity.name for quantity in problem.system.inputs)}",
         kernel="plant",
         own={
             "state_size": 2 * len(problem.system.coordinates),
             "pushed": len(problem.system.outputs),
-            "errors": [problem.system.parameters.names.index(each) for each in wishes.errors.values()],
-            "offsets": sum(len(each) for each in offsets.values()),
+            "errors": [problem.system.parameters.names.index(parameter) for parameter in wishes.errors.values()],
+            "offsets": sum(len(offset) for offset in offsets.values()),
         },
         functions=functions,
         variables=variables,
@@ -128,15 +130,15 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
 
 
 def _coordinates(problem: Problem) -> list[str]:
-    return [each.name for each in problem.system.coordinates.quantities]
+    return [quantity.name for quantity in problem.system.coordinates.quantities]
 
 
 def _used(problem: Problem, plant: Plant) -> list[Quantity]:
     """Return the channels that are outputs: without accelerations and inputs, with the signs that they must have."""
     system = problem.system
-    left = {f"{each.name}_ddot" for each in system.outputs} | {each.name for each in system.inputs}
+    left = {f"{quantity.name}_ddot" for quantity in system.outputs} | {quantity.name for quantity in system.inputs}
     known = {each.name: each for each in (*system.coordinates.quantities, *system.observables)}
-    found = [each for each in plant.channels if each.name not in left]
+    found = [channel for channel in plant.channels if channel.name not in left]
     return [replace(each, positive=each.name in known and known[each.name].positive) for each in found]
 
 
@@ -150,8 +152,16 @@ def _variables(
     system = problem.system
     m = len(system.inputs)
     found = [
-        Variable(each.name, "input", each.unit, each.description or each.name, k, (0.0,), nominal=each.nominal)
-        for k, each in enumerate(system.inputs)
+        Variable(
+            quantity.name,
+            "input",
+            quantity.unit,
+            quantity.description or quantity.name,
+            k,
+            (0.0,),
+            nominal=quantity.nominal,
+        )
+        for k, quantity in enumerate(system.inputs)
     ]
     servo = len(system.outputs)
     found += rows.motion_variables(system.outputs, tracked, m)
@@ -161,18 +171,20 @@ def _variables(
     place += len(system.parameters)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
-    units = {each.name: each.unit for each in system.coordinates.quantities}
+    units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
     settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
-    for each in settings:
-        found.append(rows.placed(each, place))
-        place += each.size or 1
+    for setting in settings:
+        found.append(rows.placed(setting, place))
+        place += setting.size or 1
     return tuple(rows.with_starts(each, wishes.start) for each in found)
 
 
 def _limits(problem: Problem) -> tuple[tuple[Bound, ...], ca.Function]:
     """Return those limits of the path that say where its output may be, and (path, p) -> how far each is."""
     system = problem.system
-    kept = [each for each in problem.limits if each.of_path and highest_derivative(each.on(system), system.gamma) == 0]
+    kept = [
+        limit for limit in problem.limits if limit.of_path and highest_derivative(limit.on(system), system.gamma) == 0
+    ]
     margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
     bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
     return bounds, ca.Function("margins", [system.gamma[:, 0], system.p], [ca.densify(margins)])
@@ -191,7 +203,7 @@ def _functions(
     state, d = ca.MX.sym("state", plant.step.numel_in(0)), ca.MX.sym("d", servo)
     u, slope, h = ca.MX.sym("u", m), ca.MX.sym("slope", m), ca.MX.sym("h")
     p = ca.MX.sym("p", problem.system.p.numel())
-    places = [[each.name for each in plant.channels].index(name) for name in wanted]
+    places = [[channel.name for channel in plant.channels].index(name) for name in wanted]
 
     def seen(channels: ca.MX) -> list[ca.MX]:
         """Return outputs, and margins of limits."""

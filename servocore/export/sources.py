@@ -122,15 +122,15 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "stamp": int(token[1:9] or "0", 16),
         "inputs": model.numbers("input"),
         "outputs": model.outputs,
-        "parameters": model.numbers("parameter") - sum(each.size or 1 for each in model.settings),
-        "settings": sum(each.size or 1 for each in model.settings),
+        "parameters": model.numbers("parameter") - sum(setting.size or 1 for setting in model.settings),
+        "settings": sum(setting.size or 1 for setting in model.settings),
         "internal": model.numbers("local"),
         "choices": model.choices,
         "limits": model.limits,
         "timed": model.timed,
         "arrays": model.variables,
         "scratch": scratch_of(model.functions.values()),
-        "numbers": [row for each in model.variables for row in _numbers(each)],
+        "numbers": [row for variable in model.variables for row in _numbers(variable)],
         **model.own,
     }
 

@@ -96,11 +96,11 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     InvalidSetting
         If a name is unknown, or needs the package ziglang where it is not installed.
     """
-    known = [name for name, each in TARGETS.items() if fmi == 3 or each.fmi2]
+    known = [name for name, target in TARGETS.items() if fmi == 3 or target.fmi2]
     if wanted is None:
         wanted = "all" if zig() else HOST
-    names = [each.strip() for each in wanted.split(",")]
-    names = known if names == ["all"] else [host() if each == HOST else each for each in names]
+    names = [label.strip() for label in wanted.split(",")]
+    names = known if names == ["all"] else [host() if label == HOST else label for label in names]
     for name in names:
         if name not in known:
             raise InvalidSetting(f"FMI {fmi} has no platform {name!r}; there are {', '.join(known)}, all and {HOST}")
@@ -191,9 +191,9 @@ def universal(slices: Sequence[bytes]) -> bytes:
     """Join Mach-O files of several processors into one, behind a fat header."""
     step = 1 << _SLICE_ALIGNMENT
     header, body, offset = struct.pack(">II", 0xCAFEBABE, len(slices)), b"", step
-    for each in slices:
-        processor, kind = struct.unpack_from("<II", each, 4)
-        header += struct.pack(">IIIII", processor, kind, offset, len(each), _SLICE_ALIGNMENT)
-        padded = each + bytes(-len(each) % step)
+    for binary in slices:
+        processor, kind = struct.unpack_from("<II", binary, 4)
+        header += struct.pack(">IIIII", processor, kind, offset, len(binary), _SLICE_ALIGNMENT)
+        padded = binary + bytes(-len(binary) % step)
         body, offset = body + padded, offset + len(padded)
     return header + bytes(step - len(header)) + body

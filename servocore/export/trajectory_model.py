@@ -93,10 +93,10 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     choice = _choice(baked is not None, wishes.profile)
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
-        Quantity(name, each.unit, each.description)
-        for each in variables
-        if each.causality == "output"
-        for name in each.scalar_names
+        Quantity(name, variable.unit, variable.description)
+        for variable in variables
+        if variable.causality == "output"
+        for name in variable.scalar_names
     ]
     return NativeModel(
         identifier=identifier,
@@ -142,9 +142,9 @@ def _variables(
     found = rows.path_outputs(servo, scene.tracked, orders)
     place = sum(each.size or 1 for each in found)
     begin = line.start_time if line is not None else 0.0
-    for each in rows.line_settings(servo, scene.tracked, ends, path.duration, begin):
-        found.append(rows.with_starts(rows.placed(each, place), wishes.start))
-        place += each.size or 1
+    for setting in rows.line_settings(servo, scene.tracked, ends, path.duration, begin):
+        found.append(rows.with_starts(rows.placed(setting, place), wishes.start))
+        place += setting.size or 1
     return found
 
 

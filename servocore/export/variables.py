@@ -134,14 +134,14 @@ def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home:
         starts = [float(value) if order == 0 else 0.0 for value in home]
         what = order_name(order)
         if together(outputs, tracked):
-            text = f"{what} wanted of the {tracked}, components {', '.join(each.name for each in outputs)}"
+            text = f"{what} wanted of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
             unit = per_time(outputs[0].unit, order)
             found.append(Variable(f"{tracked}.{what}", "input", unit, text, order * count, tuple(starts), count))
             continue
-        for k, each in enumerate(outputs):
-            meant = f" ({each.description})" if each.description else ""
-            text, unit = f"{what} wanted of {each.name}{meant}", per_time(each.unit, order)
-            found.append(Variable(f"{each.name}.{what}", "input", unit, text, order * count + k, (starts[k],)))
+        for k, quantity in enumerate(outputs):
+            meant = f" ({quantity.description})" if quantity.description else ""
+            text, unit = f"{what} wanted of {quantity.name}{meant}", per_time(quantity.unit, order)
+            found.append(Variable(f"{quantity.name}.{what}", "input", unit, text, order * count + k, (starts[k],)))
     return found
 
 
@@ -149,10 +149,10 @@ def output_variables(quantities: Sequence[Quantity], place: int) -> list[Variabl
     """Return the outputs: the inputs of the mechanical system, and what its model observes."""
     return [
         Variable(
-            each.name, "output", each.unit, each.description or each.name, place + k,
-            low=0.0 if each.positive else -math.inf, nominal=each.nominal,
+            quantity.name, "output", quantity.unit, quantity.description or quantity.name, place + k,
+            low=0.0 if quantity.positive else -math.inf, nominal=quantity.nominal,
         )
-        for k, each in enumerate(quantities)
+        for k, quantity in enumerate(quantities)
     ]  # fmt: skip
 
 
@@ -236,7 +236,7 @@ def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -
 
 def together(outputs: Sequence[Quantity], tracked: str) -> bool:
     """Whether components of an output are vectors: there is a word for what they belong to, and they have one unit."""
-    return bool(tracked) and len(outputs) > 1 and len({each.unit for each in outputs}) == 1
+    return bool(tracked) and len(outputs) > 1 and len({quantity.unit for quantity in outputs}) == 1
 
 
 def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> list[Variable]:
@@ -245,7 +245,7 @@ def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> l
     for order in range(2):
         what, first = order_name(order), place + order * count
         if together(outputs, tracked):
-            text = f"{what} of the {tracked}, components {', '.join(each.name for each in outputs)}"
+            text = f"{what} of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
             unit = per_time(outputs[0].unit, order)
             found.append(Variable(f"{tracked}.{what}", "output", unit, text, first, size=count))
             continue
@@ -267,7 +267,7 @@ def plant_settings(
             _setting(name, "1", f"the plant's {of} is larger by this fraction of it", (0.0,), -0.9, 10.0)
             for name, of in errors.items()
         ),
-        *(row for each in pushes for row in each),
+        *(row for push in pushes for row in push),
         _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9),
         _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9),
         _setting(INTERNAL_STEP, "s", "longest step of the solver, Runge-Kutta of order four", (longest,), 1e-6, 1.0),

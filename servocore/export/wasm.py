@@ -122,7 +122,7 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
             for e in model.of("parameter")
             if e not in model.settings
         ],
-        "verdicts": [*_VERDICTS, *(each.text for each in model.limits)],
+        "verdicts": [*_VERDICTS, *(limit.text for limit in model.limits)],
         "instants": [] if marched is None else list(marched.instants),
     }
 

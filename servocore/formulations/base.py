@@ -42,10 +42,10 @@ def mechanical_unknowns(system: MechanicalSystem) -> tuple[ca.SX, ca.SX, tuple[U
     x, z = ca.vertcat(system.q, system.v), ca.vertcat(system.lam, system.u)
     coordinates = system.coordinates.quantities
     described = (
-        *(Unknown(f"q.{each.name}", 0, each.magnitude) for each in coordinates),
-        *(Unknown(f"q.{each.name}", 1, each.magnitude) for each in coordinates),
+        *(Unknown(f"q.{coordinate.name}", 0, coordinate.magnitude) for coordinate in coordinates),
+        *(Unknown(f"q.{coordinate.name}", 1, coordinate.magnitude) for coordinate in coordinates),
         *(Unknown(f"lam.{k + 1}") for k in range(system.lam.numel())),
-        *(Unknown(f"u.{each.name}", 0, each.magnitude) for each in system.inputs),
+        *(Unknown(f"u.{quantity.name}", 0, quantity.magnitude) for quantity in system.inputs),
     )
     return x, z, described
 

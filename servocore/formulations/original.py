@@ -48,7 +48,7 @@ class Original:
             equations=(
                 *(Equation(f"velocity of {name}", 1) for name in names),
                 *(Equation(f"momentum of {name}", 2) for name in names),
-                *(Equation(f"servo constraint on {each.name}", 0) for each in system.outputs),
+                *(Equation(f"servo constraint on {quantity.name}", 0) for quantity in system.outputs),
                 *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
             ),
             physical=physical_variables(system),

@@ -57,8 +57,8 @@ class Projected:
             equations=(
                 *(Equation(f"velocity of {name}", 1) for name in system.coordinates.names),
                 *(Equation(f"projected momentum {k + 1}", 2) for k in range(free)),
-                *(Equation(f"servo acceleration of {each.name}", 2) for each in system.outputs),
-                *(Equation(f"servo constraint on {each.name}", 0) for each in system.outputs),
+                *(Equation(f"servo acceleration of {quantity.name}", 2) for quantity in system.outputs),
+                *(Equation(f"servo constraint on {quantity.name}", 0) for quantity in system.outputs),
                 *(Equation(f"holonomic constraint {k + 1}", 0) for k in range(system.lam.numel())),
             ),
             physical=physical_variables(system),

@@ -49,7 +49,7 @@ class Reduced:
         array = derivative_array(system)
         if not self.states:
             return array
-        return replace(array, states=tuple(_entry(array, each) for each in self.states))
+        return replace(array, states=tuple(_entry(array, state) for state in self.states))
 
     def dae(self, system: MechanicalSystem) -> Dae:
         """Return x_dot = next derivative of x, 0 = derivative array."""

@@ -62,6 +62,6 @@ class BDF:
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""
-        alpha = [float(each) for each in coefficients(self.order)]
+        alpha = [float(coefficient) for coefficient in coefficients(self.order)]
         # k + 1 instants make the history; differencing the velocities at each of them takes k more.
         return backward_differences(dae, alpha, Start.of(dae, 2 * self.order + 1))

@@ -117,11 +117,13 @@ class GeneralizedAlpha:
 
 def _pairs(dae: Dae) -> tuple[list[int], list[int]]:
     """Return the places of positions and of their velocities within x."""
-    places = {(each.variable, each.order): k for k, each in enumerate(dae.unknowns[: dae.x.numel()])}
+    places = {(unknown.variable, unknown.order): k for k, unknown in enumerate(dae.unknowns[: dae.x.numel()])}
     velocities = [(variable, order) for variable, order in places if (variable, order - 1) in places]
     if 2 * len(velocities) != len(places):
         raise InvalidModel(f"{dae.name}: generalized-alpha needs positions with their velocities as unknowns")
-    return [places[variable, order - 1] for variable, order in velocities], [places[each] for each in velocities]
+    return [places[variable, order - 1] for variable, order in velocities], [
+        places[velocity] for velocity in velocities
+    ]
 
 
 def _joined(places_q: list[int], places_v: list[int], q: ca.SX, v: ca.SX) -> ca.SX:

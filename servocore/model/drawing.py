@@ -51,7 +51,7 @@ class Part:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise InvalidSetting(f"there is no part of kind {self.kind} to be drawn; there are {', '.join(KINDS)}")
-        if len(self.points) != _ENDS.get(self.kind, 1) or any(len(each) != 3 for each in self.points):
+        if len(self.points) != _ENDS.get(self.kind, 1) or any(len(point) != 3 for point in self.points):
             raise InvalidSetting(
                 f"a {self.kind} is drawn at {_ENDS.get(self.kind, 1)} points of three coordinates each, not"
                 f" {self.points!r}"

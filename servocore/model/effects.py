@@ -115,16 +115,16 @@ class Effects:
         InvalidModel
             If there is no such effect.
         """
-        wanted, unwanted = {self[each] for each in names}, {self[each] for each in without}
+        wanted, unwanted = {self[name] for name in names}, {self[each] for each in without}
         both = sorted(each.name for each in wanted & unwanted)
         if both:
             raise InvalidModel(f"a model cannot be both with and without {', '.join(both)}")
         lacking = self.left_out - {each.name for each in wanted}
-        having = self.added - {each.name for each in unwanted}
+        having = self.added - {name.name for name in unwanted}
         return replace(
             self,
             added=having | {each.name for each in wanted if not each.left_out},
-            left_out=lacking | {each.name for each in unwanted if each.left_out},
+            left_out=lacking | {name.name for name in unwanted if name.left_out},
         )
 
     @property
@@ -154,5 +154,5 @@ def parameters_with(own: Parameters, effects: Iterable[Effect]) -> Parameters:
     """Return the parameters of a model with some effects; what several of them need is there once."""
     found = {each.name: each for each in own.declared}
     for effect in effects:
-        found |= {each.name: each for each in effect.parameters if each.name not in found}
+        found |= {parameter.name: parameter for parameter in effect.parameters if parameter.name not in found}
     return Parameters(*found.values())

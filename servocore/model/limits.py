@@ -108,7 +108,7 @@ class Limit:
 
 def _arguments(function: Callable[..., Any]) -> int:
     """Return how many arguments a function must be given."""
-    return sum(each.default is each.empty for each in inspect.signature(function).parameters.values())
+    return sum(parameter.default is parameter.empty for parameter in inspect.signature(function).parameters.values())
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class Named:
     def __call__(self, system: MechanicalSystem) -> ca.SX:
         """Return it for a system; raises `InvalidModel` if that reports nothing of the name."""
         for quantities, expressions in reversed(_groups(system)):
-            names = [each.name for each in quantities]
+            names = [quantity.name for quantity in quantities]
             if self.name in names:
                 return expressions[names.index(self.name)]
         raise InvalidModel(f"{system.name} reports no {self.name}, so that its limit cannot be kept")
@@ -162,7 +162,7 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
     if isinstance(bounds, tuple | list):
         if len(bounds) != 2:
             raise InvalidSetting(f"{what} must be one number or a lower and an upper one, not {bounds!r}")
-        lower, upper = (_value(each, unit, what) for each in bounds)
+        lower, upper = (_value(bound, unit, what) for bound in bounds)
         lower, upper = (-math.inf if lower is None else lower, math.inf if upper is None else upper)
         if not lower < upper or (lower, upper) == (-math.inf, math.inf):
             raise InvalidSetting(f"{what} must run from a lower to an upper number, not {bounds!r}")

@@ -105,7 +105,7 @@ def require_sound(system: Written) -> None:
     home = _home(system, guess, start)
     points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
     rest = [np.sin(2.0 + np.arange(each.numel())).reshape(each.shape) for each in (lam, u, gamma)]
-    found = [_arrays(still.call([*each, clock])) for each in points]
+    found = [_arrays(still.call([*point, clock])) for point in points]
     _require_finite(system, at_rest, found)
     _require_finite(system, moving, [_arrays(forces.call([each, rates, values, clock])) for each, values in points])
     _require_finite(system, seen, [_arrays(observe.call([each, rates, values, *rest])) for each, values in points[-2:]])
@@ -115,9 +115,9 @@ def require_sound(system: Written) -> None:
 
 
 def _require_timeless(system: Written) -> None:
-    for each in _TIMELESS:
-        if system.time.numel() and ca.depends_on(system.fields[each], system.time):
-            raise InvalidModel(f"{system.name}: {each} must not depend on the time")
+    for field_name in _TIMELESS:
+        if system.time.numel() and ca.depends_on(system.fields[field_name], system.time):
+            raise InvalidModel(f"{system.name}: {field_name} must not depend on the time")
 
 
 def _require_names(system: Written) -> None:
@@ -149,7 +149,7 @@ def _same(one: ca.SX, other: ca.SX) -> bool:
         return True
     symbols = ca.vertcat(ca.SX(0, 1), *ca.symvar(ca.vertcat(one, other)))
     values = ca.Function("sc_both", [symbols], [one, other])(np.sin(1.0 + np.arange(symbols.numel())))
-    first, second = (float(each) for each in values)
+    first, second = (float(value) for value in values)
     return abs(first - second) <= _DEPENDENT * max(abs(first), abs(second))
 
 
@@ -170,7 +170,7 @@ def _compiled(system: Written, fields: Mapping[str, ca.SX], groups: Sequence[ca.
 
 
 def _arrays(values: Sequence[ca.DM]) -> list[Array]:
-    return [np.asarray(each) for each in values]
+    return [np.asarray(value) for value in values]
 
 
 def _home(system: Written, fields: Mapping[str, ca.SX], guess: ca.Function) -> Array:
@@ -230,7 +230,7 @@ def _constants_not_finite(expression: ca.SX) -> list[float]:
         for k in range(function.n_instructions())
         if function.instruction_id(k) == ca.OP_CONST
     )
-    return [each for each in constants if not np.isfinite(each)]
+    return [constant for constant in constants if not np.isfinite(constant)]
 
 
 def _entry(system: Written, field: str, row: int, column: int) -> str:
@@ -303,7 +303,7 @@ def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kin
     kind : str
         "input" or "output".
     """
-    finite = [each for each in rows if np.isfinite(each).all()]
+    finite = [row for row in rows if np.isfinite(row).all()]
     if not finite or not names:
         return
     dead = np.flatnonzero(np.all([~each.any(axis=1) for each in finite], axis=0))

@@ -40,15 +40,15 @@ def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> Mechanica
     if len(decades) != len(system.outputs):
         return system
     home, _ = system.home_configuration()
-    magnitudes = _changes(system, np.array([10.0**each for each in decades]))
+    magnitudes = _changes(system, np.array([10.0**decade for decade in decades]))
     magnitudes[magnitudes <= _NOTHING * magnitudes.max(initial=0.0)] = 0.0
-    for unit in {each.unit for each in quantities}:
-        alike = [k for k, each in enumerate(quantities) if each.unit == unit]
+    for unit in {quantity.unit for quantity in quantities}:
+        alike = [k for k, quantity in enumerate(quantities) if quantity.unit == unit]
         largest = magnitudes[alike].max()
         still = [k for k in alike if not magnitudes[k] > _ROUND_OFF * largest]
         magnitudes[still] = largest or 1.0
     derived = 10.0 ** np.round(np.log10(np.maximum(magnitudes, _SMALLEST * np.nan_to_num(np.abs(home)))))
-    sizes = [_chosen(each, size) for each, size in zip(quantities, derived.tolist(), strict=True)]
+    sizes = [_chosen(quantity, size) for quantity, size in zip(quantities, derived.tolist(), strict=True)]
     if sizes == list(system.coordinates.nominal):
         return system
     return replace(system, coordinates=system.coordinates.scaled(sizes))

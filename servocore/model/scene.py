@@ -91,7 +91,7 @@ class Scene:
                 )
         require_kind(self.reference, Reference, f"{self.name}: the reference", "a Reference", InvalidReference)
         require_kind(self.parameters, Mapping, f"{self.name}: parameters", "values by name", InvalidModel)
-        listed = isinstance(self.limits, Sequence) and all(isinstance(each, Limit) for each in self.limits)
+        listed = isinstance(self.limits, Sequence) and all(isinstance(limit, Limit) for limit in self.limits)
         if not listed:
             raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
 
@@ -168,7 +168,7 @@ class Scene:
         system : MechanicalSystem
             One of the scene's models.
         """
-        outputs = [each.name for each in system.outputs]
+        outputs = [quantity.name for quantity in system.outputs]
         if self.reference.dimension != len(outputs):
             raise InvalidReference(
                 f"{self.name} needs a path with {len(outputs)} components, this one has {self.reference.dimension}; the"
@@ -226,7 +226,9 @@ class Scene:
             self, models={"with effects": effects.factory}, effects=effects, closed_form=None, independent_solution=None
         )
         known = changed.model().parameters.names
-        return replace(changed, parameters={name: each for name, each in self.parameters.items() if name in known})
+        return replace(
+            changed, parameters={name: parameter for name, parameter in self.parameters.items() if name in known}
+        )
 
     def with_limits(self, **bounds: Bounds | None) -> Scene:
         """Return the scene with limits on what its solutions report, by name, in the place of those of the same name.
@@ -259,12 +261,14 @@ class Scene:
         True
         """
         model = self.model()
-        given = tuple(limit_named(model, name, each) for name, each in bounds.items() if each is not None)
+        given = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
         own = {
-            each.expression.name + RATE * each.rate: each for each in self.limits if isinstance(each.expression, Named)
+            limit.expression.name + RATE * limit.rate: limit
+            for limit in self.limits
+            if isinstance(limit.expression, Named)
         }
         replaced = [limit for name, limit in own.items() if name in bounds]
-        return replace(self, limits=(*(each for each in self.limits if each not in replaced), *given))
+        return replace(self, limits=(*(limit for limit in self.limits if limit not in replaced), *given))
 
     def parameter_values(self) -> dict[str, float]:
         """All parameters by name.

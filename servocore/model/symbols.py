@@ -95,17 +95,17 @@ def quantities_of(values: Any, what: str) -> tuple[Quantity, ...]:
     """Return a sequence of quantities as a tuple; raises `InvalidModel` if it is something else."""
     if isinstance(values, str | Quantity) or not isinstance(values, Sequence):
         raise InvalidModel(f"{what} must be a sequence of Quantity, not {described(values)}")
-    for each in values:
-        require_kind(each, Quantity, what, "made of Quantity, such as Quantity('x', 'm')", InvalidModel)
+    for value in values:
+        require_kind(value, Quantity, what, "made of Quantity, such as Quantity('x', 'm')", InvalidModel)
         for attribute in ("name", "unit"):
             require_kind(
-                getattr(each, attribute), str, f"{what}: the {attribute} of a quantity", "a text", InvalidModel
+                getattr(value, attribute), str, f"{what}: the {attribute} of a quantity", "a text", InvalidModel
             )
-        number = each.nominal is None or isinstance(each.nominal, int | float | np.number)
-        if not each.name or not number or not 0.0 < each.magnitude < math.inf:
+        number = value.nominal is None or isinstance(value.nominal, int | float | np.number)
+        if not value.name or not number or not 0.0 < value.magnitude < math.inf:
             raise InvalidModel(
                 f"{what}: a quantity needs a name and a nominal magnitude that is positive and finite, not"
-                f" {each.name!r} and {each.nominal!r}"
+                f" {value.name!r} and {value.nominal!r}"
             )
     return tuple(values)
 

@@ -158,7 +158,7 @@ class MechanicalSystem:
         self._fill("guess", ca.SX.zeros(n))
         self._fill("time", ca.SX(0, 1))
         self._set_clock(m)
-        self._fill("u", symbols(each.name for each in self.inputs))
+        self._fill("u", symbols(quantity.name for quantity in self.inputs))
         self._require_shapes(n, m, m_h)
         self._derive()
         require_sound(self._written())
@@ -186,7 +186,7 @@ class MechanicalSystem:
         taken["observables"] = {
             each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
         }
-        named = tuple(each.name for each in outputs)
+        named = tuple(quantity.name for quantity in outputs)
         taken["home"] = numbers(self.home, self._at_home(named), f"{self.name}: home") or (1.0,) * len(named)
         at_home = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
         taken["home_parameters"] = at_home or tuple(self.parameters.values().tolist())
@@ -241,7 +241,7 @@ class MechanicalSystem:
             if attribute in _SYMBOLS and not getattr(self, attribute).is_valid_input():
                 raise InvalidModel(f"{self.name}: {attribute} must be symbols of casadi.SX.sym, not expressions")
         rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))
-        names = [each.name for each in self.outputs]
+        names = [channel.name for channel in self.outputs]
         require_positions(self.name, self.v, (names, self.output), (rows, self.constraints))
         for quantity, expression in self.observables.items():
             if expression.shape != (1, 1):
@@ -249,12 +249,12 @@ class MechanicalSystem:
 
     def _written(self) -> Written:
         def named(quantities: Iterable[Quantity | Parameter], values: ca.SX) -> list[tuple[str, ca.SX]]:
-            return list(zip((each.name for each in quantities), ca.vertsplit(values), strict=True))
+            return list(zip((channel.name for channel in quantities), ca.vertsplit(values), strict=True))
 
         return Written(
             name=self.name,
             inputs=named(self.inputs, self.u),
-            observables=[(quantity.name, each) for quantity, each in self.observables.items()],
+            observables=[(quantity.name, expression) for quantity, expression in self.observables.items()],
             outputs=named(self.outputs, self.output),
             coordinates=named(self.coordinates.quantities, self.q),
             parameters=named(self.parameters.declared, self.p),

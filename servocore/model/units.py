@@ -74,9 +74,9 @@ def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
     """Return how many SI units it is, and of which."""
     factor, powers = 1.0, Counter[str]()
     numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")
-    for text, sign in ((numerators, 1), *((each, -1) for each in denominators)):
-        for each in re.split(r"[.·*\s]+", text.strip().strip("()")):
-            found = _FACTOR.fullmatch(each)
+    for text, sign in ((numerators, 1), *((denominator, -1) for denominator in denominators)):
+        for label in re.split(r"[.·*\s]+", text.strip().strip("()")):
+            found = _FACTOR.fullmatch(label)
             if found is None or found[1] not in _UNITS:
                 raise InvalidSetting(f"{what} is given in {unit}, which is no unit known here: {', '.join(_UNITS)}")
             size, of = _UNITS[found[1]]

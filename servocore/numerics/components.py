@@ -46,7 +46,7 @@ class Part:
 def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     """Return the independent parts of a matrix; an empty row or column is a part of its own."""
     height, width = pattern.shape
-    rows, columns = (np.array(each, dtype=np.intp) for each in pattern.get_triplet())
+    rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
     # Rows and columns as nodes of one graph with edges both ways: its strong components are the parts.
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
     graph = ca.Sparsity.triplet(height + width, height + width, *(each.tolist() for each in both))
@@ -85,7 +85,7 @@ def filled(matrix: ca.DM) -> Array:
 def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
     places = (each.tolist() for each in np.nonzero(matrix))
-    parts = [each for each in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(each.entries)]
+    parts = [part for part in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(part.entries)]
     found = [
         np.linalg.svd(np.stack([matrix[np.ix_(each.rows, each.columns)] for each in same]), compute_uv=False).ravel()
         for same in of_one_shape(parts)

@@ -48,13 +48,13 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     candidates = [part for same in shapes.values() if len(same) > 1 for part in same]
     if not candidates:
         return []
-    places = {each.element_hash(): k for k, each in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
+    places = {entry.element_hash(): k for k, entry in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
     found: dict[str, IsomorphicParts] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
         expressions = [residual[rows], *(each[columns] for each in beside[:-1]), beside[-1][rows]]
-        hashes = (each.element_hash() for each in ca.symvar(ca.vertcat(*expressions)))
-        known = sorted(places[each] for each in hashes if each in places)
+        hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
+        known = sorted(places[key] for key in hashes if key in places)
         # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
         group = found.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)
@@ -64,7 +64,7 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
 
 def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:
     """Return what expressions say of symbols, whatever these are called."""
-    renamed = [ca.SX.sym("x", each.numel()) for each in symbols]
+    renamed = [ca.SX.sym("x", symbol.numel()) for symbol in symbols]
     said = ca.Function("sc_part", symbols, expressions).call(renamed)
     text: str = ca.Function("sc_part", renamed, said).serialize()
     return text

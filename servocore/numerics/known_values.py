@@ -45,7 +45,7 @@ class KnownValues:
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
         """Return `expressions` in terms of evaluated symbols and of unknowns still to come."""
-        pairs = [self.explicit[each] for each in _symbols(expressions) if each in self.explicit]
+        pairs = [self.explicit[key] for key in _symbols(expressions) if key in self.explicit]
         return substituted(pairs, *expressions)
 
     def flush(self) -> None:
@@ -77,7 +77,7 @@ class KnownValues:
     def needed(self, *expressions: ca.SX) -> tuple[ca.SX, ca.MX]:
         """Return the evaluated symbols in `expressions`, and their values."""
         wanted: dict[int, list[int]] = {}
-        for piece, position in sorted(self._places[each] for each in _symbols(expressions) if each in self._places):
+        for piece, position in sorted(self._places[key] for key in _symbols(expressions) if key in self._places):
             wanted.setdefault(piece, []).append(position)
         symbols, values = [ca.SX(0, 1)], [ca.MX(0, 1)]
         for piece, positions in wanted.items():
@@ -100,4 +100,4 @@ def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[c
 
 def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:
     """Hashes of the symbols that occur."""
-    return [each.element_hash() for each in ca.symvar(ca.veccat(*expressions))]
+    return [symbol.element_hash() for symbol in ca.symvar(ca.veccat(*expressions))]

@@ -55,7 +55,7 @@ def c_compiler() -> list[str]:
     import shutil  # noqa: PLC0415
 
     named = shlex.split(os.environ.get("CC", ""))
-    for command in (named, *([each] for each in COMPILERS)):
+    for command in (named, *([compiler] for compiler in COMPILERS)):
         if command and shutil.which(command[0]) is not None:
             return command
     raise InvalidSetting(
@@ -158,9 +158,9 @@ class _Processes:
     def close(self) -> None:
         """End all of them, and start no more."""
         self.closed = True
-        for each in list(self.running):
+        for build in list(self.running):
             with suppress(OSError):
-                each.kill()
+                build.kill()
 
 
 _PROCESSES = _Processes()

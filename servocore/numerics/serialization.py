@@ -26,7 +26,7 @@ def to_json(value: Any, form: str) -> str:
     """
     functions = ca.StringSerializer()
     document: dict[str, object] = {"format": form, "casadi": ca.__version__}
-    known = {each.name: getattr(value, each.name) for each in fields(value) if each.init}
+    known = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
     functions.pack([each for each in known.values() if isinstance(each, ca.Function)])
     document["functions"] = functions.encode()
     for name, each in known.items():
@@ -63,7 +63,7 @@ def from_json(kind: type[Saved], text: str, form: str, parts: Mapping[str, type]
             raise ServocoreError(f"{what} has another format")
         document.pop("casadi")  # for humans
         functions = iter(ca.StringDeserializer(document.pop("functions")).unpack())
-        for name in (each.name for each in fields(kind) if each.init):  # type: ignore[arg-type]  # a dataclass
+        for name in (field.name for field in fields(kind) if field.init):  # type: ignore[arg-type]  # a dataclass
             if name not in document:
                 document[name] = next(functions)
             elif isinstance(document[name], list):

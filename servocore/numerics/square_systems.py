@@ -190,7 +190,7 @@ def _solve_isomorphic(
     inner = _solved(part, given, flat)
     values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
     solve = ca.Function("sc_alike", [given], [*values, inner.counts()]).map(count)
-    solved, counts = solve(ca.reshape(givens[[k for each in group.givens for k in each]], size, count))
+    solved, counts = solve(ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count))
     columns = [column for each in group.parts for column in each.columns.tolist()]
     known.learn(system.unknowns[columns], ca.vec(solved))
     known.alike.append(counts)

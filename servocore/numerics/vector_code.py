@@ -256,7 +256,7 @@ def _begin(statements: _Statements, along: Sequence[bool]) -> list[str]:
         " for (long c = 0; c < cases; ++c) {",
         *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(along))],
         *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, each in enumerate(along) if each],
-        *[f"  {each}" for each in statements.once],
+        *[f"  {statement}" for statement in statements.once],
     ]
 
 

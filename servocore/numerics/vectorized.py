@@ -133,10 +133,10 @@ class Vectorized:
             Results, shape (rows, N), or (cases, rows, N) if an argument has cases.
         """
         cases, count, batch = 1, 0, False
-        for each, along in zip(arguments, self._along, strict=True):
-            count = each.shape[-1] if along else count
-            if each.ndim == 2 + along:
-                cases, batch = len(each), True
+        for argument, along in zip(arguments, self._along, strict=True):
+            count = argument.shape[-1] if along else count
+            if argument.ndim == 2 + along:
+                cases, batch = len(argument), True
         if self.ready(count * cases, called=True) and count:
             found = self._in_machine_code(arguments, cases, count)
             return found if batch else [each[0] for each in found]
@@ -174,11 +174,12 @@ class Vectorized:
         def run(first: int, last: int, begin: int, end: int) -> None:
             """Evaluate some cases at some instants."""
             places = [
-                each + _BYTES * (first * lane + begin * along)
-                for each, lane, along in zip(sources, lanes, self._along, strict=True)
+                source + _BYTES * (first * lane + begin * along)
+                for source, lane, along in zip(sources, lanes, self._along, strict=True)
             ]
             ends = [
-                each + _BYTES * (first * size * count + begin) for each, size in zip(targets, self._sizes, strict=True)
+                target + _BYTES * (first * size * count + begin)
+                for target, size in zip(targets, self._sizes, strict=True)
             ]
             self._run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
 
@@ -235,7 +236,7 @@ def extremes_of(rows: Array) -> Array:
 
 
 def _addresses(arrays: list[Array]) -> list[int]:
-    return [each.__array_interface__["data"][0] for each in arrays]
+    return [array.__array_interface__["data"][0] for array in arrays]
 
 
 _LONGS = [ctypes.c_long * size for size in range(33)]

@@ -128,10 +128,10 @@ def _free(
     if len(curve.knots) > 2:
         raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
     space.require(corners[0].system, scene.tracked)
-    limited = {each.quantity for each in scene.limits}
-    for each in corners[0].system.inputs:
-        if each.name not in limited:
-            raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {each.name} has none")
+    limited = {limit.quantity for limit in scene.limits}
+    for quantity in corners[0].system.inputs:
+        if quantity.name not in limited:
+            raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {quantity.name} has none")
     start, end = curve.ends
     task = task_free(start, end, corners, length, space)
     if progress is not None:
@@ -168,7 +168,7 @@ def _reported(
     clearance: float = np.inf,
 ) -> PlanReport:
     """Certify a plan; raises `PlanningFailed` if it breaks a limit."""
-    certificate = certify(tuple(replace(each, reference=reference) for each in corners))
+    certificate = certify(tuple(replace(corner, reference=reference) for corner in corners))
     if certificate.violation > EXCESS:
         raise PlanningFailed(
             f"{corners[0].name}: the law that was found breaks the limit of {certificate.worst} by"

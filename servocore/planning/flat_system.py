@@ -80,8 +80,8 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
         maps.rate,
         maps.outputs,
         name=scene.name,
-        inputs=[each.name for each in system.inputs],
-        outputs=[each.name for each in system.outputs],
+        inputs=[quantity.name for quantity in system.inputs],
+        outputs=[quantity.name for quantity in system.outputs],
         states=[f"{each.name}{suffix}" for suffix in ("", "_dot") for each in quantities],
         params=dict(zip(maps.names, problem.p.tolist(), strict=True)),
     )

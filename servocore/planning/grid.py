@@ -125,9 +125,9 @@ def _table(varied: Any) -> dict[str, Any] | None:
     if isinstance(varied, Mapping) or varied is None:
         return None
     rows = list(varied) if isinstance(varied, Iterable) else []
-    if not rows or not all(isinstance(each, Mapping) and set(each) == set(rows[0]) for each in rows):
+    if not rows or not all(isinstance(row, Mapping) and set(row) == set(rows[0]) for row in rows):
         raise InvalidSetting("a table of cases is a data frame, or a list of mappings that all have the same names")
-    return {name: [each[name] for each in rows] for name in rows[0]}
+    return {name: [row[name] for row in rows] for name in rows[0]}
 
 
 def _numbers(name: str, values: Any) -> Array:

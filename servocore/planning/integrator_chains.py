@@ -73,7 +73,7 @@ class Law:
         """Return derivatives 0 to K + 1 at parts (n,) of all intervals, one after another, shape (C, K + 2, N n)."""
         states, u = self.states(), self.snaps
         h = self.duration / self.intervals
-        columns = [each[:-1, None, :] for each in states]
+        columns = [state[:-1, None, :] for state in states]
         found = advanced(columns, u[:-1, None, :], np.diff(u, axis=0)[:, None, :], parts[None, :, None], h)
         shape = (self.intervals, len(parts), len(self.start))
         return np.stack([np.broadcast_to(each, shape).reshape(-1, shape[2]) for each in found]).transpose(2, 0, 1)

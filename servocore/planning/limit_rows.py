@@ -55,7 +55,7 @@ class Rows:
     @property
     def names(self) -> tuple[str, ...]:
         """What each row compares."""
-        return tuple(each.quantity for each in self.limits)
+        return tuple(limit.quantity for limit in self.limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,9 +152,9 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
         If a limit is on the rate of something that is differentiated already.
     """
     array, system = resolved.array, resolved.system
-    order = resolved.once(compile_watched, tuple((each.expression, each.rate) for each in limits)).order
+    order = resolved.once(compile_watched, tuple((limit.expression, limit.rate) for limit in limits)).order
     values, y = limited_expressions(
-        resolved, [(each, limit.rate) for each, limit in zip(expressions, limits, strict=True)]
+        resolved, [(expression, limit.rate) for expression, limit in zip(expressions, limits, strict=True)]
     )
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
@@ -193,9 +193,9 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
         *[entry(j, 0) for j in range(n)], *[entry(j, 1) for j in range(n)], *[entry(n + j, 0) for j in range(forces)]
     )
     found = []
-    for each, expression in zip(limits, smooth, strict=True):
+    for limit, expression in zip(limits, smooth, strict=True):
         value = ca.substitute(expression, symbols, values)
-        found.append(time_derivative(value, gamma) if each.rate else value)
+        found.append(time_derivative(value, gamma) if limit.rate else value)
     return found
 
 
@@ -203,8 +203,8 @@ def _compile_rows(
     resolved: ResolvedSystem, limits: tuple[Limit, ...], rest: tuple[float, ...], p: tuple[float, ...]
 ) -> Rows:
     system, gamma = resolved.system, resolved.system.gamma
-    tips = [_has_tip(resolved, each) for each in limits]
-    smooth = [rounded(each.on(system)) if tip else each.on(system) for each, tip in zip(limits, tips, strict=True)]
+    tips = [_has_tip(resolved, limit) for limit in limits]
+    smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     held = None if _is_explicit(resolved, np.array(rest), np.array(p)) else _lifted(resolved, limits, smooth)
     found = _explicit(resolved, limits, smooth) if held is None else list(held.values)
     order = max(resolved.array.reference_order, *(highest_derivative(each, gamma) for each in found))

@@ -108,8 +108,9 @@ class PlanReport:
         if math.isfinite(self.clearance):
             lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [
-            f"active          {each.begin:.3f} s to {each.end:.3f} s: {each.quantity} at {each.bound:g} {each.unit}"
-            for each in self.active
+            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at {spell.bound:g}"
+            f" {spell.unit}"
+            for spell in self.active
         ]
         return "\n".join(lines)
 

@@ -57,7 +57,7 @@ class Sensitivities:
 
     def __getitem__(self, names: tuple[str, str]) -> Array:
         quantity, parameter = names
-        known = [each.name for each in self.quantities]
+        known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:
             raise KeyError(f"{quantity}, {parameter}; there are {', '.join(known)} by {', '.join(self.parameters)}")
         found: Array = self.values[:, known.index(quantity), self.parameters.index(parameter)]
@@ -71,7 +71,7 @@ class Sensitivities:
         str
             With a row of headings; times in s.
         """
-        names = [f"{each.name}/{parameter}" for each in self.quantities for parameter in self.parameters]
+        names = [f"{quantity.name}/{parameter}" for quantity in self.quantities for parameter in self.parameters]
         return csv_text(["time", *names], [self.t, self.values.reshape(len(self.t), -1)])
 
 
@@ -121,25 +121,25 @@ def sensitivities(
     if not problem.flat or problem.system.time.numel():
         why = "has internal dynamics" if not problem.flat else "holds the time"
         raise InvalidModel(f"{scene.name} {why}: its inputs do not follow from the path at the same instant")
-    declared = {each.name: each for each in problem.system.parameters.declared}
+    declared = {parameter.name: parameter for parameter in problem.system.parameters.declared}
     names = tuple(declared) if wrt is None else tuple([wrt] if isinstance(wrt, str) else wrt)
-    for each in names:
-        if each not in declared:
-            raise InvalidSetting(f"{scene.name} has no parameter {each}; there are {', '.join(declared)}")
+    for name in names:
+        if name not in declared:
+            raise InvalidSetting(f"{scene.name} has no parameter {name}; there are {', '.join(declared)}")
     require_feasible(problem)
     t = time_grid(problem.reference, step)
-    columns = [list(declared).index(each) for each in names]
+    columns = [list(declared).index(label) for label in names]
     between = -(-_STEPS // (len(t) - 1))
     fine = np.append((t[:-1, None] + np.diff(t)[:, None] * np.arange(2 * between) / (2 * between)).ravel(), t[-1])
     states, inputs, starts = _by_implicit_function(problem, fine, columns)
     drifts = _drifts(problem, fine, states, starts, columns)[::between]
     system = problem.system
-    drifted = tuple(replace(each, name=each.name + DRIFT) for each in system.outputs)
+    drifted = tuple(replace(quantity, name=quantity.name + DRIFT) for quantity in system.outputs)
     return Sensitivities(
         t=t,
         quantities=(*system.inputs, *drifted),
         parameters=names,
-        units=tuple(declared[each].unit for each in names),
+        units=tuple(declared[label].unit for label in names),
         values=np.concatenate([inputs[:: 2 * between], drifts], axis=1),
         sizes=problem.p[columns],
     )
@@ -178,7 +178,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
     """
     n = len(problem.system.coordinates)
     function = problem.resolved.once(_linearized)
-    found = [each.reshape(each.shape[0], len(t), -1).transpose(1, 0, 2) for each in at_instants(
+    found = [instant.reshape(instant.shape[0], len(t), -1).transpose(1, 0, 2) for instant in at_instants(
         function, motion[: 2 * n], motion[2 * n :], jets=np.zeros((len(t), 1, 1)), p=problem.p)]  # fmt: skip
     A, b, C, d = found[0], found[1][:, :, columns], found[2], found[3][:, :, columns]
     S, steps = start, np.diff(t[::2])
@@ -202,4 +202,4 @@ def _linearized(resolved: ResolvedSystem) -> ca.Function:
     output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)
     results = [ca.jacobian(moved, state), ca.jacobian(moved, p), ca.jacobian(output, state), ca.jacobian(output, p)]
     nothing = ca.MX.sym("nothing", 1, 1)
-    return ca.Function("sc_linearized", [state, u, nothing, p], [ca.densify(each) for each in results])
+    return ca.Function("sc_linearized", [state, u, nothing, p], [ca.densify(result) for result in results])

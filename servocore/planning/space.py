@@ -143,11 +143,11 @@ class Space:
     parts: tuple[str, ...] = ("load", "rope")
 
     def __post_init__(self) -> None:
-        if not all(isinstance(each, Sphere | Box) for each in self.keep_out):
+        if not all(isinstance(body, Sphere | Box) for body in self.keep_out):
             raise InvalidSetting("what a plan keeps out of must be a tuple of Sphere and Box")
-        for each in self.parts:
-            if each not in _PARTS:
-                raise InvalidSetting(f"{each} is no part that can keep clear; there are {', '.join(_PARTS)}")
+        for part in self.parts:
+            if part not in _PARTS:
+                raise InvalidSetting(f"{part} is no part that can keep clear; there are {', '.join(_PARTS)}")
 
     @classmethod
     def of_texts(cls, texts: Iterable[str], dimension: int) -> Space:
@@ -170,7 +170,7 @@ class Space:
         InvalidSetting
             If a text is no body.
         """
-        return cls(tuple(_body(each, dimension) for each in texts))
+        return cls(tuple(_body(text, dimension) for text in texts))
 
     def require(self, system: MechanicalSystem, tracked: str) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
@@ -183,9 +183,9 @@ class Space:
             The part that follows the path, such as ``load``.
         """
         dimension = len(system.outputs)
-        for each in self.keep_out:
-            if len(each.centre) != dimension:
-                raise InvalidSetting(f"{each} has not the {dimension} dimensions of {system.name}")
+        for body in self.keep_out:
+            if len(body.centre) != dimension:
+                raise InvalidSetting(f"{body} has not the {dimension} dimensions of {system.name}")
         hangs = tracked == "load" and "gravity" in system.parameters.names
         if self.keep_out and not hangs and set(self.parts) - {"load"}:
             raise InvalidSetting(f"{system.name} has no rope or bridge that is known: plan with parts=('load',)")

@@ -180,7 +180,7 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     problem = swept.problem
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()) and prepared_table(problem) is None:
         return work_of(problem, swept.limits, swept.inputs, native)
-    rates = [each.quantity for each in swept.limits if each.rate]
+    rates = [limit.quantity for limit in swept.limits if limit.rate]
     if rates:
         raise InvalidSetting(
             f"the cases of {problem.name} are solved one by one, where rates have no margin: {rates[0]}"
@@ -220,7 +220,7 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
     for name in grid.columns:
         values = grid.values(name, block)
         if name == DURATION:
-            numbers[:, 0] = values / np.array([each.duration for each in swept.references])[which]
+            numbers[:, 0] = values / np.array([reference.duration for reference in swept.references])[which]
         else:
             numbers[:, 1 + names.index(name)] = values
     order, jets = problem.array.reference_order, {}
@@ -255,7 +255,7 @@ def _solved(swept: SweepSettings, block: Slices, k: int) -> Any:
     path = swept.references[int(swept.grid.paths(block)[k])]
     law = in_time(path, given.pop(DURATION)) if DURATION in given else path
     scene = swept.scene.with_reference(law).with_parameters(**given)
-    unlimited = replace(scene, limits=tuple(each for each in scene.limits if each.of_path))
+    unlimited = replace(scene, limits=tuple(limit for limit in scene.limits if limit.of_path))
     return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)
 
 
@@ -277,10 +277,10 @@ def _one_by_one(swept: SweepSettings, block: Slices) -> dict[str, Any]:
         except ServocoreError as error:
             found["failure"][k] = str(error)
             continue
-        for i, each in enumerate(system.inputs):
-            found["peaks"][k, i] = np.abs(solution[each.name]).max()
+        for i, quantity in enumerate(system.inputs):
+            found["peaks"][k, i] = np.abs(solution[quantity.name]).max()
             if swept.inputs:
-                found["inputs"][k, :, i] = solution[each.name]
+                found["inputs"][k, :, i] = solution[quantity.name]
         if SWING in solution:
             found["swing"][k] = np.abs(solution[SWING]).max()
         for i, limit in enumerate(swept.limits):

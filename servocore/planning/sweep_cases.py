@@ -97,17 +97,17 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
         If a limit is on the rate of what is no function of positions: its exact rate takes one derivative more.
     """
     system = problem.system
-    known = {each.name: (each, expression) for each, expression in observed(system)}
-    wanted = [known[each.name] for each in system.inputs]
+    known = {quantity.name: (quantity, expression) for quantity, expression in observed(system)}
+    wanted = [known[quantity.name] for quantity in system.inputs]
     swing = SWING in known
     wanted += [known[SWING]] if swing else []
-    wanted += [(Quantity(each.quantity, each.unit), _limited(problem, each)) for each in limits]
+    wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += [each for each in known.values() if each[0].positive]
     quick, seeking = compile_inverted_quantities(problem.resolved, wanted)
     texts = [_in_time(each).serialize() for each in (quick or seeking, seeking)]
-    bounds = tuple((each.bound, each.upper) for each in limits)
+    bounds = tuple((limit.bound, limit.upper) for limit in limits)
     first = len(system.inputs) + swing
-    turns = tuple(first + k for k, each in enumerate(limits) if counts_turns(each.expression, each.rate, system))
+    turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))
     return Work(problem.name, texts[0], texts[1], len(system.inputs), swing, bounds, turns, kept, native)
 
 

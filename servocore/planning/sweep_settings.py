@@ -67,7 +67,7 @@ def checked_settings(
     bounded = scene.with_limits(**limits) if limits else scene
     problem = Problem.of(bounded.with_reference(paths[0]) if paths else bounded, model)
     grid = Grid.of(parameters, len(paths))
-    declared = {each.name: each for each in problem.system.parameters.declared}
+    declared = {parameter.name: parameter for parameter in problem.system.parameters.declared}
     for name, (_, values) in grid.columns.items():
         if name == DURATION:
             if not (values > 0.0).all():
@@ -79,8 +79,8 @@ def checked_settings(
         else:
             declared[name].check(float(values.min()))
             declared[name].check(float(values.max()))
-    for each in paths:
-        bounded.with_reference(each)  # refuses what is no path of this scene
+    for path in paths:
+        bounded.with_reference(path)  # refuses what is no path of this scene
     paths = paths or (problem.reference,)
     return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs))
 
@@ -89,17 +89,18 @@ def settings_of(swept: SweepSettings) -> dict[str, Any]:
     """Return what makes two sweeps the same, as JSON can hold it."""
     problem, grid = swept.problem, swept.grid
     sampled = [
-        each.jet(np.linspace(each.start_time, each.end_time, 17), 2).ravel().tolist() for each in swept.references
+        reference.jet(np.linspace(reference.start_time, reference.end_time, 17), 2).ravel().tolist()
+        for reference in swept.references
     ]
     return {
         "scene": problem.name,
         "model": problem.system.name,
         "parameters": dict(zip(problem.system.parameters.names, problem.p.tolist(), strict=True)),
-        "limits": {each.quantity: [each.bound, each.upper] for each in swept.limits},
+        "limits": {limit.quantity: [limit.bound, limit.upper] for limit in swept.limits},
         "varied": {name: [dimension, values.tolist()] for name, (dimension, values) in grid.columns.items()},
         "dimensions": dict(grid.dimensions),
         "paths": sampled,
-        "quantities": [each.name for each in problem.system.inputs],
+        "quantities": [quantity.name for quantity in problem.system.inputs],
         "instants": swept.instants,
         "inputs": swept.inputs,
     }

@@ -57,7 +57,7 @@ def variables_of(swept: SweepSettings) -> list[Variable]:
         Variable(f"peak_{e.name}", "peaks", k, e.unit, f"largest magnitude of {e.name}")
         for k, e in enumerate(quantities)
     ]
-    swing = next((each for each in system.observables if each.name == "swing"), None)
+    swing = next((observable for observable in system.observables if observable.name == "swing"), None)
     if swing is not None:
         found.append(Variable("swing", "swing", None, swing.unit, "largest swing angle"))
     found += [
@@ -71,7 +71,7 @@ def variables_of(swept: SweepSettings) -> list[Variable]:
 
 def units_of(swept: SweepSettings) -> dict[str, str]:
     """Return the units of all that can vary."""
-    return {each.name: each.unit for each in swept.problem.system.parameters.declared} | {DURATION: "s"}
+    return {parameter.name: parameter.unit for parameter in swept.problem.system.parameters.declared} | {DURATION: "s"}
 
 
 def _coordinates(swept: SweepSettings) -> dict[str, tuple[str, Any, dict[str, str]]]:
@@ -116,10 +116,10 @@ class Memory:
     def __init__(self, swept: SweepSettings, settings: Mapping[str, Any]) -> None:
         self._xarray, self._swept, self._settings = the_xarray(), swept, settings
         self._arrays: dict[str, Any] = {}
-        for each in variables_of(swept):
-            shape = (*swept.grid.shape, swept.instants) if each.over_time else swept.grid.shape
-            text = each.result == "failure"
-            self._arrays[each.name] = np.full(shape, "" if text else np.nan, dtype=object if text else np.float64)
+        for variable in variables_of(swept):
+            shape = (*swept.grid.shape, swept.instants) if variable.over_time else swept.grid.shape
+            text = variable.result == "failure"
+            self._arrays[variable.name] = np.full(shape, "" if text else np.nan, dtype=object if text else np.float64)
 
     def has(self, _: int) -> bool:
         """Nothing is there before it is put."""
@@ -127,8 +127,8 @@ class Memory:
 
     def put(self, _: int, block: Slices, found: Mapping[str, Any]) -> None:
         """Take the results of a block."""
-        for each in variables_of(self._swept):
-            self.take(each, block, placed(self._swept, each, found, block))
+        for variable in variables_of(self._swept):
+            self.take(variable, block, placed(self._swept, variable, found, block))
 
     def take(self, variable: Variable, block: Slices, values: Any) -> None:
         """Take the values of one variable for a block, in whatever shape."""
@@ -139,10 +139,10 @@ class Memory:
         """Return the dataset."""
         swept, dimensions = self._swept, tuple(self._swept.grid.dimensions)
         data = {}
-        for each in variables_of(swept):
-            values = self._arrays[each.name]
-            held = values.astype(str) if each.result == "failure" else values
-            data[each.name] = (dimensions + (INSTANT,) * each.over_time, held, _attributes(each))
+        for variable in variables_of(swept):
+            values = self._arrays[variable.name]
+            held = values.astype(str) if variable.result == "failure" else values
+            data[variable.name] = (dimensions + (INSTANT,) * variable.over_time, held, _attributes(variable))
         return self._xarray.Dataset(data, _coordinates(swept), {_SETTINGS: json.dumps(self._settings)})
 
 
@@ -160,7 +160,7 @@ class Zarr:
     def __init__(self, path: Path, swept: SweepSettings) -> None:
         self._path, self._swept, self._xarray = path, swept, the_xarray()
         self._group = _zarr().open_group(path, mode="r+")
-        self._arrays = {each.name: self._group[each.name] for each in variables_of(swept)}
+        self._arrays = {variable.name: self._group[variable.name] for variable in variables_of(swept)}
         self._done = self._group[DONE]
         self._known = np.asarray(self._done[:], dtype=bool)
 
@@ -190,9 +190,9 @@ class Zarr:
     def put(self, number: int, block: Slices, found: Mapping[str, Any]) -> None:
         """Write a block, and then that it is there."""
         with _quiet():
-            for each in variables_of(self._swept):
-                if each.result != "failure" or found["failure"].any():  # a store has empty sentences by itself
-                    self._arrays[each.name][block] = placed(self._swept, each, found, block)
+            for variable in variables_of(self._swept):
+                if variable.result != "failure" or found["failure"].any():  # a store has empty sentences by itself
+                    self._arrays[variable.name][block] = placed(self._swept, variable, found, block)
         self._done[number] = 1
 
     def dataset(self) -> Any:
@@ -222,13 +222,14 @@ def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None
     try:
         with _quiet():
             group = zarr.open_group(path, mode="w-")
-            for each in variables_of(swept):
-                over_time = (swept.instants,) if each.over_time else ()
-                text = each.result == "failure"
+            for variable in variables_of(swept):
+                over_time = (swept.instants,) if variable.over_time else ()
+                text = variable.result == "failure"
                 group.create_array(
-                    each.name, shape=(*swept.grid.shape, *over_time), chunks=(*block, *over_time),
+                    variable.name, shape=(*swept.grid.shape, *over_time), chunks=(*block, *over_time),
                     dtype=str if text else np.float64, fill_value="" if text else np.nan,
-                    dimension_names=(*dimensions, *([INSTANT] if each.over_time else [])), attributes=_attributes(each),
+                    dimension_names=(*dimensions, *([INSTANT] if variable.over_time else [])),
+                    attributes=_attributes(variable),
                 )  # fmt: skip
             for name, (dimension, values, attributes) in _coordinates(swept).items():
                 group.create_array(name, data=np.asarray(values), dimension_names=(dimension,), attributes=attributes)

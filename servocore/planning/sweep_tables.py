@@ -75,9 +75,9 @@ class Parquet:
         grid, arrow = self._swept.grid, self._pyarrow
         columns: dict[str, Any] = {PATH: grid.paths(block)} if PATH in grid.dimensions else {}
         columns |= {name: grid.values(name, block) for name in grid.columns}
-        for each in variables_of(self._swept):
-            values = placed(self._swept, each, found, block).reshape(len(found["failure"]), -1)
-            columns[each.name] = list(values) if each.over_time else values[:, 0]
+        for variable in variables_of(self._swept):
+            values = placed(self._swept, variable, found, block).reshape(len(found["failure"]), -1)
+            columns[variable.name] = list(values) if variable.over_time else values[:, 0]
         units = {**units_of(self._swept), **{each.name: each.unit for each in variables_of(self._swept)}}
         fields = [
             arrow.field(name, arrow.array(values).type, metadata={"units": units.get(name, "")})
@@ -93,8 +93,8 @@ class Parquet:
         """Return all that was written, read into memory."""
         for number, block in self._blocks:
             table = self._parquet().read_table(self._part(number))
-            for each in variables_of(self._swept):
-                self._empty.take(each, block, _values(table, each))
+            for variable in variables_of(self._swept):
+                self._empty.take(variable, block, _values(table, variable))
         return self._empty.dataset()
 
     def _part(self, number: int) -> Path:

@@ -64,7 +64,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and no plan can be made for it")
     if first.system.time.numel():
         raise InvalidModel(f"{scene.name}: its equations hold the time, and no plan can be made for it")
-    if not any(not each.of_path for each in first.limits):
+    if not any(not limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return found
 
@@ -72,9 +72,9 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
     """Return what a law along a curve must do; raises `InvalidReference` if a limit cannot be kept at rest."""
     begin, places = curve.ends[0], curve.jet(np.linspace(0.0, 1.0, _REST_POINTS), 0)[:, 0]
-    every = [limit_rows(each, begin) for each in corners]
-    for rows, each in zip(every, corners, strict=True):
-        require_at_rest(rows, each, places, _ROOM)
+    every = [limit_rows(corner, begin) for corner in corners]
+    for rows, corner in zip(every, corners, strict=True):
+        require_at_rest(rows, corner, places, _ROOM)
     orders = 1 + max(length, *(each.order for each in every))
     s = ca.SX.sym("s", 1, orders)
     inner = [s[:, k] for k in range(orders)]
@@ -85,9 +85,9 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
 
 def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int, space: Space) -> Task:
     """Return what a law between two places must do; raises `InvalidReference` if a limit cannot be kept at one."""
-    every = [limit_rows(each, start) for each in corners]
-    for rows, each in zip(every, corners, strict=True):
-        require_at_rest(rows, each, np.array([start, end]), _ROOM)
+    every = [limit_rows(corner, start) for corner in corners]
+    for rows, corner in zip(every, corners, strict=True):
+        require_at_rest(rows, corner, np.array([start, end]), _ROOM)
     orders = max(2, length, *(each.order for each in every)) + 1
     gamma = ca.SX.sym("gamma", len(start), orders)
     kept = _kept(every, corners, gamma, gamma, moving_only=False)
@@ -113,16 +113,16 @@ class _Kept:
 def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
     found, lower, symbols, equations, begun = [], [], [ca.SX(0, 1)], [], [ca.MX(0, 1)]
-    for rows, each in zip(every, corners, strict=True):
+    for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
         here = gamma[:, : rows.order + 1]
         if rows.lifted is not None and rows.start is not None:
             symbols.append(ca.SX.sym("inner", rows.start.size1_out(0)))
-            values, zero = rows.lifted(here, symbols[-1], each.p)
+            values, zero = rows.lifted(here, symbols[-1], corner.p)
             equations.append(zero)
-            begun.append(rows.start(of_jets(given)[:, : rows.order + 1], each.p))
+            begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
         else:
-            values = rows.function(here, each.p)
+            values = rows.function(here, corner.p)
         found.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
     start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])

@@ -39,7 +39,7 @@ class RestToRest(Reference):
     @property
     def stretches(self) -> FloatArray:
         """Start, end, and where the pieces of the time law meet."""
-        inner = [self.start_time + each for each in self.profile.junctions(self.duration)]
+        inner = [self.start_time + junction for junction in self.profile.junctions(self.duration)]
         return np.unique([self.start_time, *inner, self.end_time])
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:

@@ -57,10 +57,10 @@ class Rails:
 
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:
         """Return its energies; the first rail's drive is the flexible one."""
-        masses = [trolley_mass if each == "trolley_mass" else p[each] for each in self.masses]
+        masses = [trolley_mass if mass == "trolley_mass" else p[mass] for mass in self.masses]
         own, carried = masses[0], sum(masses[1:], ca.SX(0))
-        positions, first = [c[each.name] for each in self.rails], self.rails[0].name
-        kinetic = masses[-1] * sum(c.velocity(each.name) ** 2 for each in self.rails[1:]) / 2
+        positions, first = [c[rail.name] for rail in self.rails], self.rails[0].name
+        kinetic = masses[-1] * sum(c.velocity(rail.name) ** 2 for rail in self.rails[1:]) / 2
         kinetic += carried * c.velocity(first) ** 2 / 2
         potential, measured = ca.SX(0), list(self.rails)
         if _is_flexible(effects):
@@ -106,7 +106,7 @@ class SlewingBridge:
     def quantities(self, effects: frozenset[str]) -> tuple[Quantity, ...]:
         """Return its coordinates: bridge direction, trolley point and distance, direction of a flexible drive."""
         names = ("d_x", "d_y", "p_x", "p_y")
-        own = (*(Quantity(each, "1" if each[0] == "d" else "m") for each in names), self.trolley)
+        own = (*(Quantity(name, "1" if name[0] == "d" else "m") for name in names), self.trolley)
         return (*own, Quantity("e_x", "1"), Quantity("e_y", "1")) if _is_flexible(effects) else own
 
     def frame(self, c: Coordinates, p: Parameters, effects: frozenset[str], trolley_mass: ca.SX) -> Frame:

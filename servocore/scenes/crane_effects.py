@@ -142,13 +142,15 @@ class Crane:
 
     def __call__(self, added: frozenset[str], left_out: frozenset[str]) -> MechanicalSystem:
         """Assemble the model with some effects and without others."""
-        known = {each.name: each for each in self.effects}
-        chosen = {known[each] for each in added} | {known[own] for each in added for own in known[each].includes}
-        names = frozenset(each.name for each in chosen) | {f"no {each}" for each in left_out}
-        if sum(each.startswith("heavy rope") for each in names) > 1:
+        known = {effect.name: effect for effect in self.effects}
+        chosen = {known[effect] for effect in added} | {
+            known[own] for effect in added for own in known[effect].includes
+        }
+        names = frozenset(each.name for each in chosen) | {f"no {effect}" for effect in left_out}
+        if sum(label.startswith("heavy rope") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the heavy rope")
-        declared = parameters_with(self.parameters, [each for each in self.effects if each in chosen])
-        told = ", ".join([*sorted(added), *(f"without {each}" for each in sorted(left_out))])
+        declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
+        told = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
         name = f"{self.name} with {told}" if told else self.name
         return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names)
 

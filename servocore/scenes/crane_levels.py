@@ -123,12 +123,14 @@ class Chain:
 def overhang(outputs: Sequence[Quantity]) -> tuple[Quantity, ...]:
     """Return what says how far the load hangs to the side of the rope's exit."""
     about = "load from the rope's exit"
-    return tuple(Quantity(f"overhang_{each.name}", each.unit, about) for each in outputs[:-1])
+    return tuple(Quantity(f"overhang_{quantity.name}", quantity.unit, about) for quantity in outputs[:-1])
 
 
 def lumps_of(effects: frozenset[str]) -> int:
     """Return how many lumps stand for the rope's mass: 0 for a rope without mass."""
-    counts = [int(each.removeprefix("heavy rope").strip() or 1) for each in effects if each.startswith("heavy rope")]
+    counts = [
+        int(effect.removeprefix("heavy rope").strip() or 1) for effect in effects if effect.startswith("heavy rope")
+    ]
     return max(counts, default=0)
 
 
@@ -182,7 +184,7 @@ def assemble(
     """
     p, dimension, chain = parameters, len(outputs), _chain(effects, parameters)
     own = carriage.quantities(effects)
-    above = [Quantity(f"{each}_{axis.name}", "m") for each in chain.names for axis in outputs]
+    above = [Quantity(f"{label}_{axis.name}", "m") for label in chain.names for axis in outputs]
     stretched = (STRETCHED,) if "elastic rope" in effects else ()
     c = Coordinates(*own, ROPE, *stretched, *outputs, *above)
     first = len(own) + 1 + len(stretched)
@@ -194,7 +196,7 @@ def assemble(
     kinetic = frame.kinetic + winch * c.velocity(ROPE.name) ** 2 / 2
     kinetic += sum(m * ca.sumsqr(rate) / 2 for m, rate in zip(chain.masses, rates, strict=True))
     rope = _upper_rope(c, p, chain, points, frame.exit)
-    links = [ca.sumsqr(a - b) - each**2 for a, b, each in zip(points, points[1:], chain.links, strict=False)]
+    links = [ca.sumsqr(a - b) - link**2 for a, b, link in zip(points, points[1:], chain.links, strict=False)]
     weight = sum(m * p["gravity"] * point[-1] for m, point in zip(chain.masses, points, strict=True))
     constraints = ca.vertcat(frame.constraints, *links, rope.constraints)
     lam, gamma = ca.SX.sym("lam", constraints.numel()), reference_symbols(dimension)
@@ -210,7 +212,7 @@ def assemble(
         potential=frame.potential + weight + rope.potential,
         force=_forces(c, p, drives, rates[0], effects),
         constraints=constraints,
-        input_matrix=-ca.mtimes(gear, ca.vertcat(*(each.row for each in drives))),
+        input_matrix=-ca.mtimes(gear, ca.vertcat(*(drive.row for drive in drives))),
         output=points[0],
         multipliers=lam,
         gamma=gamma,
@@ -259,10 +261,10 @@ def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: c
     """Return friction in the drives, and drag of the air on the load."""
     force = ca.SX.zeros(len(c))
     if "friction" in effects:
-        for each in drives:
-            rate = ca.mtimes(each.row, c.v)
-            dry = p[each.friction] * (ca.tanh(rate / p["creep"]) + p["viscous_share"] * rate)
-            force -= ca.mtimes(each.row.T, dry)
+        for drive in drives:
+            rate = ca.mtimes(drive.row, c.v)
+            dry = p[drive.friction] * (ca.tanh(rate / p["creep"]) + p["viscous_share"] * rate)
+            force -= ca.mtimes(drive.row.T, dry)
     if effects & {"air drag", "wind"}:
         against = load_rate - ca.vertcat(p["wind_speed"] if "wind" in effects else 0, *[0] * (load_rate.numel() - 1))
         speed = ca.sqrt(ca.sumsqr(against) + _SMOOTH_WIND**2)
@@ -274,7 +276,7 @@ def _forces(c: Coordinates, p: Parameters, drives: Sequence[Drive], load_rate: c
 def _observables(
     c: Coordinates, drives: Sequence[Drive], rope: _UpperRope, lam: ca.SX, span: ca.SX, chain: Chain
 ) -> dict[Quantity, ca.SX]:
-    own = {each.measured: each.position for each in drives if each.measured.name not in c.names}
+    own = {drive.measured: drive.position for drive in drives if drive.measured.name not in c.names}
     tension = 2 * lam[-1] * rope.taut
     swing = Quantity("swing", "rad", "angle of the upper rope from the vertical", nonnegative=span.numel() == 3)
     found = {**own, TENSION: tension, swing: swing_angle(span)}
@@ -287,8 +289,8 @@ def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effect
     points, mass = [gamma[:, 0]], ca.SX(0)
     pull = gamma[:, 2] + up
     direction = pull / ca.norm_2(pull)
-    for each in chain.links:
-        points.append(points[-1] + each * direction)
+    for link in chain.links:
+        points.append(points[-1] + link * direction)
     for each in chain.masses:
         mass += each
     height = carriage.height(p, effects)

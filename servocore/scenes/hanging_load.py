@@ -181,7 +181,7 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     outputs : sequence of Quantity
         What the components are called.
     """
-    _, m, J_w, r_w, g = (parameters[each.name] for each in PARAMETERS)
+    _, m, J_w, r_w, g = (parameters[parameter.name] for parameter in PARAMETERS)
     *level, z = load = jets.components(reference)
     k = -z / (g + z.d().d())
     to_trolley = [k * each.d().d() for each in level]
@@ -197,7 +197,7 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
             ROPE.name: rope.value,
             TENSION.name: force,
             SWING.name: np.arctan2(lean, -z.value),
-            **{each.name: path.value for each, path in zip(outputs, load, strict=True)},
+            **{quantity.name: path.value for quantity, path in zip(outputs, load, strict=True)},
         },
     )
 

@@ -83,7 +83,7 @@ class Jet:
         """
         if self.order == 0:
             raise ValueError("the derivative of a jet of order 0 is unknown: start with one order more")
-        return Jet(np.stack([k * each for k, each in enumerate(self.coefficients[1:], 1)]))
+        return Jet(np.stack([k * coefficient for k, coefficient in enumerate(self.coefficients[1:], 1)]))
 
     def __neg__(self) -> Jet:
         return Jet(-self.coefficients)
@@ -143,8 +143,8 @@ def components(derivatives: npt.ArrayLike) -> tuple[Jet, ...]:
 def sqrt(x: Jet) -> Jet:
     """Positive square root c: from c^2 = x follows 2 c_0 c_k = x_k - sum_(0<i<k) c_i c_(k-i)."""
     c = [np.sqrt(x.value)]
-    for each in x.coefficients[1:]:
-        c.append((each - _sum_of_products(c[1:], c[:0:-1])) / (2.0 * c[0]))
+    for coefficient in x.coefficients[1:]:
+        c.append((coefficient - _sum_of_products(c[1:], c[:0:-1])) / (2.0 * c[0]))
     return Jet(np.stack(c))
 
 
@@ -157,7 +157,7 @@ def atan2(y: Jet, x: Jet) -> Jet:
     if min(x.order, y.order) == 0:
         return Jet(angle[None])
     rate = (x * y.d() - y * x.d()) / (x * x + y * y)
-    return Jet(np.stack([angle, *(each / k for k, each in enumerate(rate.coefficients, 1))]))
+    return Jet(np.stack([angle, *(coefficient / k for k, coefficient in enumerate(rate.coefficients, 1))]))
 
 
 def _factors(a: Jet, b: Jet | npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

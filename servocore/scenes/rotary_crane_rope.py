@@ -62,7 +62,7 @@ class OnRope:
         first = nodes[:3]
         weight = part.mass * part.weight_centre(nodes)[2] + p["rope_mass"] * above * first[2] / 2
         guess = ca.substitute(base.guess, old, new)
-        observables = {key: ca.substitute(ca.SX(each), old, new) for key, each in base.observables.items()}
+        observables = {key: ca.substitute(ca.SX(expression), old, new) for key, expression in base.observables.items()}
         return MechanicalSystem(
             name=f"{base.name}, rope of {self.elements} elements",
             coordinates=c,

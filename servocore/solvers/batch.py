@@ -81,9 +81,9 @@ class Batch:
             raise InvalidModel(f"{scene.name} follows a branch: its cases are solved one by one, with solve")
         if problem.start:
             require_start(problem)
-        known = {each.name for each, _ in observed(problem.system)}
-        self.names = tuple(quantities or (each.name for each in problem.system.inputs))
-        wrong = [each for each in self.names if each not in known]
+        known = {quantity.name for quantity, _ in observed(problem.system)}
+        self.names = tuple(quantities or (quantity.name for quantity in problem.system.inputs))
+        wrong = [name for name in self.names if name not in known]
         if wrong:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
         self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
@@ -125,8 +125,8 @@ class Batch:
         """
         times = numbers_of(t, "the times of a batch").reshape(-1)
         p, references = self._parameters(parameters or {}), [*(paths or ())]
-        for each in references:
-            require_kind(each, Reference, "each path of a batch", "a Reference", InvalidReference)
+        for reference in references:
+            require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
         if p.ndim == 2 and references and len(references) != len(p):
             raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
         if self._dynamic is not None:

@@ -165,7 +165,7 @@ class Branch:
         matrices = system_jacobians(self.problem, t, states)
         signs, _ = np.linalg.slogdet(matrices)
         return bool((signs == signs[0]).all()) and all(
-            condition_number(each) < _SINGULAR_CONDITION for each in matrices
+            condition_number(matrix) < _SINGULAR_CONDITION for matrix in matrices
         )
 
     def connects(self, t: Array, states: Array) -> bool:

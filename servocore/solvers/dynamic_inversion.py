@@ -107,7 +107,7 @@ class DynamicInversion:
             raise InvalidModel(f"{scene.name} has no internal dynamics: ExactInversion computes its inputs")
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
             raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with BoundaryValue bounds them")
-        self.inputs = tuple(each.name for each in problem.system.inputs)
+        self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
         first, _ = first_state(problem, program_of(problem, *_FORM), 0.0, prescribed_start_of(*_FORM))
@@ -282,7 +282,7 @@ class DynamicCases:
                     found[case] = first_state(own, program, 0.0, prescribed_start_of(*_FORM))[0][:size]
             return found
         instants = len(program.start_instants)
-        jets = np.concatenate([each.jet(np.full(instants, each.start_time), program.start_order) for each in paths])
+        jets = np.concatenate([path.jet(np.full(instants, path.start_time), program.start_order) for path in paths])
         jets = np.tile(jets, (len(p) // len(paths), 1, 1))
         states, _, residual = mapped(program.start, len(p))(side_by_side(jets), np.zeros(len(p)), p.T)
         found = states.reshape(-1, len(p), order="F")[:size].T

@@ -174,8 +174,8 @@ def _all_results(
             found = [each.reshape(-1, size, order="F") for each in stepped]
         # Each row lies in one piece, for what follows goes through results row by row.
         results = results or [np.empty((len(each), count)) for each in found]
-        for each, part in zip(results, found, strict=True):
-            each[:, k : k + len(t)] = part
+        for result, part in zip(results, found, strict=True):
+            result[:, k : k + len(t)] = part
         if progress is not None:
             progress(min(k + _CHUNK, count) - 1, count - 1)
     return results
@@ -250,7 +250,7 @@ class ExactInversion:
                 raise cause from None
             self._table = error  # told by the call, which may know a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
-        self.inputs = tuple(each.name for each in problem.system.inputs)
+        self.inputs = tuple(channel.name for channel in problem.system.inputs)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
         """Return the inputs at the times `t`.
@@ -349,7 +349,7 @@ class Inputs:
 def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> Inputs:
     """Compile what gives inputs at an instant, as machine code if that is asked for."""
     system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
-    wanted = [(quantity, each) for quantity, each in system.observables.items() if quantity.positive]
+    wanted = [(quantity, expression) for quantity, expression in system.observables.items() if quantity.positive]
     wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
     order = resolved.array.reference_order
     read = compile_observation(system, dae, instantaneous(dae), wanted, order)

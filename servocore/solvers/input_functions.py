@@ -63,7 +63,7 @@ def interpolated(solution: Solution, system: MechanicalSystem, t: Array) -> Inpu
     """
     import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    names = [each.name for each in system.inputs]
+    names = [quantity.name for quantity in system.inputs]
     missing = [name for name in names if name not in solution]
     if missing:
         raise InvalidSetting(
@@ -115,7 +115,7 @@ class CheckedInputs:
 
     def __call__(self, time: float) -> Array:
         """Return the inputs at a time, shape (m,)."""
-        given, names = self.inputs(time), [each.name for each in self.system.inputs]
+        given, names = self.inputs(time), [quantity.name for quantity in self.system.inputs]
         try:
             values = np.asarray(() if given is None else given, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):

@@ -118,9 +118,9 @@ def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Sta
     servo, servo_rate, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
     return Statistics(
         steps=len(inputs) - 1,
-        newton_iterations=sum(each.run.newton_iterations for each in segments),
-        factorisations=sum(each.run.factorisations for each in segments),
-        worst_residual=max(each.run.worst_residual for each in segments),
+        newton_iterations=sum(segment.run.newton_iterations for segment in segments),
+        factorisations=sum(segment.run.factorisations for segment in segments),
+        worst_residual=max(segment.run.worst_residual for segment in segments),
         servo_violation=servo,
         servo_rate_violation=servo_rate,
         constraint_violation=constraint,

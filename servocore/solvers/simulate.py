@@ -153,7 +153,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
 
     name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
-    states, steps, evaluations = integrated(name, [each.name for each in quantities], rate, start, t, tolerance)
+    states, steps, evaluations = integrated(name, [quantity.name for quantity in quantities], rate, start, t, tolerance)
     u = values_at(inputs, t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
@@ -235,12 +235,16 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
     What needs higher derivatives of the path is not observed: the motion need not follow it.
     """
     system, gamma, path = resolved.system, resolved.system.gamma[:, :2], resolved.system.path
-    known = [(quantity, each) for quantity, each in observed(system) if not ca.depends_on(each, ca.vec(system.path))]
+    known = [
+        (quantity, expression)
+        for quantity, expression in observed(system)
+        if not ca.depends_on(expression, ca.vec(system.path))
+    ]
     known.sort(
         key=lambda each: each[0] not in system.observables
     )  # observables first, then inputs, outputs, coordinates
     distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
     results = ca.vertcat(*(each for _, each in known)), violations_of(system), ca.vertcat(*distances)
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
-    function = ca.Function("sc_report", arguments, [ca.densify(each) for each in results])
+    function = ca.Function("sc_report", arguments, [ca.densify(result) for result in results])
     return tuple(quantity for quantity, _ in known), function

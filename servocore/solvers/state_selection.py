@@ -94,7 +94,7 @@ class StateSelection:
 def _array_values(array: DerivativeArray, states: Array) -> Array:
     """Unknowns of the derivative array (unknowns, N), from states that begin with [x; z] of the reduced form."""
     entries = (*array.states, *array.determined)
-    return states[[entries.index(each) for each in array.unknowns]]
+    return states[[entries.index(unknown) for unknown in array.unknowns]]
 
 
 def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:

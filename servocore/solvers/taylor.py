@@ -48,7 +48,7 @@ class Taylor:
         """Find the places in an array."""
         n, quantities = len(array.system.coordinates), array.system.coordinates.quantities
         q, rates = (np.array(array.places((k, order) for k in range(n)), dtype=np.intp) for order in (0, 1))
-        wraps = np.array([each.wraps for each in quantities], dtype=bool)
+        wraps = np.array([quantity.wraps for quantity in quantities], dtype=bool)
         positions = tuple((k, 0) for k in range(n))
         return cls(_powers(array, array.unknowns), _powers(array, positions), q, rates, wraps)
 
@@ -83,16 +83,16 @@ class Taylor:
             misses = [ahead - last[q], behind - first[q]]
             moved = ca.fabs(h) * (ca.fabs(first[rate]) + ca.fabs(last[rate]))
             if self.wraps[k]:
-                misses = [each - 2 * np.pi * ca.floor((each + np.pi) / (2 * np.pi)) for each in misses]
+                misses = [miss - 2 * np.pi * ca.floor((miss + np.pi) / (2 * np.pi)) for miss in misses]
             else:
                 moved += ca.fabs(last[q] - first[q])
             allowed = ca.fmax(_APART * moved, SLIGHT * scale[k])
-            together = ca.logic_and(together, ca.logic_and(*(ca.fabs(each) <= allowed for each in misses)))
+            together = ca.logic_and(together, ca.logic_and(*(ca.fabs(miss) <= allowed for miss in misses)))
         return ca.Function("sc_together", [first, last, h, scale], [ca.densify(together)], {"cse": True})
 
 
 def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
-    place = {each: k for k, each in enumerate(array.unknowns)}
+    place = {unknown: k for k, unknown in enumerate(array.unknowns)}
     found = []
     for power in range(max(order for _, order in array.unknowns) + 1):
         known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]

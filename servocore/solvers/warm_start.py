@@ -29,7 +29,7 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     jets = side_by_side(problem.reference.jet(times, array.reference_order))
     found = problem.resolved.once(inversion).searched(jets, problem.p, aside)
     inputs = problem.system.inputs
-    places = [array.position(f"u.{each.name}", 0) for each in inputs]
+    places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
     return Solution(times, inputs, found[places].T, "the exact inversion, solved again")
 
 
@@ -58,10 +58,10 @@ def unknowns_near(problem: Problem, solution: Solution) -> Array:
     jets = problem.reference.jet(t, array.reference_order)
     guess = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):
-        for each in (quantity for quantity in quantities if quantity.name in solution):
-            known = solution[each.name]
+        for channel in (quantity for quantity in quantities if quantity.name in solution):
+            known = solution[channel.name]
             for order in range(3):
-                entry = (array.names.index(f"{kind}.{each.name}"), order)
+                entry = (array.names.index(f"{kind}.{channel.name}"), order)
                 if entry in array.unknowns:
                     guess[array.places([entry])[0]] = known
                 known = np.gradient(known, t)

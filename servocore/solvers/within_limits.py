@@ -43,7 +43,7 @@ def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> S
     if not problem.flat or problem.follow_branch:
         watched = with_watched(problem)
         solution = judged(watched, run(watched))
-        reported = [(each, solution[each.quantity]) for each in limits if each.quantity in solution]
+        reported = [(limit, solution[limit.quantity]) for limit in limits if limit.quantity in solution]
         return replace(solution, margins=_margins(reported, solution.t))
     solution = run(problem)
     states = exact_states(problem, prepared_table(problem))
@@ -207,4 +207,4 @@ def _confirmed(
     values = solution.values.copy()
     values[:, channels] = exact.T
     before = {channel for channel, _ in suspected}
-    return [each for each in suspects(problem, replace(solution, values=values)) if each[0] in before]
+    return [suspect for suspect in suspects(problem, replace(solution, values=values)) if suspect[0] in before]

@@ -47,7 +47,7 @@ def program_of(
         How many are to be taken.
     """
     make = _in_machine_code if native else compile_program
-    settings = formulation, method, tuple(each for each in problem.limits if each.of_path), problem.follow_branch
+    settings = formulation, method, tuple(limit for limit in problem.limits if limit.of_path), problem.follow_branch
     program = problem.resolved.once(make, *settings)
     if native is not None or not automatic():
         return program

@@ -143,7 +143,7 @@ def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
         stem, axis = name[:-1], name[-1:]
         if axis in _AXES and stem[-1:] in ("", "_", "."):
             places.setdefault(stem, {})[axis] = k
-    found = [tuple(each.get(axis) for axis in _AXES) for each in places.values()]
+    found = [tuple(place.get(axis) for axis in _AXES) for place in places.values()]
     return tuple(each for each in found if each[0] is not None and each[1] is not None)
 
 
@@ -188,10 +188,10 @@ def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) 
     other = _assembled_elsewhere(system, q, p)
     if other is None:
         return
-    flat = any(None in each for each in vectors(system.coordinates))
+    flat = any(None in vector for vector in vectors(system.coordinates))
     for axis in (2,) if flat else range(3):
         ends = [_moments(look, system.coordinates, axis, each, p) for each in (q, other)]
-        if any(each.any() for each in ends):
+        if any(end.any() for end in ends):
             continue  # rotations about this axis are no symmetry
         guilty = np.flatnonzero(_moments(look, system.coordinates, axis, (q + other) / 2, p)[:-1])
         if len(guilty):

@@ -160,7 +160,7 @@ class ExplicitSteps:
         between = Between.of((t - reference.start_time) / h, count)
         formulas = [each.formula for each in references if each.formula is not None]
         if self.formula is not None and formulas:
-            numbers = np.array([each.numbers(self.order) for each in formulas])
+            numbers = np.array([formula.numbers(self.order) for formula in formulas])
             return Along(h, numbers, starts[None], t[None], between)
         nodes = (starts[:, None] + h * self.nodes).ravel()
         tables = [
@@ -236,8 +236,8 @@ def compile_explicit_steps(
 def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX, names: tuple[str, ...]) -> ca.SX:
     """Return what is read as expressions of the unknowns of the array, the path and parameters."""
     system, array, dae = resolved.system, resolved.array, resolved.dae(Reduced())
-    positive = [each for quantity, each in system.observables.items() if quantity.positive]
-    known = {quantity.name: each for quantity, each in observed(system)}
+    positive = [expression for quantity, expression in system.observables.items() if quantity.positive]
+    known = {quantity.name: expression for quantity, expression in observed(system)}
     wanted = ca.substitute(
         ca.vertcat(system.u, *positive, *(known[name] for name in names)),
         ca.vertcat(system.q, system.v, system.lam, system.u),

@@ -54,10 +54,11 @@ def compile_restart(
         found += _backwards(array, reduced, first, jets[1:], h, p)
     else:
         found += [inversion.function(jet, p)[0] for jet in jets[1:]]
-    places = [array.position(each.variable, each.order) for each in dae.unknowns]
+    places = [array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
     values = ca.horzcat(*[each[places] for each in found])
     rates = ca.vertcat(
-        ca.MX(0, 1), *[_rate(array, each.variable, each.order + 1, first) for each in dae.unknowns[: dae.x.numel()]]
+        ca.MX(0, 1),
+        *[_rate(array, unknown.variable, unknown.order + 1, first) for unknown in dae.unknowns[: dae.x.numel()]],
     )
     assemble = ca.Function("sc_first", [step.start.values, step.start.rates, step.step], [ca.densify(step.first_state)])
     return ca.Function("sc_restart", [first, gamma, h, p], [assemble(values, rates, h)])
@@ -76,8 +77,8 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     step = _BACKWARDS.discretise(dae)
     solve = compile_solver("sc_backwards", step.equations, [step.next_state])
     entries = (*array.states, *array.determined)
-    to_dae = [array.unknowns.index(each) for each in entries]
-    from_dae = [entries.index(each) for each in array.unknowns]
+    to_dae = [array.unknowns.index(entry) for entry in entries]
+    from_dae = [entries.index(unknown) for unknown in array.unknowns]
     begin = ca.Function("sc_begin", [step.start.values, step.start.rates], [step.first_state])
     state: ca.MX = begin(first[to_dae], ca.MX(dae.x.numel(), 1))
     found = []

@@ -12,17 +12,17 @@ from servocore.stepping.program import LimitText
 
 def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
     """Return what to say of each limit, without its expression."""
-    return tuple(LimitText(each.quantity, each.unit, each.reason, each.bound) for each in limits)
+    return tuple(LimitText(limit.quantity, limit.unit, limit.reason, limit.bound) for limit in limits)
 
 
 def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
     """Highest derivative of the reference that the limits use."""
-    margins = [each.on(system) for each in limits]
+    margins = [limit.on(system) for limit in limits]
     return highest_derivative(ca.vertcat(ca.SX(0, 1), *margins), system.gamma)
 
 
 def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
     """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
     gamma = system.gamma[:, : order + 1]
-    margins = [each.on(system) - each.bound for each in limits]
+    margins = [limit.on(system) - limit.bound for limit in limits]
     return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])

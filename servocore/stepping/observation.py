@@ -14,10 +14,10 @@ from servocore.numerics.expressions import largest
 def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
     """List inputs, observables, servo outputs, then coordinates whose names are still free."""
     listed = [
-        *((each, system.u[k]) for k, each in enumerate(system.inputs)),
+        *((channel, system.u[k]) for k, channel in enumerate(system.inputs)),
         *system.observables.items(),
-        *((each, system.output[k]) for k, each in enumerate(system.outputs)),
-        *((each, system.q[k]) for k, each in enumerate(system.coordinates.quantities)),
+        *((channel, system.output[k]) for k, channel in enumerate(system.outputs)),
+        *((channel, system.q[k]) for k, channel in enumerate(system.coordinates.quantities)),
     ]
     seen: dict[str, tuple[Quantity, ca.SX]] = {}
     for quantity, expression in listed:

@@ -75,7 +75,7 @@ def require_start(problem: Problem) -> None:
     try:
         problem.resolved.once(_search, tuple((array.names[j], order) for j, order in states))
     except InvalidModel as error:
-        own = ", ".join(_plain(*each) for each in array.named_states)
+        own = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
             f"{name}: {', '.join(problem.start)} cannot all be chosen, the path determines one of them; {own} can"
         ) from error
@@ -93,7 +93,7 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
     known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
     wrong = [each for each in start if each not in known]
     if wrong or len(start) != len(array.states):
-        own = ", ".join(_plain(*each) for each in array.named_states)
+        own = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
             f"{name}: a start gives the {len(array.states)} states of the internal dynamics, such as {own},"
             f" not {', '.join(wrong or start)}"
@@ -105,10 +105,10 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
 
 def _require_numbers(start: Start, name: str) -> None:
     require_kind(start, Mapping, f"{name}: a start", "values by name, such as {'theta': 0.1}", InvalidSetting)
-    for each, value in start.items():
-        require_real(value, f"{name}: the start of {each}", "a finite number", InvalidSetting)
+    for label, value in start.items():
+        require_real(value, f"{name}: the start of {label}", "a finite number", InvalidSetting)
         if not np.isfinite(value):
-            raise InvalidSetting(f"{name}: the start of {each} must be a finite number, not {value!r}")
+            raise InvalidSetting(f"{name}: the start of {label} must be a finite number, not {value!r}")
 
 
 def _plain(variable: str, order: int) -> str:
@@ -134,12 +134,12 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     """
     system = problem.system
     _require_numbers(start, system.name)
-    names = (*system.coordinates.names, *(each + _RATE for each in system.coordinates.names))
+    names = (*system.coordinates.names, *(name + _RATE for name in system.coordinates.names))
     wrong = [each for each in start if each not in names]
     if wrong:
         raise InvalidSetting(f"{system.name}: a start gives coordinates and their rates, not {', '.join(wrong)}")
-    free, moved = np.array([each not in start for each in names]), state.copy()
-    moved[~free] = [start[each] for each in names if each in start]
+    free, moved = np.array([name not in start for name in names]), state.copy()
+    moved[~free] = [start[name] for name in names if name in start]
     if not system.lam.numel():
         return moved
     n, nominal = len(system.coordinates), np.array(system.coordinates.nominal)
@@ -173,5 +173,5 @@ def _constraint_rows(resolved: ResolvedSystem) -> tuple[Call, Call]:
     arguments = [ca.vertcat(system.q, system.v), system.gamma[:, :2], system.p]
     G = ca.densify(system.G)
     pairs = ([ca.densify(system.constraints), G], [ca.densify(system.constraint_rate), G])
-    rows, rates = (Call(ca.Function("sc_constraints", arguments, each)) for each in pairs)
+    rows, rates = (Call(ca.Function("sc_constraints", arguments, pair)) for pair in pairs)
     return rows, rates

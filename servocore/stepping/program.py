@@ -329,5 +329,5 @@ def require_margins(limits: Sequence[LimitText], margins: Array, time: float) ->
 def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
     # CasADi's fast_newton takes NaN for convergence, and failed blocks answer NaN: look at the numbers.
     converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
-    most, total = (round(each) if np.isfinite(each) else 0 for each in counts)
+    most, total = (round(count) if np.isfinite(count) else 0 for count in counts)
     return state, StepReport(converged, most, total, float(residual[0]))

@@ -104,9 +104,9 @@ def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
     stems = [name.removesuffix(_DIRECTORS[0]) for name in names if name.endswith(_DIRECTORS[0])]
     frames, internal = [], set[int]()
     for stem in stems:
-        if not all(f"{stem}{each}" in names for each in _DIRECTORS):
+        if not all(f"{stem}{director}" in names for director in _DIRECTORS):
             continue
-        places = [names.index(f"{stem}{each}") for each in _DIRECTORS]
+        places = [names.index(f"{stem}{director}") for director in _DIRECTORS]
         rows = _orthonormality(system, places)
         if len(rows) != 6:
             raise InvalidModel(

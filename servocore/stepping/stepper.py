@@ -177,4 +177,4 @@ class Stepper:
         if fraction != 1.0:
             state = self.program.moved(state, fraction, self.step)
         values = self.program.values(state, np.asarray(reference_jet), self.parameters)
-        return dict(zip((each.name for each in self.program.channels), map(float, values), strict=True))
+        return dict(zip((channel.name for channel in self.program.channels), map(float, values), strict=True))

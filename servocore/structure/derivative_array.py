@@ -63,7 +63,7 @@ class DerivativeArray:
     @property
     def determined(self) -> tuple[tuple[int, int], ...]:
         """The unknowns without the states."""
-        return tuple(each for each in self.unknowns if each not in self.states)
+        return tuple(unknown for unknown in self.unknowns if unknown not in self.states)
 
     @property
     def named_states(self) -> tuple[tuple[str, int], ...]:
@@ -76,7 +76,7 @@ class DerivativeArray:
 
     def places(self, entries: Iterable[tuple[int, int]]) -> list[int]:
         """Places of derivatives of variables among the unknowns."""
-        return [self.unknowns.index(each) for each in entries]
+        return [self.unknowns.index(entry) for entry in entries]
 
     def position(self, variable: str, order: int) -> int:
         """Place of a derivative of a named variable among the unknowns."""

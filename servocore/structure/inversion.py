@@ -183,7 +183,7 @@ def _longest(function: ca.Function, array: DerivativeArray) -> int:
     unknowns = function(*arguments)[0]
     # Parts of one shape are as long as each other: one of each kind is measured.
     kinds = {(len(part.rows), len(part.entries)): part.columns.tolist() for part in parts}
-    lengths = (ca.Function("sc_part", arguments, [unknowns[each]]).n_instructions() for each in kinds.values())
+    lengths = (ca.Function("sc_part", arguments, [unknowns[kind]]).n_instructions() for kind in kinds.values())
     return max(map(int, lengths))
 
 
@@ -203,12 +203,12 @@ def _equations(array: DerivativeArray) -> _Equations:
     guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     scale = np.array([nominal(system, j) for j, _ in array.determined])
     # States keep the value of their guess: what follows from step to step is not to be solved for.
-    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[each] for each in array.states])
+    pinned = ca.vertcat(ca.SX(0, 1), *[guessed[state] for state in array.states])
     equations = SquareSystem(
         unknowns=array.column(array.determined),
         givens=ca.vertcat(ca.vec(system.gamma[:, : array.reference_order + 1]), system.p, guess_symbols),
         residual=ca.substitute(array.residual, array.column(array.states), pinned),
-        guess=ca.vertcat(*[guessed[each] for each in array.determined]),
+        guess=ca.vertcat(*[guessed[unknown] for unknown in array.determined]),
         unknown_scale=ca.SX(scale),
         residual_scale=ca.SX.ones(len(array.rows)),
     )

@@ -255,7 +255,7 @@ def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
 
 def _scaled(row: _Row) -> _Row:
     """Divide by a power of two, so that products of products do not grow."""
-    size = max((float(np.abs(each.values[0])) for each in row.factors.values()), default=1.0)
+    size = max((float(np.abs(factor.values[0])) for factor in row.factors.values()), default=1.0)
     power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
     factors, entries = ({k: each.times(power) for k, each in own.items()} for own in (row.factors, row.entries))
     return _Row(factors, entries)

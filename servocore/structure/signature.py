@@ -191,7 +191,7 @@ def _system_jacobian(equations: SecondOrderEquations, c: tuple[int, ...], d: tup
     J = ca.SX(len(c), len(d))
     for order in range(equations.y.size2()):
         part = ca.jacobian(equations.residual, equations.y[:, order])
-        rows, columns = (np.array(each, dtype=np.intp) for each in part.sparsity().get_triplet())
+        rows, columns = (np.array(indices, dtype=np.intp) for indices in part.sparsity().get_triplet())
         # Entries below d_j - c_i are of lower order and do not belong to the leading Jacobian.
         kept = np.flatnonzero(leading[rows, columns] == order)
         pattern = ca.Sparsity.triplet(*J.shape, rows[kept].tolist(), columns[kept].tolist())
@@ -319,7 +319,7 @@ def jacobian_function(found: Signature) -> ca.Function:
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
     """Return the system Jacobian as numbers at points, zero where nothing but round-off is left of an entry."""
     matrices = [filled(function(*point)) for point in points]
-    if not any(_has_suspicious(each) for each in matrices):
+    if not any(_has_suspicious(matrix) for matrix in matrices):
         return matrices
     values, errors = evaluate(function, points)
     return list(np.where(np.abs(values) <= errors, 0.0, values))

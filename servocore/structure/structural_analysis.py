@@ -64,11 +64,11 @@ def second_order_equations(system: MechanicalSystem) -> SecondOrderEquations:
         names=(
             *(f"q.{name}" for name in system.coordinates.names),
             *(f"lam.{k + 1}" for k in range(system.lam.numel())),
-            *(f"u.{each.name}" for each in system.inputs),
+            *(f"u.{quantity.name}" for quantity in system.inputs),
         ),
         equations=(
             *(f"momentum of {name}" for name in system.coordinates.names),
-            *(f"servo constraint on {each.name}" for each in system.outputs),
+            *(f"servo constraint on {quantity.name}" for quantity in system.outputs),
             *(f"holonomic constraint {k + 1}" for k in range(system.lam.numel())),
         ),
         embedded=(0,) * size,

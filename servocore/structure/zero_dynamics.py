@@ -60,7 +60,7 @@ class Linearization:
     def at(self, values: Array, gamma: Array, p: Array) -> Array:
         """Return the derivatives of all unknowns by the states, shape (unknowns, states); NaN where singular."""
         own, others = self.array.places(self.array.states), self.array.places(self.array.determined)
-        by_rest, by_states = (each.reshape(len(others), -1, order="F") for each in self.terms(values, gamma, p))
+        by_rest, by_states = (term.reshape(len(others), -1, order="F") for term in self.terms(values, gamma, p))
         result = np.full((len(values), len(own)), np.nan)
         result[own] = np.eye(len(own))
         with contextlib.suppress(np.linalg.LinAlgError):

@@ -48,7 +48,7 @@ class Drawn:
 
     def about(self) -> dict[str, Any]:
         """Return what the page needs to know."""
-        stands = any(each["kind"] in ("body", "post") for each in self.parts)
+        stands = any(part["kind"] in ("body", "post") for part in self.parts)
         return {
             "parts": self.parts,
             "points": self.points,
@@ -98,7 +98,7 @@ def drawn(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawi
     all_points = ca.vertcat(ca.SX(0, 1), *points)
     source = written("points", [ca.vertcat(ca.SX(0, 1), *symbols.values()), system.p], [all_points])
     depth = ca.vertcat(ca.SX(0, 1), *[each[1] for each in points])
-    flat = all(each.is_zero() for each in ca.vertsplit(depth)) if points else True
+    flat = all(entry.is_zero() for entry in ca.vertsplit(depth)) if points else True
     return Drawn(listed, len(points), source, _tracked(listed), flat)
 
 
@@ -107,7 +107,7 @@ def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> d
     return {
         "kind": part.kind,
         "name": part.name,
-        "places": [places[str(each)] for each in expressions],
+        "places": [places[str(expression)] for expression in expressions],
         "colour": names.index(part.colour) if part.colour else None,
         "along": part.along,
     }
@@ -115,8 +115,8 @@ def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> d
 
 def _tracked(parts: Sequence[Mapping[str, Any]]) -> int | None:
     """Return the point of the last body, or box where there is none: the load."""
-    kinds = [each["kind"] for each in parts]
-    bodies = [each["places"][0] for each in parts if each["kind"] == ("body" if "body" in kinds else "box")]
+    kinds = [part["kind"] for part in parts]
+    bodies = [part["places"][0] for part in parts if part["kind"] == ("body" if "body" in kinds else "box")]
     return bodies[-1] if bodies else None
 
 
@@ -131,7 +131,9 @@ def _found(system: MechanicalSystem, symbols: Mapping[str, ca.SX]) -> list[Part]
         if match and not re.search(r"[._]d\d?$|^d$", match["of"] or ""):
             points.setdefault(match["of"] or match["number"] or "", {})[match["axis"]] = name
     if not points:
-        points = {each.name: {"x": each.name} for each in system.coordinates.quantities if each.unit == "m"}
+        points = {
+            quantity.name: {"x": quantity.name} for quantity in system.coordinates.quantities if quantity.unit == "m"
+        }
     points = dict(list(points.items())[:_MOST_POINTS])
     where = {of: _point(named, symbols) for of, named in points.items()}
     bars = [

@@ -87,4 +87,4 @@ def number(value: float) -> str:
 
 def written(name: str, symbols: Sequence[ca.SX], results: Sequence[ca.SX]) -> str:
     """Return expressions of symbols as JavaScript; what is common to subexpressions is computed once."""
-    return javascript(ca.Function(name, list(symbols), [ca.densify(each) for each in results], {"cse": True}))
+    return javascript(ca.Function(name, list(symbols), [ca.densify(result) for result in results], {"cse": True}))

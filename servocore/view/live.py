@@ -73,7 +73,7 @@ def live_model(problem: Problem) -> LiveModel:
     expression = _expression(problem)
     system, dae = problem.system, problem.dae(Reduced())
     known, rows = observed(system), problem.array.reference_order + 1
-    orders = max(rows, limits_order(system, tuple(each for each in problem.limits if each.of_path)), 3)
+    orders = max(rows, limits_order(system, tuple(limit for limit in problem.limits if limit.of_path)), 3)
     path, p = system.gamma[:, :orders], system.p
     state = expression(path[:, :rows], p)[0]
     values = compile_observation(system, dae, instantaneous(dae), known, orders - 1)(state, path, p)[0]
@@ -106,7 +106,7 @@ def _stepping(problem: Problem, state: ca.SX, orders: int, steps: dict[str, Any]
     system, dae = problem.system, problem.dae(Projected())
     step = METHOD.discretise(dae)
     path, p = system.gamma[:, :orders], system.p
-    places = [problem.array.position(each.variable, each.order) for each in dae.unknowns]
+    places = [problem.array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
     read = compile_observation(system, dae, step, observed(system), orders - 1)
     own = step.equations
     first = ca.substitute(step.first_state, step.start.rates, ca.SX.zeros(*step.start.rates.shape))

@@ -142,7 +142,7 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
         live, why = None, str(error)
     about, source = _written(problem, solution, live)
     title = problem.name.replace("_", " ")
-    scripts = [WEB.joinpath(each).read_text(encoding="utf-8") for each in _SCRIPTS]
+    scripts = [WEB.joinpath(script).read_text(encoding="utf-8") for script in _SCRIPTS]
     style = WEB.joinpath("live.css").read_text(encoding="utf-8")
     body = _template("live.html.j2").render(
         about=json.dumps(about, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
@@ -181,16 +181,20 @@ def _template(name: str) -> Any:
 def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tuple[dict[str, Any], dict[str, str]]:
     """Return what the page is told, and its functions as JavaScript."""
     t = _thinned(solution.t)
-    quantities = live.outputs if live else tuple(each for each, _ in observed(problem.system) if each.name in solution)
-    rows = {each.name: solution[each.name][t] for each in quantities if each.name in solution}
+    quantities = (
+        live.outputs
+        if live
+        else tuple(quantity for quantity, _ in observed(problem.system) if quantity.name in solution)
+    )
+    rows = {quantity.name: solution[quantity.name][t] for quantity in quantities if quantity.name in solution}
     times, system = solution.t[t], problem.system
     if live is not None and not _is_exact(problem, solution, live):
-        rows = dict(zip((each.name for each in quantities), live.values(problem, times).T, strict=True))
+        rows = dict(zip((quantity.name for quantity in quantities), live.values(problem, times).T, strict=True))
     orders = live.orders if live else 1
     path, laws = path_of(problem.reference, _refined(times) if live else times, orders)
     steps = live.steps if live and _can_march(problem, times, orders) else None
     picture = drawn(system, quantities, problem.drawing)
-    names = [each.name for each in quantities]
+    names = [quantity.name for quantity in quantities]
     source = {"points": picture.source, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, names)
     if live and path_limits:
@@ -201,11 +205,11 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
         "rows": system.gamma.size1(),
         "orders": orders,
         "path": path,
-        "components": [_quantity(each) for each in system.outputs],
+        "components": [_quantity(quantity) for quantity in system.outputs],
         "outputs": [
-            {**_quantity(each), "wraps": each.wraps, "input": each in system.inputs,
-             "nonnegative": each.never_negative, "inner": _is_inner(system, each)}
-            for each in quantities
+            {**_quantity(quantity), "wraps": quantity.wraps, "input": quantity in system.inputs,
+             "nonnegative": quantity.never_negative, "inner": _is_inner(system, quantity)}
+            for quantity in quantities
         ],
         "shown": _shown(system, names),
         "parameters": _parameters(problem),
@@ -238,7 +242,7 @@ def _refined(t: Array) -> Array:
 
 def _is_exact(problem: Problem, solution: Solution, live: LiveModel) -> bool:
     """Whether a solution is an exact inversion, so that its own numbers are what the page compares its own with."""
-    return solution.route == problem.dae(Reduced()).name and all(each.name in solution for each in live.outputs)
+    return solution.route == problem.dae(Reduced()).name and all(quantity.name in solution for quantity in live.outputs)
 
 
 def _can_march(problem: Problem, t: Array, orders: int) -> bool:
@@ -272,14 +276,14 @@ def _finite(value: float) -> float | None:
 def _parameters(problem: Problem) -> list[dict[str, Any]]:
     return [
         {
-            "name": each.name,
-            "unit": each.unit,
+            "name": parameter.name,
+            "unit": parameter.unit,
             "value": float(value),
-            "lower": _finite(each.lower),
-            "upper": _finite(each.upper),
-            "description": each.description,
+            "lower": _finite(parameter.lower),
+            "upper": _finite(parameter.upper),
+            "description": parameter.description,
         }
-        for each, value in zip(problem.system.parameters.declared, problem.p, strict=True)
+        for parameter, value in zip(problem.system.parameters.declared, problem.p, strict=True)
     ]
 
 
@@ -287,20 +291,20 @@ def _limits(problem: Problem, names: list[str]) -> tuple[list[dict[str, Any]], l
     """Return limits of what is reported, and those of the path alone."""
     of_motion = [
         {
-            "output": names.index(each.expression.name),
-            "low": _finite(each.bound),
-            "high": _finite(each.upper),
-            "rate": each.rate,
+            "output": names.index(limit.expression.name),
+            "low": _finite(limit.bound),
+            "high": _finite(limit.upper),
+            "rate": limit.rate,
         }
-        for each in problem.limits
-        if isinstance(each.expression, Named) and each.expression.name in names
+        for limit in problem.limits
+        if isinstance(limit.expression, Named) and limit.expression.name in names
     ]
-    of_path = [{"quantity": each.quantity, "reason": each.reason} for each in problem.limits if each.of_path]
+    of_path = [{"quantity": limit.quantity, "reason": limit.reason} for limit in problem.limits if limit.of_path]
     return of_motion, of_path
 
 
 def _path_limits(problem: Problem, orders: int) -> str:
     """Return (path, parameters) -> how far each limit of the path is, positive where it is kept, as JavaScript."""
     system = problem.system
-    margins = [each.on(system) - each.bound for each in problem.limits if each.of_path]
+    margins = [limit.on(system) - limit.bound for limit in problem.limits if limit.of_path]
     return written("path_limits", [system.gamma[:, :orders], system.p], [ca.vertcat(*margins)])

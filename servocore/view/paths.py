@@ -42,7 +42,7 @@ def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any]
     if not isinstance(told, RestToRest):
         return {**about, "kind": "table", "times": packed(t), "jets": packed(told.jet(t, orders - 1))}, {}
     laws = {each.name: each for each in (told.profile, *_LAWS)}
-    smooth = [each for each in laws.values() if each == told.profile or each.smoothness >= orders - 1]
+    smooth = [law for law in laws.values() if law == told.profile or law.smoothness >= orders - 1]
     functions = {f"law{k}": _law(each, orders - 1) for k, each in enumerate(smooth)}
     described = [{"name": each.name, "shortest": each.shortest_duration} for each in smooth]
     return {**about, "kind": "line", "start": told.start, "end": told.end, "laws": described}, functions

@@ -23,9 +23,9 @@ def run(file: str, settings: dict[str, object], rest: dict[str, float]) -> None:
     """Take a few steps with nothing connected."""
     messages: list[str] = []
     choices = {
-        each.name: each.declaredType.items
-        for each in read_model_description(file).modelVariables
-        if each.type == "Enumeration"
+        variable.name: variable.declaredType.items
+        for variable in read_model_description(file).modelVariables
+        if variable.type == "Enumeration"
     }
     numbers = {
         name: next(int(item.value) for item in choices[name] if item.name == value) if name in choices else value

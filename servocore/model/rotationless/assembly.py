@@ -83,7 +83,7 @@ class Assembly:
         blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
         object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*blocks)))
         gravity = ca.sparsify(as_expression(self.gravity, "gravity"))
-        constants = [float(each) for each in ca.vertsplit(ca.densify(gravity)) if each.is_constant()]
+        constants = [float(entry) for entry in ca.vertsplit(ca.densify(gravity)) if entry.is_constant()]
         if gravity.shape != (3, 1) or not np.isfinite(constants).all():
             raise InvalidModel(f"gravity must be three finite numbers, not {self.gravity}")
         potential, rows, stored = ca.SX(0), ca.SX(0, 1), []
@@ -219,7 +219,7 @@ class Assembly:
     def multipliers(self, constraints: Mapping[str, ca.SX]) -> Mapping[str, ca.SX]:
         """Return symbols of the multipliers by name of the joint, '' for those of orthonormality."""
         rows = {"": self.orthonormality, **constraints}
-        return {key: ca.SX.sym(f"lam_{key or 'orthonormality'}", each.numel()) for key, each in rows.items()}
+        return {key: ca.SX.sym(f"lam_{key or 'orthonormality'}", row.numel()) for key, row in rows.items()}
 
     def _with_tensions(
         self, observables: Mapping[Quantity, ca.SX], constraints: Mapping[str, ca.SX], lam: Mapping[str, ca.SX]
@@ -243,7 +243,7 @@ class Assembly:
         compare = ca.Function("sc_compare", symbols, [one, other], {"allow_free": True})
         if compare.get_free():
             return False
-        point = [np.sin(1.0 + 7 * k + np.arange(each.numel())) for k, each in enumerate(symbols[:2])]
+        point = [np.sin(1.0 + 7 * k + np.arange(symbol.numel())) for k, symbol in enumerate(symbols[:2])]
         first, second = (float(each) for each in compare(*point, self.parameters.values()))
         return abs(first - second) <= 1e-9 * max(abs(first), abs(second))
 
@@ -283,4 +283,4 @@ def _quantities(part: Part) -> tuple[Quantity, ...]:
 def _expressions(values: Mapping[Named, Any], what: str) -> dict[Named, ca.SX]:
     """Return what a mapping names as expressions; raises `InvalidModel` if it is something else."""
     require_kind(values, Mapping, what, "expressions by name", InvalidModel)
-    return {key: as_expression(each, f"{what}: {getattr(key, 'name', key)}") for key, each in values.items()}
+    return {key: as_expression(value, f"{what}: {getattr(key, 'name', key)}") for key, value in values.items()}

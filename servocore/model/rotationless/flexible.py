@@ -121,7 +121,7 @@ class Beam:
 
     def internal_constraints(self, q: ca.SX) -> ca.SX:
         """Return the orthonormality of the directors of all nodes, shape (6 (N + 1),)."""
-        return ca.vertcat(*[orthonormality(each) for each in ca.vertsplit(q, _NODE)])
+        return ca.vertcat(*[orthonormality(entry) for entry in ca.vertsplit(q, _NODE)])
 
     def stored(self, q: ca.SX) -> list[tuple[Energy, ca.SX]]:
         """Return the energies of all strains: six an element."""
@@ -163,11 +163,11 @@ class Beam:
         require_kind(section, Section, f"beam {self.name}: its section", "a Section", InvalidModel)
         for what, value in (
             ("axial stiffness", section.axial), ("torsional stiffness", section.torsion),
-            *(("shear stiffness", each) for each in section.shear),
-            *(("bending stiffness", each) for each in section.bending),
+            *(("shear stiffness", stiffness) for stiffness in section.shear),
+            *(("bending stiffness", stiffness) for stiffness in section.bending),
         ):  # fmt: skip
             _positive(f"beam {self.name}: its {what}", value, parameters)
-        for what, value in (("line mass", section.line_mass), *(("inertia", each) for each in section.inertias)):
+        for what, value in (("line mass", section.line_mass), *(("inertia", inertia) for inertia in section.inertias)):
             _positive(f"beam {self.name}: its {what}", value, parameters, or_zero=True)
 
 

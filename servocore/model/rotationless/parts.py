@@ -212,7 +212,7 @@ class Frame:
             If the axis is zero or the normal is parallel to it.
         """
         triad = _triad(axis, normal)
-        return Place(self.point(point), *(self.vector(list(each)) for each in triad))
+        return Place(self.point(point), *(self.vector(list(director)) for director in triad))
 
 
 GROUND = Frame(ca.SX.zeros(3), ca.SX.eye(3))
