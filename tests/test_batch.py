@@ -142,3 +142,59 @@ def test_what_is_wrong_with_internal_dynamics_is_named():
         sc.Batch(CRANE, start={"s": 0.1})
     with pytest.raises(sc.InvalidSetting, match="between 0 and 1"):
         sc.Batch(CAR, tolerance=2.0)
+
+
+# solve ---------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane", "gantry_crane", "cars", "mass_on_car"])
+def test_a_batch_solves_random_cases_as_each_is_solved_alone(name):
+    random, case = np.random.default_rng(13), scene(name)
+    system, path = case.model(), case.reference
+    values = system.parameters.values(case.parameters)
+    rows = {parameter: value * random.uniform(0.95, 1.05, 3)
+            for parameter, value in zip(system.parameters.names, values, strict=True)}  # fmt: skip
+    ends = path.jet(np.array([path.start_time, path.end_time]), 0)[:, 0]
+    ways = [sc.rest_to_rest(ends[0], ends[0] + share * (ends[1] - ends[0]), path.duration * longer, sc.DEGREE13)
+            for share, longer in random.uniform([0.7, 1.0], [1.0, 1.3], (3, 2))]  # fmt: skip
+    quantities = (system.inputs[0].name, system.coordinates.names[0])
+    found = sc.Batch(case, quantities).solve(rows, ways, steps=60)
+    for number, way in enumerate(ways):
+        own = case.with_parameters(**{each: row[number] for each, row in rows.items()}).with_reference(way)
+        solution = sc.solve(own, step=way.duration / 60)
+        np.testing.assert_allclose(
+            found[number], np.column_stack([solution[each] for each in quantities]), rtol=1e-13, atol=1e-12
+        )
+
+
+def test_a_batch_refuses_what_solve_refuses_with_the_number_of_the_first_bad_case():
+    batch, good = sc.Batch(CRANE), CRANE.reference
+    for bad in (
+        sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, 1.0), 20.0),  # above the girder
+        sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0),  # through the axis
+        sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4),  # too fast: the rope would push
+        sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0, sc.DEGREE3),
+    ):
+        with pytest.raises(sc.ServocoreError) as alone:
+            sc.solve(CRANE.with_reference(bad), step=bad.duration / 40)
+        with pytest.raises(type(alone.value)) as together:
+            batch.solve(paths=[good, good, bad, bad], steps=40)
+        assert str(together.value) == f"case 2 of a batch: {alone.value}"
+
+
+def test_a_batch_keeps_the_limits_of_the_scene_between_instants_too():
+    limited = CRANE.with_limits(F=(None, 2.0))
+    at_instants = sc.Batch(limited)(T[::10], {"load_mass": [50.0, 150.0]})  # which does not look
+    assert (at_instants[:, :, 1] < 2.0).all()
+    with pytest.raises(sc.LimitBroken, match=r"^case 1 of a batch: .* F "):
+        sc.Batch(limited).solve({"load_mass": [50.0, 150.0]}, steps=4)
+    assert sc.Batch(limited).solve({"load_mass": [50.0]}, steps=4).shape == (1, 5, 3)
+
+
+def test_a_value_out_of_bounds_is_told_with_the_number_of_its_case():
+    batch = sc.Batch(CRANE)
+    for bad in (-1.0, np.nan):
+        with pytest.raises(sc.InvalidModel, match=r"^case 2 of a batch: .*load_mass"):
+            batch.solve({"load_mass": [50.0, 60.0, bad, -2.0]})
+    with pytest.raises(sc.InvalidSetting, match="a path is divided into one step or more, not 0"):
+        batch.solve(steps=0)

@@ -182,6 +182,11 @@ def _many_instants() -> Iterator[Point]:
     few = np.linspace(path.start_time, path.end_time, 201)
     value = _seconds(lambda: batch(few, {"load_mass": masses})) / (len(few) * len(masses)) * 1e6
     yield Point(MANY, len(masses), "Batch of 201 instants each, machine code", value, "us an instant")
+    some, step = masses[::10], path.duration / STEPS
+    value = _seconds(lambda: [sc.solve(crane.with_parameters(load_mass=mass), step=step) for mass in some]) / len(some)
+    yield Point(MANY, len(some), f"solve of {STEPS} steps each, one by one", value * 1e3, "ms a case")
+    value = _seconds(lambda: batch.solve({"load_mass": some}, steps=STEPS)) / len(some)
+    yield Point(MANY, len(some), f"Batch.solve of {STEPS} steps each", value * 1e3, "ms a case")
 
 
 def _cold_start(repeats: int) -> Iterator[Point]:

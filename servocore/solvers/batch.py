@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, require_kind
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError, require_kind
 from servocore.model.scene import Scene, require_scene
+from servocore.model.symbols import Parameter
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference, numbers_of
 from servocore.solvers.dynamic_inversion import DynamicCases
+from servocore.solvers.solve import solve
 from servocore.stepping.inverted_quantities import compile_inverted_quantities
 from servocore.stepping.observation import observed
 from servocore.stepping.path_function import PathFunction
@@ -24,9 +28,10 @@ class Batch:
     """What exact inversions give, for many cases of one scene at the same instants.
 
     A case has parameter values of its own, a path of its own, or both. Machine code goes through all instants of all
-    cases at the price of an instant of a single one, in as many threads as there are processors. Limits are not looked
-    at: ask for the quantities that are limited and compare. With internal dynamics every case is stepped as
-    `DynamicInversion` does, from its start, and compared with smaller steps.
+    cases at the price of an instant of a single one, in as many threads as there are processors. A call does not look
+    at limits: ask for the quantities that are limited and compare. With internal dynamics it steps every case as
+    `DynamicInversion` does, from its start, and compares with smaller steps. `solve` solves and checks every case as
+    `servocore.solve` does, and takes as long.
 
     Parameters
     ----------
@@ -63,6 +68,8 @@ class Batch:
     >>> values = batch(np.linspace(0.0, 20.0, 201), parameters={"load_mass": np.linspace(50.0, 150.0, 1000)})
     >>> values.shape
     (1000, 201, 3)
+    >>> batch.solve({"load_mass": [80.0, 120.0]}, steps=40).shape
+    (2, 41, 3)
     """
 
     def __init__(
@@ -77,6 +84,7 @@ class Batch:
     ) -> None:
         require_scene(scene, "Batch")
         self._problem = problem = Problem.of(scene, model, start)
+        self._scene, self._alone = scene, partial(solve, model=model, start=start, native=native)
         if problem.follow_branch:
             raise InvalidModel(f"{scene.name} follows a branch: its cases are solved one by one, with solve")
         if problem.start:
@@ -124,11 +132,7 @@ class Batch:
             If parameters and paths are of different number.
         """
         times = numbers_of(t, "the times of a batch").reshape(-1)
-        p, references = self._parameters(parameters or {}), [*(paths or ())]
-        for reference in references:
-            require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
-        if p.ndim == 2 and references and len(references) != len(p):
-            raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
+        p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
             return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
         found = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
@@ -140,6 +144,64 @@ class Batch:
             values = np.where((signs > 0.0).all(axis=1, keepdims=True), values, np.nan)
         return values.transpose(0, 2, 1)
 
+    def solve(
+        self,
+        parameters: Mapping[str, npt.ArrayLike] | None = None,
+        paths: Sequence[Reference] | None = None,
+        *,
+        steps: int = 200,
+    ) -> Array:
+        """Solve all cases as `servocore.solve` does each by default, with all its checks.
+
+        Parameters
+        ----------
+        parameters : mapping of str to array_like, shape (cases,) or ()
+            As for a call.
+        paths : sequence of Reference, optional
+            As for a call.
+        steps : int
+            Into how many steps each path is divided; instants lie evenly from its start to its end.
+
+        Returns
+        -------
+        ndarray, shape (cases, steps + 1, quantities)
+            What `servocore.solve` of each case reports.
+
+        Raises
+        ------
+        ServocoreError
+            Of the kind that `servocore.solve` raises for the first case that it refuses, with its number from 0 on.
+        InvalidSetting
+            If there is not one step or more, or parameters and paths are of different number.
+        """
+        require_kind(steps, int, "the steps of a batch", "a whole number", InvalidSetting)
+        if steps < 1:
+            raise InvalidSetting(f"a path is divided into one step or more, not {steps}")
+        p, references = self._cases(parameters, paths)
+        count = len(p) if p.ndim == 2 else max(len(references), 1)
+        found = np.empty((count, steps + 1, len(self.names)))
+        for case in range(count):
+            values = zip(self._problem.system.parameters.names, (p[case] if p.ndim == 2 else p).tolist(), strict=True)
+            path = references[case] if references else self._scene.reference
+            scene = replace(self._scene, parameters=dict(values), reference=path)
+            try:
+                solution = self._alone(scene, step=path.duration / steps)
+            except ServocoreError as error:
+                raise type(error)(f"case {case} of a batch: {error}") from None
+            found[case] = np.column_stack([solution[name] for name in self.names])
+        return found
+
+    def _cases(
+        self, parameters: Mapping[str, npt.ArrayLike] | None, paths: Sequence[Reference] | None
+    ) -> tuple[Array, list[Reference]]:
+        """Return the values of all parameters, as `_parameters` does, and the paths."""
+        p, references = self._parameters(parameters or {}), [*(paths or ())]
+        for each in references:
+            require_kind(each, Reference, "each path of a batch", "a Reference", InvalidReference)
+        if p.ndim == 2 and references and len(references) != len(p):
+            raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
+        return p, references
+
     def _parameters(self, given: Mapping[str, npt.ArrayLike]) -> Array:
         """Return the values of all parameters, shape (size,), or (cases, size) where some have values of their own."""
         quantities = {name: k for k, name in enumerate(self._problem.system.parameters.names)}
@@ -147,10 +209,7 @@ class Batch:
         for name, values in columns.items():
             if name not in quantities:
                 raise InvalidModel(f"{self._problem.name} has no parameter {name}; it has {', '.join(quantities)}")
-            own = self._problem.system.parameters.declared[quantities[name]]
-            if values.size:
-                own.check(float(values.min()))  # NaN spreads to both
-                own.check(float(values.max()))
+            _require_allowed(self._problem.system.parameters.declared[quantities[name]], values)
         sizes = {values.size for values in columns.values() if values.ndim}
         if len(sizes) > 1 or any(values.ndim > 1 for values in columns.values()):
             raise InvalidSetting("parameters of a batch are single values, or rows of one length")
@@ -170,6 +229,21 @@ class Batch:
             jets = reference.jet(t[at], self._quick.order)
             found[case][:, at] = at_instants(self._seeking, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
         return found
+
+
+def _require_allowed(parameter: Parameter, values: Array) -> None:
+    """Raise `InvalidModel` for the first value of a parameter that it must not have, with the number of its case."""
+    if not values.size:
+        return
+    try:
+        parameter.check(float(values.min()))  # NaN spreads to both
+        parameter.check(float(values.max()))
+    except InvalidModel:
+        for case, value in enumerate(values.ravel().tolist()):
+            try:
+                parameter.check(value)
+            except InvalidModel as error:
+                raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None
 
 
 def _compile_cases(
