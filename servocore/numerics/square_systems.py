@@ -63,6 +63,9 @@ class SquareSystem:
         Where Newton starts, an expression of `givens`.
     unknown_scale, residual_scale : casadi.SX
         Magnitudes by which unknowns and residuals are divided, expressions of `givens`.
+    rough : frozenset of str
+        Names of unknowns whose guess is rough even where that of the others is exact: forces, of which a system at rest
+        tells no more than their size.
     """
 
     unknowns: ca.SX
@@ -71,6 +74,7 @@ class SquareSystem:
     guess: ca.SX
     unknown_scale: ca.SX
     residual_scale: ca.SX
+    rough: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         size = self.unknowns.numel()
@@ -348,13 +352,27 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     """Return a guess after one Newton iteration, or NaN if that moved it by more than `NEWTON_TOLERANCE`."""
-    unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
-    jacobian = ca.jacobian(residual, unknowns)
+    unknowns, size = block.unknowns, block.unknowns.numel()
+    better = _with_forces(block)
+    jacobian = ca.jacobian(block.residual, unknowns)
+    residual, jacobian = ca.substitute([block.residual, jacobian], [unknowns], [better])
     correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
     verdict = ca.if_else(largest(correction / block.unknown_scale) < NEWTON_TOLERANCE, 1.0, np.nan)
     (start,) = known.evaluated("sc_prepare", block.guess)
-    symbols, values = known.needed(residual, block.unknown_scale)
-    iterate = ca.Function("sc_iterate", [symbols, unknowns], [(unknowns - correction) * verdict], {"cse": True})
+    symbols, values = known.needed(block.residual, block.unknown_scale)
+    iterate = ca.Function("sc_iterate", [symbols, unknowns], [(better - correction) * verdict], {"cse": True})
     known.iterations.append(ca.MX(1))
     found: ca.MX = iterate(values, start)
+    return found
+
+
+def _with_forces(block: SquareSystem) -> ca.SX:
+    """Return the unknowns of a block, those of a rough guess by least squares from the others where that is linear."""
+    unknowns, residual = block.unknowns, block.residual
+    rough = [k for k in range(unknowns.numel()) if unknowns[k].name() in block.rough]
+    matrix = ca.jacobian(residual, unknowns[rough])
+    if not rough or len(rough) > _EXPLICIT_SIZE or ca.depends_on(matrix, unknowns[rough]):
+        return unknowns
+    found = ca.SX(unknowns)
+    found[rough] -= _small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
     return found

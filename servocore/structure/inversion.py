@@ -202,6 +202,7 @@ def _equations(array: DerivativeArray) -> _Equations:
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
     guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     scale = np.array([nominal(system, j) for j, _ in array.determined])
+    forces = tuple(each for each in array.determined if each[0] >= len(system.coordinates))
     # States keep the value of their guess: what follows from step to step is not to be solved for.
     pinned = ca.vertcat(ca.SX(0, 1), *[guessed[state] for state in array.states])
     equations = SquareSystem(
@@ -211,6 +212,7 @@ def _equations(array: DerivativeArray) -> _Equations:
         guess=ca.vertcat(*[guessed[unknown] for unknown in array.determined]),
         unknown_scale=ca.SX(scale),
         residual_scale=ca.SX.ones(len(array.rows)),
+        rough=frozenset(each.name() for each in ca.vertsplit(array.column(forces))),
     )
     return equations, [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)]
 
