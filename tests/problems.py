@@ -63,10 +63,12 @@ SCENES = {
     "rotary_crane": SceneCase(index=5, algebraic=("phi", "s", "l", "tension", "swing")),
     "overhead_crane": SceneCase(index=5, algebraic=("s", "l", "tension", "swing")),
     "gantry_crane": SceneCase(index=5, algebraic=("s_x", "s_y", "l", "tension", "swing")),
+    "boom_crane": SceneCase(index=5, algebraic=("phi", "theta", "l", "tension", "swing")),
     "cars": SceneCase(index=5, algebraic=("x_1", "x_2")),
     "mass_on_car": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "passive_joint_arm": SceneCase(index=3, projected_index=2, internal_degrees_of_freedom=2),
     "elastic_bar": SceneCase(index=7, projected_index=5, algebraic=("w_1", "w_2")),
+    "quadrotor_with_load": SceneCase(index=7, projected_index=5, algebraic=("p_x", "p_z", "swing", "tension")),
 }
 FORMULATIONS = (
     FormulationCase(sc.Original()),
@@ -93,6 +95,7 @@ UNSTABLE = {
     ("rotary_crane", "generalized", "original"): "small errors grow from step to step, the faster the smaller the step",
     ("overhead_crane", "generalized", "original"): "as the rotary crane",
     ("gantry_crane", "generalized", "original"): "as the rotary crane",
+    ("boom_crane", "generalized", "original"): "as the rotary crane",
 }
 """Scene, model and formulation that no step size saves: kept out of `PROBLEMS` and shown to fail."""
 REFUSED = {("passive_joint_arm", "points", "projected"): r"mass matrix is singular on a, b$"}

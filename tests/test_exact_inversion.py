@@ -42,6 +42,18 @@ def test_all_cranes_are_among_the_scenes_with_one_expression():
         assert found.n_instructions() < 1000
 
 
+@pytest.mark.parametrize("name", ["boom_crane", "quadrotor_with_load"])
+def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterations(name):
+    """The rope's direction is unknown in space as its force is: a nonlinear block with a force in it."""
+    problem = sc.Problem.of(scene(name))
+    array = problem.array
+    expression = compile_inversion(array).expression
+    t = np.linspace(problem.reference.start_time, problem.reference.end_time, 101)
+    for jet in problem.reference.jet(t, array.reference_order):
+        _, _, residual = expression(jet.T, problem.p)
+        assert float(residual) < 1e-10
+
+
 @given(st.permutations(range(12)))
 def test_instants_stand_alone_in_any_order(order):
     t = np.linspace(0.0, 20.0, 12)

@@ -55,10 +55,12 @@ def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(
         ("rotary_crane", "points", "M_b", 6),
         ("overhead_crane", "points", "F", 0.9),
         ("gantry_crane", "points", "F_x", 1.1),
+        ("boom_crane", "points", "M_s", 1.2),
         ("cars", "points", "u", 0.5),
         ("mass_on_car", "generalized", "u", 0.8),
         ("passive_joint_arm", "generalized", "u", 0.1),
         ("elastic_bar", "points", "u", 0.6),
+        ("quadrotor_with_load", "points", "M", 12),
     ],
 )
 def test_the_errors_of_the_projected_form_are_those_of_the_page(name, model, input_name, percent):

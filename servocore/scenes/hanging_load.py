@@ -202,10 +202,14 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     )
 
 
+TAUT = Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2])
+"""The load must not fall freely: below what it hangs from, on a rope that is taut."""
+
+
 def limits(above: str) -> tuple[Limit, Limit]:
     """Return the limits of a taut rope and of a load below what it hangs from, called `above`."""
     return (
-        Limit("g + z''", "m/s2", 0.0, "the rope goes slack", lambda gamma, p: p["gravity"] + gamma[-1, 2]),
+        TAUT,
         Limit(
             f"the load's depth below the {above}",
             "m",
