@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from outside.systems import elbow_arm, named, symbols
 
 import servocore as sc
+from servocore.planning.tasks import corner_problems, curve_of, with_a_formula
 
 ARM = elbow_arm()
 WAY = [(1.2, 0.6), (1.0, 0.9)]
@@ -70,3 +72,14 @@ def test_a_chain_of_index_seven_is_planned_without_a_formula():
     assert 0.97 * 20.0 < peak <= 20.0
     assert report.duration >= 2.0 * np.sqrt(3.0 / 20.0)  # momentum
     assert report.duration < report.degree9
+
+
+def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_same():
+    crane = sc.scenes.gantry_crane()
+    stronger = replace(crane.model("points"), input_matrix=2 * crane.model("points").input_matrix)
+    curve = curve_of([(0, 0, -4), (4, 2, -3)], 3, "cranes")
+    for points, same in ((crane.model("points"), True), (stronger, False)):
+        models = {"generalized": crane.models["generalized"], "points": partial(lambda system: system, points)}
+        scene = sc.Scene("cranes", models, crane.reference).with_limits(F_x=200.0)
+        corners = corner_problems(scene, "generalized", {})
+        assert (with_a_formula(scene, corners, {}, curve) is not corners) == same

@@ -154,6 +154,39 @@ def limited_expressions(
     return [time_derivative(each, y, system.gamma) if rate else each for each, (_, rate) in marked], y
 
 
+@dataclass(frozen=True, eq=False)
+class NextDerivatives:
+    """A derivative array differentiated once more: what is new in it.
+
+    Attributes
+    ----------
+    unknowns : casadi.SX, shape (variables,)
+        The derivative of every variable that follows its last in the array.
+    rows : casadi.SX, shape (variables,)
+        Equations that hold them, linear in them: the last ones of the array, differentiated. Derivatives of others are
+        in the array already.
+    function : casadi.Function
+        (unknowns of the array, gamma, p) -> the new ones.
+    """
+
+    unknowns: ca.SX
+    rows: ca.SX
+    function: ca.Function
+
+
+def next_derivatives(array: DerivativeArray, y: ca.SX, gamma: ca.SX) -> NextDerivatives:
+    """Differentiate a derivative array; `y` are its symbols and those that follow, gamma goes as far as the result."""
+    column, p = array.column(array.unknowns), array.system.p
+    unknowns = ca.vertcat(*[y[j, k + 1] for j, k in dict(array.unknowns).items()])  # of each the highest comes last
+    last = {i: row for row, (i, _) in enumerate(array.rows)}
+    rows = time_derivative(array.residual[list(last.values())], y, array.system.gamma)
+    linear = [ca.jacobian(rows, unknowns), -ca.substitute(rows, unknowns, ca.SX.zeros(unknowns.shape))]
+    matrix = ca.Function("sc_next", [column, gamma, p], linear, {"cse": True})
+    given = [ca.MX.sym("given", *each.shape) for each in (column, gamma, p)]
+    J, right = matrix(*given)
+    return NextDerivatives(unknowns, rows, ca.Function("sc_next", given, [ca.solve(J, right, "qr")]))
+
+
 def _watching(
     array: DerivativeArray, y: ca.SX, values: ca.SX, beyond: list[tuple[int, int]], order: int
 ) -> ca.Function:
@@ -168,11 +201,7 @@ def _watching(
     state, G, p = (ca.MX.sym("x", *each.shape) for each in (column, gamma, system.p))
     known = ca.MX(0, 1)
     if beyond:
-        moved = time_derivative(array.residual, system.gamma)
-        linear = ca.Function("sc_next", [column, gamma, system.p], [ca.jacobian(array.residual, column), moved])
-        J, right = linear(state, G, p)
-        # Derivative of every unknown; those of the last ones are not unknowns themselves.
-        known = ca.solve(J, -right, "qr")[array.places((j, k - 1) for j, k in beyond)]
+        known = next_derivatives(array, y, gamma).function(state, G, p)[[j for j, _ in beyond]]
     return ca.Function("sc_watched", [state, G, p], [read(state, known, G, p)])
 
 

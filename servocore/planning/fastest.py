@@ -14,7 +14,16 @@ from servocore.planning.certificate import certify
 from servocore.planning.report import PlanReport
 from servocore.planning.search import EXCESS, Found, planned
 from servocore.planning.space import Space
-from servocore.planning.tasks import Way, corner_problems, curve_of, starts_along, starts_free, task_along, task_free
+from servocore.planning.tasks import (
+    Way,
+    corner_problems,
+    curve_of,
+    starts_along,
+    starts_free,
+    task_along,
+    task_free,
+    with_a_formula,
+)
 from servocore.planning.time_laws import shape_of, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
@@ -58,7 +67,8 @@ def fastest(
         Factors of parameters by name, a smallest and a largest: the limits are kept at all corners as well, as with
         ``{"load_mass": (0.9, 1.1)}`` by a load ten per cent lighter or heavier.
     model : str, optional
-        Model of the scene; its smallest when not given.
+        Model of the scene that the certificate is made with; its smallest when not given. Where it has no formula for
+        the motion and another model with the same limits has one, the law is looked for with that.
     intervals : int
         Of the grid, even. The duration is above the shortest by about one part in `intervals`.
     progress : callable, optional
@@ -104,9 +114,10 @@ def fastest(
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth
+    quick = with_a_formula(bounded, corners, robust or {}, curve)
     if free is not None:
-        return _free(bounded, curve, corners, length, free, intervals, progress)
-    task = task_along(curve, corners, length)
+        return _free(bounded, curve, (quick, corners), length, free, intervals, progress)
+    task = task_along(curve, quick, length)
     if progress is not None:
         progress("looking for a law to start from")
     polynomial = shortest(task, shape_of(smooth_polynomial(length)))
@@ -118,13 +129,14 @@ def fastest(
 def _free(
     scene: Scene,
     curve: PiecewisePolynomial,
-    corners: Sequence[Problem],
+    both: tuple[Sequence[Problem], Sequence[Problem]],
     length: int,
     space: Space,
     intervals: int,
     progress: Callable[[str], None] | None,
 ) -> tuple[Reference, PlanReport]:
-    """Plan with the way free between the ends of a line."""
+    """Plan with the way free between the ends of a line; `both` are what is planned for and what is certified."""
+    corners, certified = both
     if len(curve.knots) > 2:
         raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
     space.require(corners[0].system, scene.tracked)
@@ -151,7 +163,7 @@ def _free(
         compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
     except LimitBroken:  # at rest on the line
         compared = (np.inf, np.inf)
-    return reference, _reported(reference, corners, found, compared, clearance)
+    return reference, _reported(reference, certified, found, compared, clearance)
 
 
 def _compared(task: Task, polynomial: float) -> tuple[float, float]:

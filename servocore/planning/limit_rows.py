@@ -9,7 +9,7 @@ from typing import cast
 import casadi as ca
 import numpy as np
 
-from servocore.checks.motion_limits import compile_watched, limited_expressions
+from servocore.checks.motion_limits import compile_watched, limited_expressions, next_derivatives
 from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
@@ -164,14 +164,10 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
     if not beyond:
         start = ca.Function("sc_lifted", [G, p], [state])
         return _Lifted(column, array.residual, tuple(values), start, order)
-    rates = ca.SX.sym("rates", column.numel())
-    next_of = [rates[k] for k in array.places((j, k - 1) for j, k in beyond)]
-    values = ca.substitute(values, [y[j, k] for j, k in beyond], next_of)
-    J, moved = ca.jacobian(array.residual, column), time_derivative(array.residual, system.gamma)
-    matrix, right = ca.Function("sc_next", [column, gamma, system.p], [J, -moved], {"cse": True})(state, G, p)
-    start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, ca.solve(matrix, right, "qr"))])
-    equations = ca.vertcat(array.residual, ca.mtimes(J, rates) + moved)
-    return _Lifted(ca.vertcat(column, rates), equations, tuple(values), start, order)
+    following = next_derivatives(array, y, gamma)
+    start = ca.Function("sc_lifted", [G, p], [ca.vertcat(state, following.function(state, G, p))])
+    equations = ca.vertcat(array.residual, following.rows)
+    return _Lifted(ca.vertcat(column, following.unknowns), equations, tuple(values), start, order)
 
 
 def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequence[ca.SX]) -> list[ca.SX]:

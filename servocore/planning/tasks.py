@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken, ServocoreError
 from servocore.model.scene import Scene
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.curves import along, slopes_at, through_points
 from servocore.planning.integrator_chains import Law, sampled_law
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
@@ -31,6 +31,7 @@ Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
 
 _ROOM = 2e-4  # of the half range, kept free: what is planned then keeps its limits with no excess at all
 _REST_POINTS = 401
+_COMPARED, _ALIKE = 21, 1e-5  # instants at which rows of two models are compared, and how well they agree
 _HOPS = (0.15, 0.3)  # of the way's length: how far aside the ways go that a free plan starts from
 
 
@@ -67,6 +68,42 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
     if not any(not limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
     return found
+
+
+def with_a_formula(
+    scene: Scene, corners: Sequence[Problem], robust: Mapping[str, tuple[float, float]], curve: PiecewisePolynomial
+) -> Sequence[Problem]:
+    """Return the corners by that model of the scene whose limits are expressions of the path; as they are without one.
+
+    Where the motion itself is unknown at every point looked at, a plan takes many times the computing. Another model
+    does only if it has the same limits, to round-off, along a smooth law on the curve.
+    """
+    if not _of_motion(corners, curve):
+        return corners
+    for name in scene.models:
+        try:
+            found = corner_problems(scene, name, robust)
+            if not _of_motion(found, curve) and _agree(corners, found, curve, scene.reference.duration):
+                return found
+        except ServocoreError:  # it has not all quantities that are limited
+            continue
+    return corners
+
+
+def _of_motion(corners: Sequence[Problem], curve: PiecewisePolynomial) -> bool:
+    return any(limit_rows(each, curve.ends[0]).lifted is not None for each in corners)
+
+
+def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePolynomial, duration: float) -> bool:
+    """Whether limits of two models are the same along the smooth polynomial law."""
+    length = one[0].array.reference_order
+    path = polynomial_path(TimedPath.of(curve, _unit_law(length)), duration, length)
+    found = []
+    for each in (*one, *other):
+        rows = limit_rows(each, curve.ends[0])
+        jets = path.jet(np.linspace(0.0, duration, _COMPARED), rows.order)
+        found.append(at_instants(rows.function, jets=jets, p=each.p)[0])
+    return np.allclose(found[: len(one)], found[len(one) :], rtol=0.0, atol=_ALIKE, equal_nan=True)
 
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
