@@ -13,6 +13,7 @@ import numpy as np
 from outside.writing import Case, coordinates, cos_sin, g, lagrange, rate, square
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.scenes.jets import Jet
 
@@ -66,7 +67,7 @@ def quadrotor_with_a_load(
 ) -> Case:
     M, J, m, rope, gravity = 1.2, 0.03 * unit**2, 0.4, 0.9 * unit, g * unit
 
-    def exact(t, reference):
+    def exact(t, reference) -> dict[str, Array]:
         x, z = jets.components(reference.jet(t, 6))
         pull = m * x.d().d(), m * (z.d().d() + gravity)
         tension = length(*pull)

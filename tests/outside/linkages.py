@@ -190,7 +190,7 @@ def platform() -> sc.MechanicalSystem:
     x, y, phi = ca.vertsplit(q.q[:3])
     turn = ca.vertcat(ca.horzcat(ca.cos(phi), -ca.sin(phi)), ca.horzcat(ca.sin(phi), ca.cos(phi)))
 
-    def corner(k, x, y, turn):
+    def corner(k: int, x: ca.SX, y: ca.SX, turn: ca.SX) -> ca.SX:
         return ca.vertcat(x, y) + turn @ ca.DM(CORNERS[k])
 
     rods = [corner(k, x, y, turn) - ca.DM(BASES[k]) - 0.45 * e(q.q[3 + k]) for k in range(3)]

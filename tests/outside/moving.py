@@ -13,6 +13,7 @@ from outside.writing import Case, constant, coordinates, g, implicit, lagrange, 
 from scipy.integrate import solve_bvp, solve_ivp
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.scenes.jets import Jet
 
@@ -60,7 +61,7 @@ def stretched(force: Jet, cubic: float) -> Jet:
 def chain_of_cars(masses: tuple[float, ...], cubic: float = 3.0, unit: float = 1.0, nominal: float = 1.0) -> Case:
     """From the last car to the first: the force on it, the stretch that gives it, the car before."""
 
-    def exact(t, reference):
+    def exact(t, reference) -> dict[str, Array]:
         (x,) = jets.components(reference.jet(t, 2 * len(masses)))
         force, found = constant(0.0, x), {}
         for k in range(len(masses), 0, -1):
@@ -146,7 +147,7 @@ def force_on_the_cart(x: np.ndarray, theta: np.ndarray, omega: np.ndarray, side:
 
 
 def cart_with_a_pendulum() -> Case:
-    def exact(t, reference):
+    def exact(t, reference) -> dict[str, Array]:
         theta, omega = followed(
             lambda s, path: np.array([s[1], -(g * np.sin(s[0]) + path[2, 0] * np.cos(s[0])) / 0.7]),
             [0.0, 0.0], t, reference, 2,
@@ -160,11 +161,11 @@ def cart_with_a_pendulum() -> Case:
 def cart_pole() -> Case:
     """Upright: the bounded motion begins before the path and ends after it."""
 
-    def exact(t, reference):
+    def exact(t, reference) -> dict[str, Array]:
         e = np.sqrt(g / 0.7)
         mesh = np.linspace(-5.0, 7.0, 1201)
 
-        def slope(time, s):
+        def slope(time, s) -> Array:
             x = reference.jet(time, 2)[:, 2, 0]
             return np.stack([s[1], (g * np.sin(s[0]) - x * np.cos(s[0])) / 0.7])
 
@@ -197,7 +198,7 @@ def rotary_pendulum() -> Case:
     """Upright while the arm swings for ever: the one motion of the rod that has its period."""
 
     def exact(t, reference):
-        def slope(time, s):
+        def slope(time, s) -> Array:
             _, rate, acceleration = reference.jet(time, 2)[:, :3, 0].T
             sin, cos = np.sin(s[0]), np.cos(s[0])
             return np.stack([s[1], rate**2 * sin * cos + (g * sin - 0.3 * acceleration * cos) / 0.4])
@@ -225,7 +226,7 @@ def container() -> sc.MechanicalSystem:
 
 
 def container_crane() -> Case:
-    def slope(s, path):
+    def slope(s, path) -> Array:
         (x_2, z_2), paid = path[2], -path[0, 1] / np.cos(s[0])
         return np.array([s[1], -30.0 * paid * (x_2 * np.cos(s[0]) + (z_2 + g) * np.sin(s[0])) / 12.0])
 

@@ -16,14 +16,14 @@ from outside.writing import coordinates, g, lagrange
 import servocore as sc
 
 
-def assert_right(found, exact, tolerance=1e-10):
+def assert_right(found, exact, tolerance: float = 1e-10) -> None:
     for name, values in exact.items():
         if name in found:
             assert np.abs(found[name] - values).max() <= tolerance * np.abs(values).max()
 
 
 @pytest.mark.parametrize("steps", [25, 200, 1000])
-def test_an_aircraft_turns_over_on_one_branch(steps):
+def test_an_aircraft_turns_over_on_one_branch(steps: int) -> None:
     aircraft = vtol()
     solution = sc.solve(aircraft.scene, step=5.0 / steps)
     assert_right(solution, aircraft.exact(solution.t))
@@ -32,13 +32,13 @@ def test_an_aircraft_turns_over_on_one_branch(steps):
 
 
 @cache
-def inputs_of_the_aircraft():
+def inputs_of_the_aircraft() -> sc.ExactInversion:
     return sc.ExactInversion(vtol().scene)
 
 
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(0.0, 5.0), min_size=7, max_size=7))
-def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times):
+def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times) -> None:
     exact, found = vtol().exact(np.array(times)), inputs_of_the_aircraft()(times)
     for k, name in enumerate(("f", "torque")):
         np.testing.assert_allclose(found[:, k], exact[name], rtol=1e-9, atol=1e-9)
@@ -46,7 +46,7 @@ def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times)
 
 @settings(max_examples=15, deadline=None)
 @given(duration=st.floats(3.0, 12.0), turn=st.floats(-0.6, 0.6), lift=st.floats(0.6, 1.5))
-def test_other_loops_are_flown_on_one_branch_too(duration, turn, lift):
+def test_other_loops_are_flown_on_one_branch_too(duration: float, turn: float, lift: float) -> None:
     """Where the thrust vanishes the branches meet, and refusal or a warning is right; elsewhere the answer is."""
     cos, sin = np.cos(turn), np.sin(turn)
     points = [(cos * x - sin * z, lift * (sin * x + cos * z)) for x, z in LOOP]
@@ -64,7 +64,7 @@ def test_other_loops_are_flown_on_one_branch_too(duration, turn, lift):
 
 
 @pytest.mark.parametrize("guess", [(0.3, 1.0), (-0.5, 1.5), (0.0, 0.5), (0.5, 2.0), (0.2, 1.2)])
-def test_a_constant_guess_is_a_start_and_not_a_law(guess):
+def test_a_constant_guess_is_a_start_and_not_a_law(guess: tuple[float, float]) -> None:
     arm = elbow_arm(guess)
     assert sc.analyse(arm.scene).classification == "flat"
     solution = sc.solve(arm.scene)
@@ -74,7 +74,7 @@ def test_a_constant_guess_is_a_start_and_not_a_law(guess):
     assert_right({name: solution[name] for name in ("T_1", "T_2")}, {name: exact[name] for name in ("T_1", "T_2")})
 
 
-def test_round_after_round_the_arm_keeps_its_elbow():
+def test_round_after_round_the_arm_keeps_its_elbow() -> None:
     arm = elbow_arm(cycles=5)
     solution = sc.solve(arm.scene, step=0.05)
     assert_right(solution, {name: values for name, values in arm.exact(solution.t).items() if name != "b"})
@@ -83,7 +83,7 @@ def test_round_after_round_the_arm_keeps_its_elbow():
 
 @settings(max_examples=10, deadline=None)
 @given(drop=st.floats(25.0, 300.0))
-def test_a_fall_faster_than_free_is_told_as_two_singularities_passed(drop):
+def test_a_fall_faster_than_free_is_told_as_two_singularities_passed(drop: float) -> None:
     """The thrust goes through zero, where the torque tells nothing of the path; the guess of the model stays exact."""
     aircraft = vtol(path=sc.rest_to_rest((0.0, 0.0), (0.0, -drop), duration=4.0))
     solution = sc.solve(aircraft.scene)
@@ -108,7 +108,7 @@ def rod_that_turns(closed: bool) -> sc.MechanicalSystem:
 @pytest.mark.parametrize("closed", [False, True])
 @pytest.mark.parametrize("follow", [False, True])
 @pytest.mark.parametrize("steps", [40, 41, 200, 333, 1000])
-def test_a_rod_turns_on_where_its_angles_meet_or_is_refused_there(steps, follow, closed):
+def test_a_rod_turns_on_where_its_angles_meet_or_is_refused_there(steps: int, follow: bool, closed: bool) -> None:
     """Instants that are singular themselves tell nothing of the torque: no answer may be made to continue another."""
     path = sc.periodic((0.0,), [[0.0]], [[1.0]], 2 * np.pi)
     scene = sc.Scene("rod", {"rod": partial(rod_that_turns, closed)}, path, follow_branch=follow)

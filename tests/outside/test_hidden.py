@@ -36,13 +36,13 @@ def out_and_back(reach: float, scale: float = 1.0) -> sc.Scene:
 
 
 @pytest.mark.parametrize(("rows", "beyond"), [(3, 0.2), (5, 0.02), (7, 4e-3), (9, 3e-3), (11, 1e-3), (15, 5e-4)])
-def test_a_path_that_is_out_of_reach_between_few_instants_only_is_refused(rows, beyond):
+def test_a_path_that_is_out_of_reach_between_few_instants_only_is_refused(rows: int, beyond: float) -> None:
     with pytest.raises(sc.InvalidReference, match="out of reach"):
         sc.solve(out_and_back(REACH + beyond), step=2.0 / rows)
 
 
 @pytest.mark.parametrize("beyond", [1e-6, 1e-9])
-def test_the_branch_ends_where_it_ends_and_not_where_the_guess_is_far(beyond):
+def test_the_branch_ends_where_it_ends_and_not_where_the_guess_is_far(beyond: float) -> None:
     for ask in (sc.solve, lambda scene: sc.ExactInversion(scene)(np.linspace(0.0, 2.0, 38))):
         with pytest.raises(sc.ServocoreError) as caught:
             ask(out_and_back(REACH + beyond))
@@ -50,14 +50,14 @@ def test_the_branch_ends_where_it_ends_and_not_where_the_guess_is_far(beyond):
 
 
 @pytest.mark.parametrize("scale", [1.0, 1e-2, 1e-5])
-def test_how_far_the_reach_is_missed_is_told_at_every_size(scale):
+def test_how_far_the_reach_is_missed_is_told_at_every_size(scale: float) -> None:
     with pytest.raises(sc.InvalidReference, match="out of reach") as caught:
         sc.solve(out_and_back(REACH + 0.2, scale))
     missed = str(caught.value).partition("misses X = ")[2].split(" by ")[1].split()[0]
     assert float(missed) == pytest.approx(0.2 * scale, rel=0.02)
 
 
-def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused():
+def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused() -> None:
     """Stretched at t = 1 s exactly, the elbow goes through: the torques have a limit there, and no value."""
     found = sc.solve(out_and_back(REACH), step=2.0 / 37)
     assert "between t = 0.972973 s and 1.02703 s the equations are singular" in found.statistics.branch
@@ -67,7 +67,7 @@ def test_a_singularity_that_is_passed_is_told_and_an_instant_on_it_is_refused():
 
 
 @pytest.mark.parametrize("steps", [37, 201, 333])
-def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps):
+def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps: int) -> None:
     """A billionth of a metre short of its reach T1 is 182 kN m for some microseconds."""
     with pytest.warns(sc.ServocoreWarning, match="close to a pole"):
         sc.solve(out_and_back(REACH - 1e-9), step=2.0 / steps)
@@ -85,25 +85,25 @@ def mass_on_a_rail(mass, force) -> sc.Scene:
 
 @pytest.mark.parametrize("method", [None, sc.RadauIIA(2)])
 @pytest.mark.parametrize("friction", [lambda v: -8 * v / ca.fabs(v), lambda v: -v * ca.log(ca.fabs(v))])
-def test_inputs_that_are_no_numbers_are_refused_with_the_time(friction, method):
+def test_inputs_that_are_no_numbers_are_refused_with_the_time(friction, method: sc.RadauIIA | None) -> None:
     with pytest.raises(sc.IntegrationFailed, match=r"at t = 0 s"):
         sc.solve(mass_on_a_rail(lambda _: ca.SX(2), friction), None if method is None else sc.Reduced(), method)
 
 
-def test_a_mass_that_becomes_negative_on_the_way_is_refused_with_the_time():
+def test_a_mass_that_becomes_negative_on_the_way_is_refused_with_the_time() -> None:
     scene = mass_on_a_rail(lambda x: 3 - 6 * x, lambda _: ca.SX(0))
     with pytest.raises(sc.InvalidModel, match=r"at t = \S+ s the mass matrix has the negative eigenvalue -"):
         sc.solve(scene)
 
 
-def test_a_large_force_that_is_no_peak_is_left_alone():
+def test_a_large_force_that_is_no_peak_is_left_alone() -> None:
     scene = mass_on_a_rail(lambda _: ca.SX(2), lambda _: ca.SX(0))
     far = scene.with_reference(sc.rest_to_rest((0.0,), (1e9,), 2.0))
     for how in ((), (sc.Projected(), sc.BDF(2))):
         assert np.abs(sc.solve(far, *how, step=0.01)["F"]).max() > 1e9
 
 
-def test_arguments_that_are_of_the_wrong_kind_are_refused_in_our_words():
+def test_arguments_that_are_of_the_wrong_kind_are_refused_in_our_words() -> None:
     scene = mass_on_a_rail(lambda _: ca.SX(2), lambda _: ca.SX(0))
     found = sc.solve(scene)
     shuffled = type(found)(found.t[::-1].copy(), found.channels, found.values, found.route)

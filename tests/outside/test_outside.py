@@ -81,20 +81,20 @@ def errors(of: Case) -> dict[str, float]:
 
 
 @every_case()
-def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name):
+def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name) -> None:
     report = sc.analyse(case(name).scene)
     assert (report.index, report.internal_degrees_of_freedom) == (case(name).index, case(name).internal)
     assert (report.classification == "flat") == (case(name).internal == 0)
 
 
 @every_case()
-def test_its_solution_is_the_answer_by_other_means(name):
+def test_its_solution_is_the_answer_by_other_means(name) -> None:
     found = errors(case(name))
     assert max(found.values()) <= case(name).tolerance, found
 
 
 @pytest.mark.parametrize("name", [each for each in CASES if each != "cart_pole"])
-def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name):
+def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name) -> None:
     if case(name).internal:
         with pytest.raises(sc.InvalidModel, match="internal dynamics"):
             sc.ExactInversion(case(name).scene)
@@ -107,13 +107,13 @@ def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_done_is_refused_with_the_reason(name):
+def test_what_cannot_be_done_is_refused_with_the_reason(name: str) -> None:
     with pytest.raises(sc.ServocoreError, match=REFUSED[name].words):
         sc.solve(REFUSED[name].make())
 
 
 @pytest.mark.parametrize("steps", [50, 100, 200, 1000])
-def test_a_pole_of_an_input_is_not_stepped_over(steps):
+def test_a_pole_of_an_input_is_not_stepped_over(steps: int) -> None:
     """The force is -m x''/sin(roll), and the roll passes zero on the way."""
     with pytest.raises(sc.ServocoreError, match=r"singular|no relative degree|pole"):
         sc.solve(refused.through_a_pole(), step=2.0 / steps)

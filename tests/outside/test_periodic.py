@@ -68,7 +68,7 @@ def by_collocation(reference: sc.Reference, t: np.ndarray) -> tuple[np.ndarray, 
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(0.2, 1.2), st.floats(-0.4, 0.4), st.floats(1.2, 4.0))
-def test_the_bounded_motion_of_a_periodic_path_is_periodic(first, second, period):
+def test_the_bounded_motion_of_a_periodic_path_is_periodic(first: float, second: float, period: float) -> None:
     scene = swinging(first, second, period)
     solution = sc.solve(scene, step=period / 100)
     alpha, tau = by_collocation(scene.reference, solution.t)
@@ -76,12 +76,12 @@ def test_the_bounded_motion_of_a_periodic_path_is_periodic(first, second, period
     assert np.abs(solution["tau"] - tau).max() <= 1e-8 * np.abs(tau).max()
 
 
-def test_three_periods_are_three_times_one():
+def test_three_periods_are_three_times_one() -> None:
     one, three = (sc.solve(swinging(0.9, 0.3, 2.0, cycles), step=0.05) for cycles in (1, 3))
     np.testing.assert_allclose(three["tau"], np.append(np.tile(one["tau"][:-1], 3), one["tau"][-1]), atol=1e-7)
 
 
-def test_a_path_that_neither_rests_nor_comes_back_is_refused():
+def test_a_path_that_neither_rests_nor_comes_back_is_refused() -> None:
     t = np.linspace(0.3, 1.2, 40)
     cut = sc.sampled(t, np.sin(3.0 * t)[:, None])
     scene = sc.Scene("furuta", {"pendulum": furuta}, cut)

@@ -91,12 +91,12 @@ def verdict(seed: int) -> str:
 
 
 @pytest.mark.parametrize("first", range(0, COUNT, BATCH))
-def test_a_mechanism_by_chance_is_solved_right_warned_of_or_refused(first):
+def test_a_mechanism_by_chance_is_solved_right_warned_of_or_refused(first: int) -> None:
     found = Counter(verdict(seed) for seed in range(first, first + BATCH))
     assert found["right"] >= BATCH // 4, found
 
 
-def test_a_bounded_motion_is_refused_where_stability_changes_along_the_path():
+def test_a_bounded_motion_is_refused_where_stability_changes_along_the_path() -> None:
     mechanism = Mechanism.by_chance(91)
     with pytest.raises(sc.IntegrationFailed, match=r"\d grow at the start of the path and \d at its end"):
         sc.solve(mechanism.scene(), step=mechanism.duration / 200)

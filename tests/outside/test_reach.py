@@ -18,13 +18,13 @@ from outside.reach_systems import (
     rod_on_one_drive,
     swinging_rod,
 )
-from outside.systems import LOOP, named, symbols
+from outside.systems import LOOP, Outsider, named, symbols
 
 import servocore as sc
 from servocore.numerics.rounding_errors import evaluate
 
 
-def assert_exact(outsider, index, tolerance=1e-10):
+def assert_exact(outsider: Outsider, index: int, tolerance: float = 1e-10) -> sc.StructureReport:
     """Flat with this index, and all inputs right at all instants."""
     report = sc.analyse(outsider.scene)
     assert (report.classification, report.index, report.internal_degrees_of_freedom) == ("flat", index, 0), str(report)
@@ -35,7 +35,7 @@ def assert_exact(outsider, index, tolerance=1e-10):
 
 
 @pytest.mark.parametrize("chart", CHARTS)
-def test_an_aircraft_tracked_at_its_huygens_point_is_flat_in_any_coordinates(chart):
+def test_an_aircraft_tracked_at_its_huygens_point_is_flat_in_any_coordinates(chart: str) -> None:
     report = assert_exact(huygens_flyer(chart), 5)
     assert report.remedy.startswith("combined with others so that highest derivatives cancel: ")
 
@@ -44,12 +44,12 @@ def test_an_aircraft_tracked_at_its_huygens_point_is_flat_in_any_coordinates(cha
 @given(
     mass=st.floats(0.1, 50.0), inertia=st.floats(1e-3, 10.0), share=st.floats(0.01, 2.0), chart=st.sampled_from(CHARTS)
 )
-def test_it_is_flat_whatever_its_data(mass, inertia, share, chart):
+def test_it_is_flat_whatever_its_data(mass: float, inertia: float, share: float, chart) -> None:
     """`share` is the height of the tracked point in units of the radius of gyration."""
     assert_exact(huygens_flyer(chart, mass, inertia, share * (mass / inertia) ** 0.5), 5, 1e-9)
 
 
-def test_it_may_turn_over_for_no_configuration_was_lost():
+def test_it_may_turn_over_for_no_configuration_was_lost() -> None:
     loop = huygens_flyer("centre", path=sc.through(LOOP, duration=5.0))
     assert_exact(loop, 5)
     assert np.ptp(sc.solve(loop.scene)["theta"]) > 6.0
@@ -60,17 +60,19 @@ def test_it_may_turn_over_for_no_configuration_was_lost():
     [(1, "centre", 2), (1, "tip", 2), (2, "joints", 2), (1, "tip", 3),
      (2, "directors", 3)],
 )  # fmt: skip
-def test_rods_that_hang_from_a_cart_are_flat_at_the_centre_of_oscillation_of_the_last(count, chart, dimension):
+def test_rods_that_hang_from_a_cart_are_flat_at_the_centre_of_oscillation_of_the_last(
+    count: int, chart: str, dimension: int
+) -> None:
     assert_exact(hanging_rods(count, chart, dimension), 3 + 2 * count)
 
 
 @pytest.mark.parametrize("chart", ["pivot", "centre", "tip"])
-def test_constants_that_cancel_are_known_to_cancel(chart):
+def test_constants_that_cancel_are_known_to_cancel(chart: str) -> None:
     """With numbers in the place of parameters J + m s^2 - m s l is 1e-17, and was once taken for an inertia."""
     assert_exact(swinging_rod(chart), 5)
 
 
-def test_where_a_parameter_decides_the_point_beside_has_internal_dynamics():
+def test_where_a_parameter_decides_the_point_beside_has_internal_dynamics() -> None:
     system = adjustable_flyer()
     scene = sc.Scene("flyer", {"body": lambda: system}, sc.rest_to_rest((0.3, 0.2), (2.0, 1.0), 3.0, sc.DEGREE13))
     found = [sc.analyse(scene.with_parameters(height=height)) for height in (2.0 * 0.02 / 1.5, 0.1, 0.0)]
@@ -86,13 +88,13 @@ def test_where_a_parameter_decides_the_point_beside_has_internal_dynamics():
 # What is refused, and why ---------------------------------------------------------------------------------------------
 
 
-def refusal(system, end):
+def refusal(system: sc.MechanicalSystem, end: tuple[float, ...]) -> str:
     report = sc.analyse(sc.Scene(system.name, {"m": lambda: system}, sc.rest_to_rest(system.home, end, 3.0)))
     assert report.classification == "singular here"
     return report.reason
 
 
-def test_a_ball_on_a_beam_has_no_relative_degree_at_rest():
+def test_a_ball_on_a_beam_has_no_relative_degree_at_rest() -> None:
     reason = refusal(ball_and_beam(), (0.6,))
     assert reason.startswith(
         "ball and beam has no relative degree at rest, at t = 0 s (q.r = 0.3, q.a = 0): the system Jacobian is singular"
@@ -100,20 +102,20 @@ def test_a_ball_on_a_beam_has_no_relative_degree_at_rest():
     )
 
 
-def test_a_rod_on_one_drive_has_none_while_it_hangs_straight():
+def test_a_rod_on_one_drive_has_none_while_it_hangs_straight() -> None:
     """y'' = sin(a) (sin(a) x'' - g cos(a) - l a'^2)."""
     reason = refusal(rod_on_one_drive(), (1.0,))
     assert reason.startswith("rod on one drive has no relative degree at t = 0 s (q.x = 0.3, q.a = 0): the system")
     assert "whatever the velocities" in reason
 
 
-def test_an_output_that_no_input_moves_is_named_with_the_input():
+def test_an_output_that_no_input_moves_is_named_with_the_input() -> None:
     assert "structurally singular: nothing determines u.u, and nothing is left that servo constraint on y" in refusal(
         carts_apart(), (1.0,)
     )
 
 
-def test_terms_that_cancel_only_where_other_equations_hold_are_out_of_reach_and_no_answer_is_given():
+def test_terms_that_cancel_only_where_other_equations_hold_are_out_of_reach_and_no_answer_is_given() -> None:
     system = mixed_rods()
     reason = refusal(system, (0.5, -0.9))
     assert "terms cancel where its combined equations hold and nowhere else" in reason
@@ -121,7 +123,7 @@ def test_terms_that_cancel_only_where_other_equations_hold_are_out_of_reach_and_
         sc.solve(sc.Scene("mixed", {"m": lambda: system}, sc.rest_to_rest(system.home, (0.5, -0.9), 3.0)))
 
 
-def skate(**changed):
+def skate(**changed) -> sc.MechanicalSystem:
     coordinates = sc.Coordinates(*named("x z"))
     fields = {
         "name": "skate", "coordinates": coordinates, "parameters": sc.Parameters(), "inputs": named("F"),
@@ -131,12 +133,12 @@ def skate(**changed):
     return sc.MechanicalSystem(**fields | {name: make(coordinates) for name, make in changed.items()})
 
 
-def test_a_velocity_as_output_is_refused_by_name_with_the_alternative():
+def test_a_velocity_as_output_is_refused_by_name_with_the_alternative() -> None:
     with pytest.raises(sc.InvalidModel, match=r"the output speed depends on velocities \(v_x\).*integral of the path"):
         skate(output=lambda c: c.v[0] * ca.cos(c.q[1]))
 
 
-def test_a_nonholonomic_constraint_is_refused_by_name_with_the_alternative():
+def test_a_nonholonomic_constraint_is_refused_by_name_with_the_alternative() -> None:
     with pytest.raises(sc.InvalidModel, match=r"the constraint g_1 depends on velocities \(v_x, v_z\).*nonholonomic"):
         skate(constraints=lambda c: c.v[0] - 0.3 * c.v[1])
     assert skate(constraints=lambda c: c.q[0] - 0.3 * c.q[1]).lam.numel() == 1  # its integral
@@ -147,7 +149,7 @@ def test_a_nonholonomic_constraint_is_refused_by_name_with_the_alternative():
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(0.1, 3.0), st.floats(0.1, 3.0), st.floats(-14.0, -1.0))
-def test_a_small_number_is_told_from_terms_that_cancel(x, y, power):
+def test_a_small_number_is_told_from_terms_that_cancel(x: float, y: float, power: float) -> None:
     symbol, p = ca.SX.sym("x", 2), ca.SX.sym("p")
     a, b = ca.vertsplit(symbol)
     small, quotient = 10.0**power, ca.atan2(a, b) + ca.exp(-a) * ca.sqrt(b) / (a + 3)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from outside.systems import named, symbols
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import QUICK_ITERATIONS
 from servocore.rotationless import Assembly, RigidBody
 from servocore.scenes import jets
@@ -51,7 +52,7 @@ def exact_force(reference: np.ndarray, size: float) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-10.0, 6.0), st.sampled_from([None, 1.0]), st.booleans())
-def test_cars_on_a_path_of_any_size_are_driven_alike(power, nominal, scaled_guess):
+def test_cars_on_a_path_of_any_size_are_driven_alike(power: float, nominal, scaled_guess: bool) -> None:
     size = 10.0**power
     reference = sc.rest_to_rest((0.0,), (size,), 4.0)
     scene = sc.Scene("cars", {"spring": partial(cars, size, nominal, scaled_guess)}, reference)
@@ -87,8 +88,8 @@ def small_arm(size: float) -> sc.MechanicalSystem:
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-6, 1e6])
-def test_an_arm_of_any_size_moves_alike_in_every_form(size):
-    def torques(unit, form):
+def test_an_arm_of_any_size_moves_alike_in_every_form(size: float) -> None:
+    def torques(unit: float, form: sc.Formulation) -> Array:
         reference = sc.rest_to_rest((1.1 * unit, 1.0 * unit), (0.4 * unit, 1.5 * unit), 2.0)
         scene = sc.Scene("arm", {"links": partial(small_arm, unit)}, reference)
         found = sc.solve(scene, form, sc.RadauIIA(2), step=0.05)
@@ -122,7 +123,7 @@ def hanging(size: float, nominal: float) -> sc.MechanicalSystem:
 
 @pytest.mark.parametrize("size", [1e-9, 1e-5, 1.0, 1e5])
 @pytest.mark.parametrize("honest", [False, True])
-def test_a_constraint_is_not_redundant_because_it_is_small(size, honest):
+def test_a_constraint_is_not_redundant_because_it_is_small(size: float, honest: bool) -> None:
     """Without gravity a bead on a circle needs f = x'' + x lam with z'' + z lam = 0."""
     reference = sc.rest_to_rest((0.0,), (0.7 * size,), 2.0)
     scene = sc.Scene("bead", {"bead": partial(hanging, size, size if honest else 1.0)}, reference)
@@ -160,7 +161,7 @@ def elastic_crank(rod: float, order: str, sign: int) -> sc.MechanicalSystem:
 @pytest.mark.parametrize("rod", [0.3, 1.0])
 @pytest.mark.parametrize("order", ["ad", "da"])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_mechanism_that_does_not_reach_far_is_looked_at_nearby(rod, order, sign):
+def test_a_mechanism_that_does_not_reach_far_is_looked_at_nearby(rod: float, order: str, sign: int) -> None:
     reference = sc.rest_to_rest((rod + 0.02,), (rod + 0.1,), 0.5)
     scene = sc.Scene("crank", {"elastic": partial(elastic_crank, rod, order, sign)}, reference)
     report = sc.analyse(scene)
@@ -173,7 +174,7 @@ def test_a_mechanism_that_does_not_reach_far_is_looked_at_nearby(rod, order, sig
     assert np.abs(-sign * 1e7 * solution["d"] - force).max() <= 1e-9 * np.abs(force).max()
 
 
-def test_newtons_method_stops_where_corrections_are_round_off():
+def test_newtons_method_stops_where_corrections_are_round_off() -> None:
     """Round-off of a rod of 0.3 m in a spring of 1e6 N/m is far more than a small part of the nominal 1e-5 m."""
     coordinates = sc.Coordinates(sc.Quantity("a", "rad"), sc.Quantity("w", "m", nominal=1e-5))
     a, w = ca.vertsplit(coordinates.q)
@@ -199,7 +200,7 @@ def test_newtons_method_stops_where_corrections_are_round_off():
     assert statistics.newton_iterations <= (QUICK_ITERATIONS + 1) * statistics.steps
 
 
-def test_a_director_that_the_path_does_not_turn_is_as_large_as_one():
+def test_a_director_that_the_path_does_not_turn_is_as_large_as_one() -> None:
     """How far the path turns it comes out as the round-off of a matrix that is inverted: that is no magnitude."""
     body = Assembly(parts=(RigidBody("body", 3.0, (0.2, 0.5, 0.6)),), parameters=sc.Parameters(), gravity=(0, 0, 0))
     place = body.body("body").origin[0]

@@ -14,7 +14,7 @@ import servocore as sc
 SWINGING = {"theta": 0.3, "theta_dot": -0.5}
 
 
-def test_a_crane_on_a_ship_follows_its_path_in_every_form_that_is_stepped():
+def test_a_crane_on_a_ship_follows_its_path_in_every_form_that_is_stepped() -> None:
     case = timed.load_below_a_ship()
     runs = (sc.Projected(), sc.RadauIIA(3), 0.01, 1e-3), (sc.Projected(), sc.BDF(3), 0.01, 0.1)
     for formulation, method, step, tolerance in runs:
@@ -24,14 +24,14 @@ def test_a_crane_on_a_ship_follows_its_path_in_every_form_that_is_stepped():
         assert solution.statistics.constraint_rate_violation < 1e-4
 
 
-def test_its_inputs_drive_it_along_that_path():
+def test_its_inputs_drive_it_along_that_path() -> None:
     case = timed.load_below_a_ship()
     driven = sc.simulate(case.scene, sc.solve(case.scene, step=0.01))
     assert driven["tracking_error"].max() < 1e-6
     assert driven.statistics.constraint_violation < 1e-7
 
 
-def test_a_pendulum_on_a_shaken_pivot_moves_as_its_own_differential_equation_says():
+def test_a_pendulum_on_a_shaken_pivot_moves_as_its_own_differential_equation_says() -> None:
     scene = sc.Scene("shaken", {"pendulum": timed.shaken}, sc.rest_to_rest((0.2,), (0.5,), 1.0))
     t = np.linspace(0.0, 1.0, 101)
 
@@ -66,13 +66,18 @@ def own_swing(scene: sc.Scene, t: np.ndarray) -> np.ndarray:
     ],
     ids=str,
 )
-def test_a_pendulum_that_swings_already_goes_on_swinging(formulation, method, step, tolerance):
+def test_a_pendulum_that_swings_already_goes_on_swinging(
+    formulation: sc.Formulation | None,
+    method: sc.Method | None,
+    step: float | sc.Adaptive,
+    tolerance: float,
+) -> None:
     scene = moving.cart_with_a_pendulum().scene
     solution = sc.solve(scene, formulation, method, step=step, start=SWINGING)
     np.testing.assert_allclose(solution["theta"], own_swing(scene, solution.t), atol=tolerance)
 
 
-def test_simulate_starts_where_it_is_told():
+def test_simulate_starts_where_it_is_told() -> None:
     scene = moving.cart_with_a_pendulum().scene
     solution = sc.solve(scene, start=SWINGING)
     driven = sc.simulate(scene, solution, start=SWINGING)
@@ -89,22 +94,22 @@ def test_simulate_starts_where_it_is_told():
         ({"x": 0.1, "x_dot": 0.0}, "x, x_dot cannot all be chosen, the path determines one of them; theta, theta_dot"),
     ],
 )
-def test_a_start_that_cannot_be_is_refused_by_name(start, words):
+def test_a_start_that_cannot_be_is_refused_by_name(start: dict[str, float], words: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=words):
         sc.solve(moving.cart_with_a_pendulum().scene, start=start)
 
 
-def test_what_has_no_internal_dynamics_takes_no_start():
+def test_what_has_no_internal_dynamics_takes_no_start() -> None:
     with pytest.raises(sc.InvalidSetting, match="no internal dynamics: its motion follows from the path"):
         sc.solve(moving.satellite().scene, start={"e_0": 1.0})
 
 
-def test_a_bounded_inversion_takes_no_start():
+def test_a_bounded_inversion_takes_no_start() -> None:
     with pytest.raises(sc.InvalidSetting, match="finds its own initial values"):
         sc.solve(moving.cart_pole().scene, start=SWINGING)
 
 
-def test_a_simulation_refuses_a_start_at_which_the_constraints_do_not_hold():
+def test_a_simulation_refuses_a_start_at_which_the_constraints_do_not_hold() -> None:
     scene, t = hanging.boom_crane().scene, np.linspace(0.0, 1.0, 11)
     with pytest.raises(sc.InconsistentStart, match=r"with l = 1, luff = 1, x = 5, z = 5 .* g_1 cannot hold"):
         sc.simulate(scene, lambda _: np.zeros(2), t=t, start={"l": 1.0, "luff": 1.0, "x": 5.0, "z": 5.0})
@@ -112,7 +117,7 @@ def test_a_simulation_refuses_a_start_at_which_the_constraints_do_not_hold():
         sc.simulate(scene, lambda _: np.zeros(2), t=t, start={"swing": 1.0})
 
 
-def test_a_mass_that_changes_with_time_is_refused():
+def test_a_mass_that_changes_with_time_is_refused() -> None:
     q, t = coordinates("x"), ca.SX.sym("t")
     with pytest.raises(sc.InvalidModel, match="mass must not depend on the time"):
         lagrange(
@@ -121,7 +126,7 @@ def test_a_mass_that_changes_with_time_is_refused():
         )  # fmt: skip
 
 
-def test_a_time_that_is_no_symbol_is_refused():
+def test_a_time_that_is_no_symbol_is_refused() -> None:
     q = coordinates("x")
     with pytest.raises(sc.InvalidModel, match="the time must be one symbol"):
         lagrange(
@@ -130,12 +135,12 @@ def test_a_time_that_is_no_symbol_is_refused():
         )  # fmt: skip
 
 
-def test_a_plant_knows_no_time():
+def test_a_plant_knows_no_time() -> None:
     with pytest.raises(sc.InvalidModel, match="hold the time, which a plant does not know; simulate does"):
         sc.compile_plant(timed.crane_on_a_ship())
 
 
-def test_a_path_out_of_reach_is_told_of_a_system_that_knows_the_time_too():
+def test_a_path_out_of_reach_is_told_of_a_system_that_knows_the_time_too() -> None:
     """Two links of 1 m reach 2 m: X^2 + 0.81 = 4 is passed on the way to X = 2.5, which is 0.657 m too far."""
     time, q = ca.SX.sym("t"), coordinates("", "a b")
     first, second = q["a"], q["a"] + q["b"]
