@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.rotationless import GROUND, Assembly, PointMass, RigidBody, distance, prismatic, revolute, spherical
 
 GRAVITY = 9.81
@@ -27,7 +28,7 @@ class Motion:
         scene = sc.Scene(self.system.name, {"only": lambda: self.system}, sc.rest_to_rest(rest, rest, 1.0))
         object.__setattr__(self, "scene", scene)
 
-    def run(self, step: float, steps: int, every: int = 1, inputs=None, **how) -> sc.Solution:
+    def run(self, step: float, steps: int, every: int = 1, inputs=None, **how: sc.EnergyMomentum) -> sc.Solution:
         t = step * np.arange(0, steps + 1, every)
         still = lambda _: np.zeros(len(self.system.inputs))  # noqa: E731
         how = how if "rtol" in how else {"method": sc.EnergyMomentum(), "step": step} | how
@@ -49,20 +50,22 @@ class Motion:
         return float(v @ np.asarray(mass(q, self.system.parameters.values())) @ v / 2)
 
 
-def started(names, q, v) -> dict[str, float]:
+def started(names: tuple[str, ...] | list[str], q, v) -> dict[str, float]:
     """Values and rates by name."""
     return dict(zip(names, map(float, q), strict=True)) | {
         f"{name}_dot": float(rate) for name, rate in zip(names, v, strict=True)
     }
 
 
-def turning(omega, directors=None) -> tuple[np.ndarray, np.ndarray]:
+def turning(omega: tuple[float, float, float] | Array, directors: Array | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Directors one after the other, (9,), and their rates."""
     directors = np.eye(3) if directors is None else directors
     return directors.T.ravel(), np.cross(omega, directors.T).ravel()
 
 
-def made(assembly: Assembly, name: str, place: ca.SX, guess, constraints=None) -> sc.MechanicalSystem:
+def made(
+    assembly: Assembly, name: str, place: ca.SX, guess, constraints: dict[str, ca.SX] | None = None
+) -> sc.MechanicalSystem:
     """A system of parts with a push along x that nobody uses."""
     return assembly.system(
         name,
@@ -155,7 +158,9 @@ def braked_crane() -> Motion:
     return Motion(system, started(system.coordinates.names, q, v), "z")
 
 
-def points_with(name: str, count: int, masses, constraints, potential, start) -> Motion:
+def points_with(
+    name: str, count: int, masses: tuple[float, float] | Array, constraints, potential, start: tuple[Array, Array]
+) -> Motion:
     """Point masses in space, or in the plane if the start has no third column."""
     q, v = start
     axes = "xyz"[: np.shape(q)[1]]

@@ -15,6 +15,7 @@ import numpy as np
 
 import servocore as sc
 from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
+from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
 from servocore.scenes.jets import Jet, components
 from servocore.stepping.stepper import Stepper
@@ -250,7 +251,7 @@ class Polynomial(sc.Reference):
 
     coefficients: tuple[tuple[float, ...], ...]
 
-    def _derivatives(self, t, order):
+    def _derivatives(self, t, order) -> Array:
         columns = []
         for k in range(order + 1):
             part = np.polynomial.polynomial.polyder(np.array(self.coefficients), k)
@@ -266,7 +267,11 @@ def as_scene(system: sc.MechanicalSystem, reference: sc.Reference, **settings) -
     return sc.Scene(name=system.name, models={"only": lambda: system}, reference=reference, **settings)
 
 
-def car_chain(masses=(1.0, 2.0), stiffnesses=(50.0,), rest=(0.5,)) -> sc.MechanicalSystem:
+def car_chain(
+    masses: list[float] | tuple[float, float] = (1.0, 2.0),
+    stiffnesses: list[float] | tuple[float] = (50.0,),
+    rest: list[float] | tuple[float] = (0.5,),
+) -> sc.MechanicalSystem:
     """Cars in a row joined by springs, the first tracked, a force on the last: theory.md section 7."""
     n = len(masses)
     x = sc.Coordinates(*(sc.Quantity(f"x{k + 1}", "m") for k in range(n)))
@@ -284,7 +289,12 @@ def car_chain(masses=(1.0, 2.0), stiffnesses=(50.0,), rest=(0.5,)) -> sc.Mechani
     )
 
 
-def car_chain_exact(jets: np.ndarray, masses=(1.0, 2.0), stiffnesses=(50.0,), rest=(0.5,)) -> dict[str, Jet]:
+def car_chain_exact(
+    jets: np.ndarray,
+    masses: list[float] | tuple[float, float] = (1.0, 2.0),
+    stiffnesses: list[float] | tuple[float] = (50.0,),
+    rest: list[float] | tuple[float] = (0.5,),
+) -> dict[str, Jet]:
     """x_(i+1) = x_i - d_i + (sum_(j<=i) m_j x_j'')/k_i and F = sum m_j x_j'', as jets."""
     (x,) = components(jets)
     found, pull = {"x1": x}, masses[0] * x.d().d()

@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.references.rest_to_rest import RestToRest
 
 STRAIGHT = sc.rest_to_rest((5.0, 0.0, -5.0), (-4.0, 0.0, -4.0), 20.0)
 SLANTED = sc.rest_to_rest((4.0, 3.0, -5.0), (-4.0, -3.0, -3.0), 15.0)
 STEPS = {STRAIGHT: 201, SLANTED: 301}  # odd numbers, so that no instant falls on the axis
 
 
-def scene(reference):
+def scene(reference: RestToRest) -> sc.Scene:
     return sc.scenes.rotary_crane(across_axis=True).with_reference(reference)
 
 
 @pytest.mark.parametrize("model", ["points", "generalized"])
 @pytest.mark.parametrize("reference", [STRAIGHT, SLANTED])
-def test_the_exact_inversion_follows_its_branch_through_the_axis(reference, model):
+def test_the_exact_inversion_follows_its_branch_through_the_axis(reference: RestToRest, model: str) -> None:
     this = scene(reference)
     solution = sc.solve(this, sc.Reduced(), step=reference.duration / STEPS[reference], model=model)
     exact = this.exact(solution.t)
@@ -30,24 +31,24 @@ def test_the_exact_inversion_follows_its_branch_through_the_axis(reference, mode
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * scale)
 
 
-def test_the_papers_scheme_passes_the_axis_too():
+def test_the_papers_scheme_passes_the_axis_too() -> None:
     this = scene(STRAIGHT)
     solution = sc.solve(this, sc.Projected(), sc.BackwardEuler(), step=STRAIGHT.duration / 201)
     np.testing.assert_allclose(solution["s"], this.exact(solution.t)["s"], atol=1e-9)
 
 
-def test_the_trolley_arrives_when_the_crane_is_simulated_across_the_axis():
+def test_the_trolley_arrives_when_the_crane_is_simulated_across_the_axis() -> None:
     this = scene(SLANTED)
     plant = sc.simulate(this, sc.solve(this, sc.Reduced(), step=SLANTED.duration / 1501))
     assert plant["tracking_error"].max() < 1e-4
 
 
-def test_an_instant_on_the_axis_is_refused_with_its_time():
+def test_an_instant_on_the_axis_is_refused_with_its_time() -> None:
     middle = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)
     with pytest.raises(sc.InvalidReference, match="at t = 10 s the trolley reaches the slewing axis"):
         sc.solve(scene(middle), sc.Reduced(), step=0.1)
 
 
-def test_without_the_option_the_path_is_refused():
+def test_without_the_option_the_path_is_refused() -> None:
     with pytest.raises(sc.InvalidReference, match="the trolley reaches the slewing axis"):
         sc.solve(sc.scenes.rotary_crane().with_reference(STRAIGHT))

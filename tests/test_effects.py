@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -61,7 +62,7 @@ def listed(name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", CRANES)
-def test_a_crane_assembled_without_effects_has_the_inputs_of_the_closed_form(name):
+def test_a_crane_assembled_without_effects_has_the_inputs_of_the_closed_form(name: str) -> None:
     scene = crane(name)
     effects = scene.effects
     bare = replace(scene, models={"bare": effects.factory})
@@ -74,14 +75,16 @@ def test_a_crane_assembled_without_effects_has_the_inputs_of_the_closed_form(nam
 
 
 @pytest.mark.parametrize(("name", "row"), ROWS.items())
-def test_lumps_fixed_to_the_rope_and_every_other_effect_leave_the_crane_flat(name, row):
+def test_lumps_fixed_to_the_rope_and_every_other_effect_leave_the_crane_flat(
+    name: str, row: tuple[int, int, int]
+) -> None:
     problem = Problem.of(smooth(crane("rotary_crane").with_effects(name), 10.0))
     assert problem.flat
     assert (problem.signature.index, problem.array.reference_order, len(problem.array.unknowns)) == row
 
 
 @pytest.mark.parametrize("name", CRANES)
-def test_every_effect_vanishes_with_its_parameters(name):
+def test_every_effect_vanishes_with_its_parameters(name: str) -> None:
     small = smooth(crane(name), 8.0)
     expected = sc.solve(small, step=0.5)
     for effect in listed(name) if name != "gantry_crane" else ["friction", "flexible bridge"]:
@@ -93,7 +96,7 @@ def test_every_effect_vanishes_with_its_parameters(name):
             np.testing.assert_allclose(inputs[:, k], expected[each.name], rtol=0, atol=atol, err_msg=effect)
 
 
-def test_without_the_winch_its_torque_lacks_inertia_times_angular_acceleration():
+def test_without_the_winch_its_torque_lacks_inertia_times_angular_acceleration() -> None:
     scene = smooth(crane("overhead_crane"), 3.0)
     exact, without = scene.exact, sc.solve(scene.with_effects(without=["winch inertia"]), step=2e-3)
     t = without.t
@@ -102,7 +105,7 @@ def test_without_the_winch_its_torque_lacks_inertia_times_angular_acceleration()
     np.testing.assert_allclose(lacking[5:-5], 0.1 / 0.1 * l_ddot[5:-5], atol=2e-3 * np.abs(l_ddot).max())
 
 
-def test_friction_adds_its_own_law_to_the_inputs_and_leaves_the_motion_as_it_is():
+def test_friction_adds_its_own_law_to_the_inputs_and_leaves_the_motion_as_it_is() -> None:
     scene = smooth(crane("overhead_crane"), 3.0)
     plain, rough = sc.solve(scene, step=1e-3), sc.solve(scene.with_effects("friction"), step=1e-3)
     v = np.gradient(plain["s"], plain.t, edge_order=2)
@@ -117,34 +120,34 @@ def at_rest(effect: str, name: str = "overhead_crane", **values: float) -> sc.So
     return sc.solve(scene.with_parameters(**values), step=5.0)
 
 
-def test_at_rest_an_elastic_rope_is_paid_out_by_its_stretch_less():
+def test_at_rest_an_elastic_rope_is_paid_out_by_its_stretch_less() -> None:
     length = at_rest("elastic rope", rope_stiffness=2e4)["l"][0]
     assert math.isclose(length * (1 + 100.0 * G / 2e4), 4.0, rel_tol=1e-12)
 
 
 @pytest.mark.parametrize("effect", ["heavy rope", "heavy rope 2"])
-def test_at_rest_the_winch_holds_the_load_and_the_rope_that_is_paid_out(effect):
+def test_at_rest_the_winch_holds_the_load_and_the_rope_that_is_paid_out(effect: str) -> None:
     solution = at_rest(effect, rope_mass=3.0)
     assert math.isclose(solution["M_w"][0], -(100.0 + 3.0 * 4.0) * G * 0.1, rel_tol=1e-12)
 
 
-def test_steady_wind_makes_the_rope_lean_by_drag_over_weight():
+def test_steady_wind_makes_the_rope_lean_by_drag_over_weight() -> None:
     solution = at_rest("wind", wind_speed=12.0)
     drag = 0.5 * 1.25 * 12.0 * math.hypot(12.0, 0.01)
     assert math.isclose(solution["overhang_x"][0], 4.0 * drag / (100.0 * G), rel_tol=1e-12)
     assert math.isclose(-solution["F"][0], drag, rel_tol=1e-12)
 
 
-def test_where_the_rope_leaves_the_trolley_lower_it_is_shorter():
+def test_where_the_rope_leaves_the_trolley_lower_it_is_shorter() -> None:
     assert math.isclose(at_rest("rope exit", exit_drop=0.7)["l"][0], 3.3, rel_tol=1e-12)
 
 
-def test_a_rigid_load_hangs_with_its_centre_of_oscillation_on_the_path():
+def test_a_rigid_load_hangs_with_its_centre_of_oscillation_on_the_path() -> None:
     solution = at_rest("rigid load", body_centre=0.4, body_gyration=0.3)
     assert math.isclose(solution["hook_z"][0], -4.0 + 0.4 + 0.3**2 / 0.4, rel_tol=1e-12)
 
 
-def test_the_spring_of_a_flexible_bridge_carries_what_moves_behind_it():
+def test_the_spring_of_a_flexible_bridge_carries_what_moves_behind_it() -> None:
     scene = smooth(crane("gantry_crane").with_effects("flexible bridge"), 6.0)
     solution, share, frequency = sc.solve(scene, step=2e-3), 0.3, 6.0
     stiffness = (2 * math.pi * frequency) ** 2 * 40.0 * share * (1 - share)
@@ -154,7 +157,7 @@ def test_the_spring_of_a_flexible_bridge_carries_what_moves_behind_it():
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
-def test_the_own_inputs_of_every_effects_model_drive_its_plant_along_the_path(name):
+def test_the_own_inputs_of_every_effects_model_drive_its_plant_along_the_path(name: str) -> None:
     for effect in [*listed(name), "heavy rope 2"]:
         scene = smooth(crane(name).with_effects(effect), 6.0, order=8 if effect == "heavy rope 2" else 6)
         problem, measured = Problem.of(scene), scene.effects.measured
@@ -164,7 +167,7 @@ def test_the_own_inputs_of_every_effects_model_drive_its_plant_along_the_path(na
         assert run_loop(problem, alone, own, measured, coarsest=1e-3 / fine).error < 1e-9, effect
 
 
-def test_a_stiff_elastic_rope_has_inputs_without_noise():
+def test_a_stiff_elastic_rope_has_inputs_without_noise() -> None:
     # 5e6 N at a stretch of a millimetre: as a difference of lengths the pull would be known to nine digits.
     scene = smooth(crane("rotary_crane").with_effects("elastic rope"), 5.0)
     t = 2.0 + 1e-4 * np.arange(200)
@@ -173,7 +176,7 @@ def test_a_stiff_elastic_rope_has_inputs_without_noise():
         np.testing.assert_allclose(each, fitted, rtol=0, atol=1e-11 * np.abs(each).max())
 
 
-def test_effects_combine_in_one_model_that_solve_takes():
+def test_effects_combine_in_one_model_that_solve_takes() -> None:
     names = ("friction", "rope exit", "air drag", "elastic rope", "hook")
     problem = Problem.of(smooth(crane("rotary_crane").with_effects(*names), 10.0))
     assert (problem.flat, problem.signature.index, len(problem.array.unknowns)) == (True, 7, 71)
@@ -183,12 +186,12 @@ def test_effects_combine_in_one_model_that_solve_takes():
     assert again.effects.added == {"flexible bridge", "hook"}
 
 
-def test_a_scene_with_effects_is_exported_like_any_other(tmp_path):
+def test_a_scene_with_effects_is_exported_like_any_other(tmp_path: Path) -> None:
     scene = smooth(crane("overhead_crane").with_effects("friction"), 5.0)
     assert sc.export_fmu(scene, tmp_path / "crane.fmu", targets="host").stat().st_size > 10_000
 
 
-def test_equal_scenes_with_effects_share_what_was_made():
+def test_equal_scenes_with_effects_share_what_was_made() -> None:
     one, two = (crane("rotary_crane").with_effects("friction", "hook") for _ in range(2))
     assert one.model() is two.model()
 
@@ -201,7 +204,9 @@ def test_equal_scenes_with_effects_share_what_was_made():
         (("hook",), ("hook",), "cannot be both with and without hook"),
     ],
 )
-def test_effects_that_make_no_sense_are_refused_by_name(names, without, words):
+def test_effects_that_make_no_sense_are_refused_by_name(
+    names: tuple[str, ...], without: tuple[str, ...], words: str
+) -> None:
     with pytest.raises(sc.InvalidModel, match=words):
         crane("rotary_crane").with_effects(*names, without=without)
 
@@ -217,7 +222,7 @@ def report(name: str, simulate: bool = False, tolerance: float = 0.005) -> sc.Ef
     return sc.effects(scene, tolerance=tolerance, simulate=simulate)
 
 
-def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study():
+def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study() -> None:
     # Forward simulations by fourth-order steps of 1 to 2 ms in another program, degree 9, 10 s, drives of 6 rad/s.
     known = {"elastic rope": 0.57, "friction": 76.0, "winch inertia": 0.73, "air drag": 16.0, "wind": 490.0,
              "rope exit": 128.0}  # fmt: skip
@@ -228,7 +233,7 @@ def test_simulated_errors_of_the_rotary_crane_are_those_of_an_independent_study(
         assert found[name].error == pytest.approx(1e-3 * error, rel=0.05), name
 
 
-def test_estimates_that_are_shown_are_near_what_simulations_show():
+def test_estimates_that_are_shown_are_near_what_simulations_show() -> None:
     # Nothing is near a tolerance as small as this one: estimates are shown but where plants answer otherwise.
     for name in ("rotary_crane", "overhead_crane"):
         estimated, simulated = report(name, tolerance=1e-9), report(name, simulate=True)
@@ -238,7 +243,7 @@ def test_estimates_that_are_shown_are_near_what_simulations_show():
             assert row.error == row.estimate == pytest.approx(simulated[row.name].error, rel=0.12), (name, row.name)
 
 
-def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated():
+def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated() -> None:
     # A body a metre and a quarter below its hook swings about it, within five seconds too fast to be left out; drives
     # with dry friction stick. Everywhere else the small model answers like the plant.
     quick = crane("gantry_crane").with_reference(sc.rest_to_rest((0.0, 0.0, -5.0), (6.0, 3.0, -2.0), 5.0))
@@ -249,7 +254,7 @@ def test_a_plant_that_answers_otherwise_than_the_small_model_is_simulated():
     assert found["hook"].how == "estimated"
 
 
-def test_linear_answers_at_both_ends_are_what_a_small_push_does_to_a_plant_at_rest_there():
+def test_linear_answers_at_both_ends_are_what_a_small_push_does_to_a_plant_at_rest_there() -> None:
     scene = smooth(crane("overhead_crane"), 5.0)
     problem, measured = Problem.of(scene), scene.effects.measured
     own = inverted(problem, measured, 501)
@@ -265,12 +270,12 @@ def test_linear_answers_at_both_ends_are_what_a_small_push_does_to_a_plant_at_re
         assert answer == pytest.approx(moved.error, rel=1e-3)
 
 
-def test_effects_of_index_seven_are_looked_at_on_a_smoother_law_which_is_named():
+def test_effects_of_index_seven_are_looked_at_on_a_smoother_law_which_is_named() -> None:
     assert {each.law for each in report("rotary_crane").rows if each.index == 7} == {"law degree-13"}
     assert "law degree-13: " in str(report("rotary_crane"))
 
 
-def test_a_path_through_points_that_is_too_rough_for_a_row_refuses_that_row_by_name():
+def test_a_path_through_points_that_is_too_rough_for_a_row_refuses_that_row_by_name() -> None:
     t = np.linspace(0.0, 10.0, 41)
     points = crane("overhead_crane").with_reference(sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 10.0)).reference.jet(t, 0)
     scene = crane("overhead_crane")
@@ -282,7 +287,7 @@ def test_a_path_through_points_that_is_too_rough_for_a_row_refuses_that_row_by_n
     assert rough["friction"].error == pytest.approx(fine["friction"].error, rel=0.01)
 
 
-def test_rows_come_worst_first_and_what_is_left_out_adds_up_to_less_than_the_tolerance():
+def test_rows_come_worst_first_and_what_is_left_out_adds_up_to_less_than_the_tolerance() -> None:
     found = report("rotary_crane")
     errors = [each.error for each in found.rows]
     assert errors == sorted(errors, reverse=True)
@@ -291,13 +296,13 @@ def test_rows_come_worst_first_and_what_is_left_out_adds_up_to_less_than_the_tol
     assert sum(each.error for each in found.rows if not each.needed) + least > 0.005
 
 
-def test_rows_near_the_tolerance_are_simulated_and_say_so():
+def test_rows_near_the_tolerance_are_simulated_and_say_so() -> None:
     found = report("rotary_crane")
     assert {each.name for each in found.rows if "near the tolerance" in each.reason} == {"hook"}
     assert all((each.how == "simulated") == bool(each.reason) for each in found.rows)
 
 
-def test_the_verdict_builds_the_smallest_model():
+def test_the_verdict_builds_the_smallest_model() -> None:
     found = report("rotary_crane")
     added, without = found.arguments
     assert "air drag" not in added  # it comes with the wind
@@ -308,7 +313,7 @@ def test_the_verdict_builds_the_smallest_model():
     assert 'scene.with_effects("wind"' in found.verdict
 
 
-def test_the_table_has_the_columns_of_its_headings():
+def test_the_table_has_the_columns_of_its_headings() -> None:
     text = str(report("rotary_crane"))
     for heading in ("effect", "index", "internal states", "derivatives of the path", "change of the inputs",
                     "load off its path", "residual swing", "unknowns", "µs an instant", "needed"):  # fmt: skip
@@ -316,7 +321,7 @@ def test_the_table_has_the_columns_of_its_headings():
     assert all(len(row) == 10 for row in report("rotary_crane").cells())
 
 
-def test_a_plant_of_ones_own_is_a_row_like_any_other():
+def test_a_plant_of_ones_own_is_a_row_like_any_other() -> None:
     effects = crane("overhead_crane").effects
     own = Extended(effects.assemble, frozenset({"hook"}), frozenset())
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), plant={"our hook": own}, parameters={"hook_mass": 20.0})
@@ -324,7 +329,7 @@ def test_a_plant_of_ones_own_is_a_row_like_any_other():
     assert "our hook" in found.needed
 
 
-def test_a_plant_with_internal_dynamics_is_simulated():
+def test_a_plant_with_internal_dynamics_is_simulated() -> None:
     # A rod hangs from the rope: its hook follows the path, and nothing holds the rod.
     scene = smooth(crane("overhead_crane"), 5.0)
     rod = scene.with_effects("hook").model()
@@ -339,7 +344,7 @@ def test_a_plant_with_internal_dynamics_is_simulated():
     assert found.input_change is None
 
 
-def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss():
+def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss() -> None:
     path = crane("rotary_crane").reference
     scene = crane("rotary_crane").with_reference(sc.rest_to_rest(path.start, path.end, 10.0))
     found = sc.effects(scene, drives=None)
@@ -368,22 +373,26 @@ def test_without_drives_a_hundredth_of_a_percent_of_the_inputs_is_a_wide_miss():
         ({"parameters": {"hook_mass": -1.0}}, sc.InvalidModel, "hook_mass = -1 kg is outside its range"),
     ],
 )
-def test_bad_settings_are_refused_by_name(options, error, words):
+def test_bad_settings_are_refused_by_name(
+    options: dict[str, float | dict[str, float | Callable[..., sc.Scene] | Callable[..., sc.MechanicalSystem]]],
+    error: type[sc.InvalidSetting] | type[sc.InvalidModel],
+    words: str,
+) -> None:
     with pytest.raises(error, match=words):
         sc.effects(crane("overhead_crane"), **options)
 
 
-def test_a_scene_that_declares_nothing_says_what_to_give():
+def test_a_scene_that_declares_nothing_says_what_to_give() -> None:
     with pytest.raises(sc.InvalidModel, match="cars declares no effects; give plants of your own"):
         sc.effects(sc.scenes.cars())
 
 
-def test_drives_must_have_a_bandwidth():
+def test_drives_must_have_a_bandwidth() -> None:
     with pytest.raises(sc.InvalidSetting, match="bandwidth of drives must be positive and finite, not 0"):
         sc.Drives(bandwidth=0.0)
 
 
-def test_a_rope_shorter_than_its_lumps_refuses_its_row():
+def test_a_rope_shorter_than_its_lumps_refuses_its_row() -> None:
     found = sc.effects(smooth(crane("overhead_crane"), 5.0), parameters={"rope_piece": 3.0})
     assert found["heavy rope"].how == "refused"
     assert "rope_above is -" in found["heavy rope"].reason
@@ -398,7 +407,7 @@ def rough(index_seven: bool = True) -> sc.Scene:
     return scene.with_effects("hook") if index_seven else scene
 
 
-def test_simulate_and_solve_refuse_a_path_on_which_a_plant_of_index_seven_would_start_in_motion():
+def test_simulate_and_solve_refuse_a_path_on_which_a_plant_of_index_seven_would_start_in_motion() -> None:
     words = "has index 7: its velocities need the path's derivative of order 5, .* continuous up to order 4 only"
     with pytest.raises(sc.InvalidReference, match=words + ".* polynomial of degree 13"):
         sc.solve(rough())
@@ -406,7 +415,7 @@ def test_simulate_and_solve_refuse_a_path_on_which_a_plant_of_index_seven_would_
         sc.simulate(rough(), lambda _: np.zeros(2), t=np.linspace(0.0, 1.0, 3))
 
 
-def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or_from_a_state_of_ones_own():
+def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or_from_a_state_of_ones_own() -> None:
     assert sc.solve(rough(index_seven=False)).statistics.servo_violation < 1e-9
     start = sc.solve(rough().with_reference(sc.rest_to_rest((0.0, -4.0), (5.0, -1.0), 5.0, sc.DEGREE13)))
     hold = np.array([start["F"][0], start["M_w"][0]])
@@ -422,12 +431,12 @@ def test_the_same_path_serves_index_five_and_simulations_that_start_before_it_or
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CommandLine:
     monkeypatch.chdir(tmp_path)
     return CommandLine(app, "servocore")
 
 
-def test_the_command_prints_the_table_and_writes_the_page(run):
+def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> None:
     write("crane.toml", "load_mass = 80.0\nhook_mass = 2.0\n")
     result = run(
         "effects", "overhead_crane", "--tolerance", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
@@ -454,7 +463,9 @@ def test_the_command_prints_the_table_and_writes_the_page(run):
         (("crane",), ("no scene is called crane",)),
     ],
 )
-def test_bad_input_ends_with_one_sentence_and_no_page(run, arguments, words):
+def test_bad_input_ends_with_one_sentence_and_no_page(
+    run: CommandLine, arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
     write("bad.toml", "rope_colour = 3.0\n")
     run.assert_refused(run("effects", *arguments, "--markdown", "page.md"), *words)
     assert not Path("page.md").exists()

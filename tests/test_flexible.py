@@ -12,6 +12,7 @@ import scipy.linalg
 import scipy.special
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.rotationless import GROUND, Assembly, Beam, ElasticRope, Frame, Section, angle, fixed, revolute, turned
 
 LENGTH, BENDING = 2.0, 10.0
@@ -20,14 +21,14 @@ ALONG_X = ca.SX(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=float))
 Y = (0, 1, 0)
 
 
-def section(axial, bending, line_mass=0.0, inertia=0.0):
+def section(axial: float, bending: float, line_mass: float = 0.0, inertia: float = 0.0):
     return Section(axial, (axial / 2, axial / 2), (bending, bending), bending, line_mass, (inertia, inertia))
 
 
 # A cantilever under a moment at its tip ------------------------------------------------------------------------------
 
 
-def cantilever(elements):
+def cantilever(elements: int) -> sc.MechanicalSystem:
     """A clamped beam without mass; the moment at its tip drives the tip's angle."""
     beam = Beam("beam", LENGTH, elements, section(1e4, BENDING))
     parts = Assembly((beam, sc.Quantity("phi", "rad")), sc.Parameters(), gravity=(0, 0, 0))
@@ -55,12 +56,12 @@ def cantilever(elements):
 
 
 @lru_cache
-def rolled_up(elements, turn):
+def rolled_up(elements: int, turn: float) -> sc.Solution:
     path = sc.rest_to_rest((0.1,), (turn,), 1.0)
     return sc.solve(sc.Scene("cantilever", {"only": lambda: cantilever(elements)}, path), step=0.1)
 
 
-def test_a_cantilever_bends_into_an_arc_with_errors_of_order_two():
+def test_a_cantilever_bends_into_an_arc_with_errors_of_order_two() -> None:
     """E I / L times the angle is the moment; the tip is at R (sin, cos - 1)."""
     errors = []
     for elements in (2, 4, 8):
@@ -74,7 +75,7 @@ def test_a_cantilever_bends_into_an_arc_with_errors_of_order_two():
     np.testing.assert_allclose(orders, 2.0, atol=0.2)
 
 
-def test_a_cantilever_rolls_up_to_a_full_circle():
+def test_a_cantilever_rolls_up_to_a_full_circle() -> None:
     """An element that turns by t resists with the sine and cosine of t: the moment is E I N / L sin t cos t."""
     elements = 12
     found = rolled_up(elements, 2 * np.pi)
@@ -88,7 +89,7 @@ def test_a_cantilever_rolls_up_to_a_full_circle():
 # Energy and momentum --------------------------------------------------------------------------------------------------
 
 
-def flying_beam(elements=3):
+def flying_beam(elements: int = 3) -> conserved.Motion:
     """A beam without weight that is thrown, turning and bending."""
     beam = Beam("beam", LENGTH, elements, section(2000.0, 20.0, line_mass=1.0, inertia=0.01))
     parts = Assembly((beam,), sc.Parameters(), gravity=(0, 0, 0))
@@ -103,7 +104,7 @@ def flying_beam(elements=3):
     return conserved.Motion(system, conserved.started(system.coordinates.names, q, turn.ravel()), "xyz")
 
 
-def test_a_flying_beam_keeps_energy_and_momentum_for_ten_thousand_steps():
+def test_a_flying_beam_keeps_energy_and_momentum_for_ten_thousand_steps() -> None:
     motion = flying_beam()
     found = motion.run(0.01, 10_000, every=25)
     energy, momentum = motion.drift(found)
@@ -117,7 +118,7 @@ def test_a_flying_beam_keeps_energy_and_momentum_for_ten_thousand_steps():
 # A hanging rope -------------------------------------------------------------------------------------------------------
 
 
-def frequencies(elements, count=3, length=2.0, gravity=9.81):
+def frequencies(elements: int, count: int = 3, length: float = 2.0, gravity: float = 9.81) -> Array:
     """Circular frequencies of a rope that hangs from a fixed point, from its potential and its mass matrix."""
     rope = ElasticRope("rope", length, elements, 1e8, 1.5)
     parts = Assembly((rope,), sc.Parameters(), gravity=(0, 0, -gravity))
@@ -132,7 +133,7 @@ def frequencies(elements, count=3, length=2.0, gravity=9.81):
     return np.sqrt(scipy.linalg.eigh(K[np.ix_(aside, aside)], M[np.ix_(aside, aside)], eigvals_only=True)[:count])
 
 
-def test_a_hanging_rope_swings_with_the_zeros_of_bessels_function():
+def test_a_hanging_rope_swings_with_the_zeros_of_bessels_function() -> None:
     exact = scipy.special.jn_zeros(0, 3) / 2 * np.sqrt(9.81 / 2.0)
     errors = [np.abs(frequencies(elements) - exact) for elements in (16, 32, 64)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
@@ -146,7 +147,7 @@ STIFFNESS, HALF_SPAN, RISE = 1e6, 1.0, 0.2
 BAR = float(np.hypot(HALF_SPAN, RISE))
 
 
-def truss(controlled):
+def truss(controlled: str) -> sc.MechanicalSystem:
     """Two bars to one joint, without inertia: q = (across, down, load). The load, or the way down, is prescribed."""
     names = {"across": "m", "down": "m", "load": "N"}
     coordinates = sc.Coordinates(*(sc.Quantity(name, unit) for name, unit in names.items()))
@@ -171,24 +172,24 @@ def truss(controlled):
     )
 
 
-def truss_load(down):
+def truss_load(down: Array) -> Array:
     length = np.hypot(HALF_SPAN, RISE - down)
     return -2 * STIFFNESS * (length - BAR) / BAR * (RISE - down) / length
 
 
-def controlled(name, end):
+def controlled(name: str, end: float) -> sc.Solution:
     path = sc.rest_to_rest((0.0,), (end,), 1.0)
     return sc.solve(sc.Scene("truss", {"only": lambda: truss(name)}, path), step=0.005)
 
 
-def test_a_truss_snaps_through_under_displacement_control():
+def test_a_truss_snaps_through_under_displacement_control() -> None:
     found = controlled("down", 0.5)
     exact = truss_load(found["prescribed"])
     assert np.abs(found["P"] - exact).max() < 1e-10 * np.abs(exact).max()
     assert (np.diff(np.sign(np.diff(exact))) != 0).sum() == 2  # it passes both limit points
 
 
-def test_load_control_fails_at_the_first_limit_point():
+def test_load_control_fails_at_the_first_limit_point() -> None:
     """Its load is the largest that the first branch bears; 1.2 times as much has no equilibrium near."""
     largest = truss_load(np.linspace(0.0, RISE, 2001)).max()
     assert np.isfinite(controlled("load", 0.9 * largest).values).all()
@@ -196,7 +197,7 @@ def test_load_control_fails_at_the_first_limit_point():
         controlled("load", 1.2 * largest)
 
 
-def arch(elements=8, rise=0.1, span=2.0):
+def arch(elements: int = 8, rise: float = 0.1, span: float = 2.0) -> tuple[sc.MechanicalSystem, float]:
     """A shallow pinned arch of a curved beam; a force presses on its top."""
     radius = (span**2 / 4 + rise**2) / (2 * rise)
     half = np.arcsin(span / 2 / radius)
@@ -223,7 +224,7 @@ def arch(elements=8, rise=0.1, span=2.0):
     return system, height
 
 
-def stationary(system, q, height):
+def stationary(system: sc.MechanicalSystem, q: Array, height):
     """The load in equilibrium at a height, by Newton's method on the stationary energy, and the configuration."""
     lam, load = ca.SX.sym("lam", system.lam.numel()), ca.SX.sym("P")
     energy = ca.SX(system.potential) + ca.dot(lam, system.constraints) + load * (system.output - height)
@@ -238,7 +239,7 @@ def stationary(system, q, height):
     return now[-1]
 
 
-def test_a_shallow_arch_is_followed_past_both_limit_points():
+def test_a_shallow_arch_is_followed_past_both_limit_points() -> None:
     """Loads are those of stationary energy, found by other means at some heights; load control ends at the first."""
     system, height = arch()
     path = sc.rest_to_rest((height,), (-1.1 * height,), 1.0)
@@ -264,12 +265,12 @@ def test_a_shallow_arch_is_followed_past_both_limit_points():
         (ElasticRope("r", 1.0, 2, float("inf"), 1.0), "rope r: its axial stiffness is inf"),
     ],
 )
-def test_impossible_flexible_parts_are_refused(part, said):
+def test_impossible_flexible_parts_are_refused(part, said: str) -> None:
     with pytest.raises(sc.InvalidModel, match=said):
         Assembly((part,), sc.Parameters(), gravity=(0, 0, 0))
 
 
-def test_a_node_that_is_not_there_is_refused():
+def test_a_node_that_is_not_there_is_refused() -> None:
     parts = Assembly((ElasticRope("r", 1.0, 2, 1.0, 1.0),), sc.Parameters(), gravity=(0, 0, 0))
     with pytest.raises(sc.InvalidModel, match="r has no node 3"):
         parts.node("r", 3)

@@ -38,7 +38,7 @@ def largest_error(scene: sc.Scene, model: str) -> float:
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
 @pytest.mark.parametrize("swing", [30.0, 64.0, 80.0, 89.5])
-def test_a_load_that_swings_far_is_solved_exactly(name, model, swing):
+def test_a_load_that_swings_far_is_solved_exactly(name: str, model: str, swing: float) -> None:
     """The rope hangs along the effective weight: in weak gravity a level way of 4 m swings it by `swing` degrees."""
     crane, level, _ = CRANES[name]
     duration = 6.0
@@ -51,7 +51,7 @@ def test_a_load_that_swings_far_is_solved_exactly(name, model, swing):
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
 @pytest.mark.parametrize("margin", [3.0, 0.1, 1e-3])
-def test_a_rope_that_is_nearly_slack_is_solved_exactly(name, model, margin):
+def test_a_rope_that_is_nearly_slack_is_solved_exactly(name: str, model: str, margin: float) -> None:
     """The load falls almost freely: g + z'' comes down to `margin` in m/s2."""
     crane, _, downwards = CRANES[name]
     duration = float(np.sqrt(3.0 * PEAK / (9.81 - margin)))

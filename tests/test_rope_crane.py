@@ -10,6 +10,7 @@ import scipy.optimize
 import scipy.special
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.rotary_crane_rope import at_rest
 
 PATH = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 3.0, sc.DEGREE9)
@@ -17,29 +18,29 @@ PATH = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 3.0, sc.DEGREE9)
 HEAVY = {"rope_mass": 5.0, "rope_stiffness": 1e9}
 
 
-def crane(elements, **parameters):
+def crane(elements: int, **parameters: float) -> sc.Scene:
     return sc.scenes.rotary_crane(rope_elements=elements).with_reference(PATH).with_parameters(**parameters)
 
 
 @pytest.fixture(scope="module")
-def inputs():
+def inputs() -> sc.Solution:
     """Exact ones of the crane on a stiff rope without mass."""
     return sc.solve(sc.scenes.rotary_crane().with_reference(PATH), step=0.002)
 
 
-def simulated(scene, inputs, step=0.002, end=3.0):
+def simulated(scene: sc.Scene, inputs: sc.Solution, step: float = 0.002, end: float = 3.0) -> sc.Solution:
     t = np.arange(round(end / 0.02) + 1) * 0.02
     return sc.simulate(scene, inputs, t=t, start=at_rest(scene), method=sc.EnergyMomentum(), step=step)
 
 
-def load(solution):
+def load(solution: sc.Solution) -> Array:
     return np.array([solution[axis] for axis in "xyz"])
 
 
 # Swinging about rest --------------------------------------------------------------------------------------------------
 
 
-def frequencies(elements, count, **parameters):
+def frequencies(elements: int, count: int, **parameters: float) -> Array:
     """Circular frequencies of swings across the bridge, all drives at rest."""
     scene = crane(elements, **parameters)
     system, start = scene.model(), at_rest(scene)
@@ -57,7 +58,7 @@ def frequencies(elements, count, **parameters):
     return np.sqrt(squares[:count])
 
 
-def bessel(count, load_mass, line_mass, length, above, gravity=9.81):
+def bessel(count: int, load_mass: float, line_mass: float, length: float, above: float, gravity: float = 9.81) -> Array:
     """The same of a continuous rope with a load, below a straight piece that only weighs on the first node."""
     shift = load_mass / line_mass
     tension = gravity * (load_mass + line_mass * length)
@@ -79,7 +80,7 @@ def bessel(count, load_mass, line_mass, length, above, gravity=9.81):
     return np.array([scipy.optimize.brentq(gap, grid[k], grid[k + 1]) for k in signs])
 
 
-def test_the_crane_swings_with_the_frequencies_of_bessels_functions():
+def test_the_crane_swings_with_the_frequencies_of_bessels_functions() -> None:
     exact = bessel(3, 100.0, 5.0, 1.5, 3.5)
     errors = [np.abs(frequencies(elements, 3, **HEAVY) - exact) / exact for elements in (8, 16)]
     assert errors[-1].max() < 5e-3
@@ -89,7 +90,7 @@ def test_the_crane_swings_with_the_frequencies_of_bessels_functions():
 # Hoisting -------------------------------------------------------------------------------------------------------------
 
 
-def test_on_a_rope_without_mass_the_load_follows_its_path(inputs):
+def test_on_a_rope_without_mass_the_load_follows_its_path(inputs: sc.Solution) -> None:
     """With an error of the step alone, which falls with its square."""
     scene = crane(2, rope_mass=1e-6, rope_stiffness=1e9)
     errors = [simulated(scene, inputs, step)["tracking_error"].max() for step in (0.004, 0.002)]
@@ -97,7 +98,7 @@ def test_on_a_rope_without_mass_the_load_follows_its_path(inputs):
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.2)
 
 
-def test_motions_converge_with_the_square_of_the_number_of_elements(inputs):
+def test_motions_converge_with_the_square_of_the_number_of_elements(inputs: sc.Solution) -> None:
     runs = {elements: load(simulated(crane(elements, **HEAVY), inputs)) for elements in (2, 4, 8, 16)}
     errors = [np.abs(runs[elements] - runs[16]).max() for elements in (2, 4, 8)]
     # Against 16 elements instead of infinitely many: (1/N^2 - 1/16^2)
@@ -106,14 +107,14 @@ def test_motions_converge_with_the_square_of_the_number_of_elements(inputs):
     assert errors[-1] < 1e-3
 
 
-def test_while_hoisting_energy_changes_by_the_work_of_the_inputs(inputs):
+def test_while_hoisting_energy_changes_by_the_work_of_the_inputs(inputs: sc.Solution) -> None:
     found = simulated(crane(4, **HEAVY), inputs)
     change = found["energy"] - found["energy"][0]
     assert np.ptp(change) > 1000.0
     assert np.abs(change - found["work"]).max() < 1e-10 * np.abs(found["energy"]).max()
 
 
-def test_ropes_of_lumps_approach_it(inputs):
+def test_ropes_of_lumps_approach_it(inputs: sc.Solution) -> None:
     """As many as effects of the crane have, on links without stretch, by error control: other equations throughout."""
     rope = load(simulated(crane(16, **HEAVY), inputs, end=0.6))
     errors = []
@@ -131,11 +132,11 @@ def test_ropes_of_lumps_approach_it(inputs):
 
 
 @pytest.mark.parametrize("elements", [-1, 1.5, True])
-def test_ropes_of_no_whole_number_of_elements_are_refused(elements):
+def test_ropes_of_no_whole_number_of_elements_are_refused(elements: float) -> None:
     with pytest.raises(sc.InvalidModel, match="rope rope needs a whole number of elements, one at least"):
         crane(elements).model()
 
 
-def test_the_trolley_of_a_crane_on_a_rope_cannot_pass_its_axis():
+def test_the_trolley_of_a_crane_on_a_rope_cannot_pass_its_axis() -> None:
     with pytest.raises(sc.InvalidSetting, match="for the crossing of its axis, or invariant"):
         sc.scenes.rotary_crane(across_axis=True, rope_elements=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import casadi as ca
@@ -10,10 +11,12 @@ import pytest
 
 from servocore import BackwardEuler, rest_to_rest
 from servocore.formulations import Projected
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
 from servocore.scenes.rotary_crane_bodies import bodies
 from servocore.solvers.solve import solve
-from servocore.structure.derivative_array import derivative_array
+from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.inversion import compile_inversion
 from servocore.structure.structural_analysis import second_order_equations, signature
 
@@ -22,17 +25,17 @@ REFERENCE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 
 
 @cache
-def crane():
+def crane() -> MechanicalSystem:
     return bodies(PARAMETERS, INPUTS, OUTPUTS)
 
 
 @cache
-def inversion(model):
+def inversion(model) -> tuple[DerivativeArray, ca.Function]:
     array = derivative_array(model())
     return array, compile_inversion(array).function
 
 
-def inverted(model, jets, changed=None):
+def inverted(model, jets: Array, changed: dict[str, float] | None = None) -> Array:
     """Unknowns of the derivative array, shape (unknowns, N), for jets of shape (N, orders, 3)."""
     array, invert = inversion(model)
     gamma = np.concatenate([jet[: array.reference_order + 1].T for jet in jets], axis=1)
@@ -42,26 +45,26 @@ def inverted(model, jets, changed=None):
     return np.asarray(y)
 
 
-def inputs(model, jets, changed=None):
+def inputs(model: Callable[..., MechanicalSystem], jets: Array, changed: dict[str, float] | None = None) -> Array:
     array, _ = inversion(model)
     y = inverted(model, jets, changed)
     return y[[array.position(name, 0) for name in INPUT_NAMES]]
 
 
-def random_jets(count=40, seed=0):
+def random_jets(count: int = 40, seed: int = 0) -> Array:
     random = np.random.default_rng(seed)
     jets = random.normal(size=(count, 6, 3))
     jets[:, 0] = random.uniform((-6, -6, -8), (6, 6, -1), size=(count, 3))
     return jets
 
 
-def test_it_has_the_paper_s_42_coordinates_37_constraints_and_five_degrees_of_freedom():
+def test_it_has_the_paper_s_42_coordinates_37_constraints_and_five_degrees_of_freedom() -> None:
     assert crane().q.numel() == 42
     assert crane().lam.numel() == 37
     assert crane().degrees_of_freedom == 5
 
 
-def test_its_constraints_are_independent_and_hold_above_any_load():
+def test_its_constraints_are_independent_and_hold_above_any_load() -> None:
     system = crane()
     residual = ca.Function("g", [system.gamma, system.p], [ca.substitute(system.constraints, system.q, system.guess)])
     gamma = np.zeros(system.gamma.shape)
@@ -71,13 +74,13 @@ def test_its_constraints_are_independent_and_hold_above_any_load():
     system.require_full_rank(*system.home_configuration())
 
 
-def test_its_inverse_problem_has_index_five_and_no_degrees_of_freedom():
+def test_its_inverse_problem_has_index_five_and_no_degrees_of_freedom() -> None:
     found = signature(second_order_equations(crane()))
     assert found.degrees_of_freedom == 0
     assert found.index == 5
 
 
-def test_servo_and_input_matrices_are_boolean_up_to_sign():
+def test_servo_and_input_matrices_are_boolean_up_to_sign() -> None:
     system = crane()
     C, B = np.asarray(ca.DM(system.C)), np.asarray(ca.DM(system.input_matrix))
     names = system.coordinates.names
@@ -88,7 +91,7 @@ def test_servo_and_input_matrices_are_boolean_up_to_sign():
         assert np.count_nonzero(matrix) == 3
 
 
-def test_mass_is_constant_and_semidefinite_with_the_three_augmented_coordinates_massless():
+def test_mass_is_constant_and_semidefinite_with_the_three_augmented_coordinates_massless() -> None:
     M = np.asarray(ca.Function("M", [crane().p], [crane().mass])(PARAMETERS.values()))
     eigenvalues = np.linalg.eigvalsh(M)
     assert eigenvalues.min() >= 0.0
@@ -114,13 +117,13 @@ def test_mass_is_constant_and_semidefinite_with_the_three_augmented_coordinates_
     ],
     ids=["default", "other", "unreal"],
 )
-def test_its_inputs_are_those_of_nine_coordinates_at_random_instants(changed):
+def test_its_inputs_are_those_of_nine_coordinates_at_random_instants(changed: dict[str, float]) -> None:
     jets = random_jets()
     found, expected = inputs(crane, jets, changed), inputs(points, jets, changed)
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-10 * np.abs(expected).max())
 
 
-def test_at_rest_only_the_winch_holds_the_load():
+def test_at_rest_only_the_winch_holds_the_load() -> None:
     jet = np.zeros((1, 6, 3))
     jet[0, 0] = (3.0, -4.0, -2.5)
     p = dict(zip(PARAMETERS.names, PARAMETERS.values(), strict=True))
@@ -128,7 +131,7 @@ def test_at_rest_only_the_winch_holds_the_load():
     np.testing.assert_allclose(inputs(crane, jet)[:, 0], [0.0, 0.0, -weight * p["winch_radius"]], atol=1e-9)
 
 
-def test_observables_read_angle_distance_length_tension_and_swing_of_the_rope():
+def test_observables_read_angle_distance_length_tension_and_swing_of_the_rope() -> None:
     system, (array, _) = crane(), inversion(crane)
     jet = np.zeros((1, 6, 3))
     jet[0, 0], jet[0, 2] = (3.0, 4.0, -2.0), (0.6, 0.8, 0.0)  # accelerates outwards along the bridge
@@ -150,14 +153,14 @@ def test_observables_read_angle_distance_length_tension_and_swing_of_the_rope():
     assert found == pytest.approx(expected, rel=1e-10)
 
 
-def test_projected_backward_euler_follows_the_path_with_errors_of_first_order():
+def test_projected_backward_euler_follows_the_path_with_errors_of_first_order() -> None:
     coarse, fine = worst_input_errors(200), worst_input_errors(400)
     # The drum turns by up to 0.4 rad a step; its directors feel that, so M_w errs more than with `points`.
     assert (coarse < (0.3, 0.01, 0.01)).all()
     np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
 
 
-def worst_input_errors(steps):
+def worst_input_errors(steps: int) -> Array:
     """Largest errors of the inputs along the default path, relative to their peaks, shape (3,)."""
     scene = rotary_crane()
     solution = solve(scene, Projected(), BackwardEuler(), step=20.0 / steps, model="bodies")

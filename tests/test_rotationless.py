@@ -16,6 +16,8 @@ from hypothesis.extra.numpy import arrays
 from servocore.errors import InvalidModel
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter, Parameters
+from servocore.model.system import MechanicalSystem
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import without_constraints
 from servocore.rotationless import (
     GROUND,
@@ -52,23 +54,23 @@ def rotation(vector):
     return np.eye(3) + np.sin(size) * K + (1.0 - np.cos(size)) * K @ K
 
 
-def cross(w):
+def cross(w: Array) -> Array:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def motion(position, R, velocity, w):
+def motion(position: tuple[float, float, float] | Array, R, velocity: Array, w: Array) -> tuple[Array, Array]:
     """Coordinates and velocities of a body, shape (12,) each, of its pose and twist."""
     return np.concatenate([position, R.T.ravel()]), np.concatenate([velocity, (cross(w) @ R).T.ravel()])
 
 
-def jacobian(constraints, assembly, q):
+def jacobian(constraints: ca.SX, assembly, q: Array) -> Array:
     G = ca.Function("G", [assembly.coordinates.q], [constraints, ca.jacobian(constraints, assembly.coordinates.q)])
     residual, matrix = G(q)
     np.testing.assert_allclose(residual, 0.0, atol=1e-12)
     return np.asarray(matrix)
 
 
-def invert(system, *jets):
+def invert(system: MechanicalSystem, *jets: tuple[float | tuple[float, float, float], ...]) -> Array:
     """Inputs, shape (N, m), for (value, velocity, acceleration) of the servo outputs at N instants."""
     array = derivative_array(system)
     assert array.signature.degrees_of_freedom == 0
@@ -85,20 +87,22 @@ def invert(system, *jets):
 # --- bodies -----------------------------------------------------------------------------------------------------
 
 
-def test_a_body_has_a_constant_symmetric_mass_matrix_positive_definite_if_it_is_solid():
+def test_a_body_has_a_constant_symmetric_mass_matrix_positive_definite_if_it_is_solid() -> None:
     M = np.asarray(ca.DM(RigidBody("b", 2.0, (0.3, 0.4, 0.5), (0.1, -0.2, 0.3)).mass_matrix))
     np.testing.assert_array_equal(M, M.T)
     assert np.linalg.eigvalsh(M).min() > 0.0
 
 
-def test_a_thin_rod_has_a_semidefinite_mass_matrix():
+def test_a_thin_rod_has_a_semidefinite_mass_matrix() -> None:
     M = np.asarray(ca.DM(RigidBody("rod", 2.0, (0.0, 0.4, 0.4)).mass_matrix))
     np.testing.assert_allclose(np.linalg.eigvalsh(M)[:6], 0.0, atol=1e-15)
     assert np.linalg.matrix_rank(M) == 6
 
 
 @given(vectors, vectors, vectors, vectors)
-def test_a_free_body_has_the_kinetic_energy_of_its_mass_and_inertia(turn, velocity, w, centre):
+def test_a_free_body_has_the_kinetic_energy_of_its_mass_and_inertia(
+    turn: Array, velocity: Array, w: Array, centre: Array
+) -> None:
     mass, R = 2.5, rotation(turn)
     moments = np.array([[0.5, 0.1, -0.05], [0.1, 0.7, 0.02], [-0.05, 0.02, 0.6]])
     body = RigidBody("b", mass, moments.tolist(), centre.tolist())
@@ -110,7 +114,7 @@ def test_a_free_body_has_the_kinetic_energy_of_its_mass_and_inertia(turn, veloci
 
 
 @given(vectors, vectors, vectors, vectors)
-def test_orthonormality_allows_rigid_motions_only(turn, position, velocity, w):
+def test_orthonormality_allows_rigid_motions_only(turn: Array, position: Array, velocity: Array, w: Array) -> None:
     assembly = Assembly((RigidBody("b", 1.0, (1.0, 1.0, 1.0)),), NONE, (0, 0, 0))
     q, v = motion(position, rotation(turn), velocity, w)
     G = jacobian(assembly.orthonormality, assembly, q)
@@ -118,7 +122,7 @@ def test_orthonormality_allows_rigid_motions_only(turn, position, velocity, w):
     np.testing.assert_allclose(G @ v, 0.0, atol=1e-12)
 
 
-def test_gravity_acts_at_the_centre_of_mass():
+def test_gravity_acts_at_the_centre_of_mass() -> None:
     assembly = Assembly((RigidBody("b", 2.0, (1.0, 1.0, 1.0), (0.0, 0.0, 0.5)),), NONE, (0, 0, -GRAVITY))
     q, _ = motion((0.0, 0.0, 3.0), rotation((np.pi, 0.0, 0.0)), np.zeros(3), np.zeros(3))  # upside down
     potential = ca.Function("V", [assembly.coordinates.q], [assembly.potential])
@@ -141,7 +145,7 @@ JOINTS = {  # the allowed relative translations along and rotations about normal
 
 @pytest.mark.parametrize("name", JOINTS)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_joint_has_independent_rows_that_allow_its_motions_and_no_others(name, seed):
+def test_a_joint_has_independent_rows_that_allow_its_motions_and_no_others(name: str, seed: int) -> None:
     joint, slides, turns = JOINTS[name]
     random = np.random.default_rng(seed)
     point_a, axis_a, normal_a, point_b, axis_b, normal_b = random.normal(size=(6, 3))
@@ -161,7 +165,7 @@ def test_a_joint_has_independent_rows_that_allow_its_motions_and_no_others(name,
     at_b = x_a + R_a @ (point_a + T_a @ shift)
     v_a, w_a = random.normal(size=(2, 3))
 
-    def velocity(relative_v, relative_w):
+    def velocity(relative_v: Array, relative_w: Array) -> tuple[Array, Array]:
         w_b = w_a + R_a @ T_a @ relative_w
         v_of_point = v_a + np.cross(w_a, at_b - x_a) + R_a @ T_a @ relative_v
         q_a, dq_a = motion(x_a, R_a, v_a, w_a)
@@ -180,14 +184,14 @@ def test_a_joint_has_independent_rows_that_allow_its_motions_and_no_others(name,
             assert (np.abs(G @ v).max() < 1e-12) == allowed, (direction, twist)
 
 
-def triad(axis, normal):
+def triad(axis, normal) -> Array:
     e = axis / np.linalg.norm(axis)
     n = normal - (normal @ e) * e
     n /= np.linalg.norm(n)
     return np.column_stack([n, np.cross(e, n), e])
 
 
-def test_joints_are_at_most_quadratic_and_hinges_on_the_ground_are_linear():
+def test_joints_are_at_most_quadratic_and_hinges_on_the_ground_are_linear() -> None:
     assembly = Assembly((RigidBody("b", 1.0, (1.0, 1.0, 1.0)),), NONE, (0, 0, 0))
     body, q = assembly.body("b"), assembly.coordinates.q
     for joint, _, _ in JOINTS.values():
@@ -197,7 +201,7 @@ def test_joints_are_at_most_quadratic_and_hinges_on_the_ground_are_linear():
 
 
 @pytest.mark.parametrize("direction", [Z, (1.0, 2.0, -0.5)])
-def test_augmented_coordinates_run_at_the_rate_of_what_they_measure(direction):
+def test_augmented_coordinates_run_at_the_rate_of_what_they_measure(direction: tuple[float, float, float]) -> None:
     assembly = Assembly(
         (RigidBody("b", 1.0, (1.0, 1.0, 1.0)), Quantity("phi", "rad"), Quantity("s", "m")), NONE, (0, 0, 0)
     )
@@ -210,7 +214,7 @@ def test_augmented_coordinates_run_at_the_rate_of_what_they_measure(direction):
     assert np.abs(np.diag(G[:, 12:])) == pytest.approx([1.0, 1.0])
 
 
-def test_axes_may_have_any_length_and_angles_count_from_the_normal():
+def test_axes_may_have_any_length_and_angles_count_from_the_normal() -> None:
     place = GROUND.at((1.0, 2.0, 3.0), axis=(0.0, 0.0, 5.0), normal=(1.0, 1.0, 9.0))
     half = np.sqrt(0.5)
     for found, expected in (
@@ -222,7 +226,7 @@ def test_axes_may_have_any_length_and_angles_count_from_the_normal():
         np.testing.assert_allclose(np.asarray(ca.DM(found)).ravel(), expected, atol=1e-15)
 
 
-def test_turned_directors_are_those_of_the_rotation_vector():
+def test_turned_directors_are_those_of_the_rotation_vector() -> None:
     found = np.asarray(ca.DM(turned((2.0, -1.0, 0.5), 0.9)))
     axis = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
     np.testing.assert_allclose(found, rotation(0.9 * axis), atol=1e-15)
@@ -231,7 +235,7 @@ def test_turned_directors_are_those_of_the_rotation_vector():
 # --- mechanisms with known answers --------------------------------------------------------------------------------
 
 
-def one_angle(name, body, constraints_of, extra=()):
+def one_angle(name: str, body, constraints_of, extra=()) -> MechanicalSystem:
     """System of one body on the ground whose angle phi about y is driven and prescribed."""
     assembly = Assembly((body, Quantity("phi", "rad"), *extra), NONE, (0, 0, -GRAVITY))
     phi, hinge = assembly.augmented("phi"), (GROUND.at(axis=Y), assembly.body("b").at(axis=Y))
@@ -259,7 +263,7 @@ SUPPORTS = {
 
 
 @pytest.mark.parametrize("support", SUPPORTS)
-def test_a_pendulum_needs_the_textbook_torque_however_it_is_supported(support):
+def test_a_pendulum_needs_the_textbook_torque_however_it_is_supported(support: str) -> None:
     mass, inertia, arm = 3.0, 0.4, 0.8
     body = RigidBody("b", mass, (0.3, inertia, 0.5), (0.0, 0.0, -arm))
     system = one_angle("pendulum", body, SUPPORTS[support])
@@ -269,7 +273,7 @@ def test_a_pendulum_needs_the_textbook_torque_however_it_is_supported(support):
     np.testing.assert_allclose(invert(system, *jets)[:, 0], expected, rtol=1e-11)
 
 
-def test_a_slider_on_an_incline_needs_inertia_and_weight_along_it():
+def test_a_slider_on_an_incline_needs_inertia_and_weight_along_it() -> None:
     tilt, mass = 0.3, 4.0
     up = (np.cos(tilt), 0.0, np.sin(tilt))
     assembly = Assembly((RigidBody("b", mass, (1.0, 2.0, 2.0)), Quantity("s", "m")), NONE, (0, 0, -GRAVITY))
@@ -285,7 +289,7 @@ def test_a_slider_on_an_incline_needs_inertia_and_weight_along_it():
     np.testing.assert_allclose(invert(system, (0.7, -2.0, 1.5)), [[expected]], rtol=1e-11)
 
 
-def test_a_slider_on_a_turning_arm_feels_coriolis_and_centrifugal_forces():
+def test_a_slider_on_a_turning_arm_feels_coriolis_and_centrifugal_forces() -> None:
     arm_inertia, mass, slider_inertia = 5.0, 2.0, 0.3
     bodies = RigidBody("arm", 7.0, (0.1, 5.0, arm_inertia)), RigidBody("b", mass, (slider_inertia,) * 3)
     assembly = Assembly((*bodies, Quantity("phi", "rad"), Quantity("s", "m")), NONE, (0, 0, -GRAVITY))
@@ -314,7 +318,7 @@ def test_a_slider_on_a_turning_arm_feels_coriolis_and_centrifugal_forces():
     np.testing.assert_allclose(invert(system, jet), [[torque, mass * (s2 - s0 * phi1**2)]], rtol=1e-11)
 
 
-def test_a_slider_crank_with_a_rigid_link_pushes_its_slider_as_the_triangle_says():
+def test_a_slider_crank_with_a_rigid_link_pushes_its_slider_as_the_triangle_says() -> None:
     crank, link, inertia, mass = 0.3, 0.8, 0.5, 2.0
     assembly = Assembly((RigidBody("b", 1.0, (0.2, inertia, 0.4)), PointMass("slider", mass), Quantity("phi", "rad")),
                         NONE, (0, 0, -GRAVITY))  # fmt: skip
@@ -358,7 +362,7 @@ POINT = (0.5, 0.3, 0.0)  # of the coupler, in body coordinates
 class FourBar:
     """The linkage of the page by complex numbers: positions, and derivatives by the crank angle, of all bars."""
 
-    def __init__(self, theta):
+    def __init__(self, theta: float) -> None:
         a, b, c, d = (howto()[name] for name in ("CRANK", "COUPLER", "ROCKER", "BASE"))
         rho = np.array([a, b, c])
         tip = a * np.exp(1j * theta)
@@ -382,7 +386,7 @@ class FourBar:
         self.masses = 5.0 * rho
         self.inertias = 5.0 * rho**3 / 12
 
-    def torque(self, speed, acceleration):
+    def torque(self, speed: float, acceleration: float) -> float:
         """Virtual power for a unit virtual rate of the crank."""
         second = self.centres_1 * acceleration + self.centres_2 * speed**2
         forces = self.masses * (second + 1j * GRAVITY)
@@ -390,17 +394,17 @@ class FourBar:
         return float((forces * self.centres_1.conj()).real.sum() + moments @ self.w)
 
 
-def solve_complex(coefficients, right):
+def solve_complex(coefficients, right) -> Array:
     """Two real unknowns of one complex equation."""
     matrix = np.array([coefficients.real, coefficients.imag])
     return np.linalg.solve(matrix, [right.real, right.imag])
 
 
-def test_the_page_gives_the_torque_that_complex_numbers_give():
+def test_the_page_gives_the_torque_that_complex_numbers_give() -> None:
     assert howto()["torque"] == pytest.approx(FourBar(1.0).torque(2.0, -3.0), rel=1e-9)
 
 
-def test_a_four_bar_linkage_of_spatial_bodies_has_one_degree_of_freedom_and_index_three():
+def test_a_four_bar_linkage_of_spatial_bodies_has_one_degree_of_freedom_and_index_three() -> None:
     system = howto()["system"]
     found = signature(second_order_equations(system))
     assert (system.degrees_of_freedom, found.degrees_of_freedom, found.index) == (1, 0, 3)
@@ -419,7 +423,7 @@ def four_hinges():
     )
 
 
-def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_rows():
+def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_rows() -> None:
     system, p = four_hinges(), howto()["p"].values()
     assert system.degrees_of_freedom == 1
     named = "3 of the 39 holonomic constraints are redundant \\(rank 36\\): C 3, C 4, C 5"
@@ -432,13 +436,13 @@ def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_r
     assert float(residual) < 1e-12
 
 
-def test_the_torque_that_drives_a_closed_loop_s_crank_is_that_of_complex_numbers_all_around():
+def test_the_torque_that_drives_a_closed_loop_s_crank_is_that_of_complex_numbers_all_around() -> None:
     jets = [(theta, 2.0 - theta, 4.0 * np.sin(3.0 * theta)) for theta in np.linspace(-6.0, 6.0, 25)]
     expected = [FourBar(theta).torque(*rest) for theta, *rest in jets]
     np.testing.assert_allclose(invert(howto()["system"], *jets)[:, 0], expected, rtol=1e-9, atol=1e-9)
 
 
-def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers():
+def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers() -> None:
     page = howto()
     system = page["linkage"].system(
         "four-bar linkage by its coupler",
@@ -476,18 +480,18 @@ def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers
         (RigidBody("b", 1.0, (1.0, 1.0, 1.0), (0.0, 1.0)), "a vector in space has 3 components, not 2"),
     ],
 )
-def test_impossible_bodies_are_refused_in_a_sentence(part, sentence):
+def test_impossible_bodies_are_refused_in_a_sentence(part, sentence: str) -> None:
     with pytest.raises(InvalidModel, match=sentence):
         Assembly((part,), NONE, (0, 0, 0)).mass  # noqa: B018
 
 
-def test_inertias_are_judged_at_the_default_parameters():
+def test_inertias_are_judged_at_the_default_parameters() -> None:
     p = Parameters(Parameter("m", 2.0, "kg"), Parameter("J", -1.0, "kg.m2"))
     with pytest.raises(InvalidModel, match="negative principal value -1 kg"):
         Assembly((RigidBody("b", p["m"], (p["J"],) * 3),), p, (0, 0, 0))
 
 
-def test_directions_that_are_none_are_refused():
+def test_directions_that_are_none_are_refused() -> None:
     with pytest.raises(InvalidModel, match=r"the axis .* is no direction in space"):
         GROUND.at(axis=(0.0, 0.0, 0.0))
     with pytest.raises(InvalidModel, match=r"the axis .* is no direction in space"):
@@ -496,7 +500,7 @@ def test_directions_that_are_none_are_refused():
         GROUND.at(axis=(0.0, 0.0, 2.0), normal=(0.0, 0.0, -1.0))
 
 
-def test_unknown_parts_and_wrong_configurations_are_refused_by_name():
+def test_unknown_parts_and_wrong_configurations_are_refused_by_name() -> None:
     body = RigidBody("b", 1.0, (1.0, 1.0, 1.0))
     assembly = Assembly((body, Quantity("phi", "rad")), NONE, (0, 0, 0))
     with pytest.raises(InvalidModel, match="no body is called c; there are b"):

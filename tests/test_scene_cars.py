@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
 from servocore.scenes.cars import MOST_MASSES, cars
 
@@ -19,21 +20,21 @@ def scene(count: int = 2) -> sc.Scene:
     return cars(count)
 
 
-def uneven(count):
+def uneven(count: int) -> sc.Scene:
     """Cars, springs and gaps that all differ."""
     random = np.random.default_rng(count)
     values = {name: random.uniform(0.5, 2.0) * value for name, value in scene(count).parameter_values().items()}
     return scene(count).with_parameters(**values)
 
 
-def errors(this, solution, names):
+def errors(this: sc.Scene, solution: sc.Solution, names: str | tuple[str, ...]) -> Array:
     """Largest errors, as fractions of the largest exact values."""
     exact = this.exact(solution.t)
     return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_n_cars_have_index_2n_plus_1_and_no_internal_dynamics(count):
+def test_n_cars_have_index_2n_plus_1_and_no_internal_dynamics(count: int) -> None:
     report = sc.analyse(scene(count))
     assert report.index == 2 * count + 1
     assert report.internal_degrees_of_freedom == 0
@@ -41,14 +42,14 @@ def test_n_cars_have_index_2n_plus_1_and_no_internal_dynamics(count):
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_reduced_form_returns_the_closed_form_at_any_step(count):
+def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
     for this in (scene(count), uneven(count)):
         solution = sc.solve(this, sc.Reduced(), step=0.1)
         names = ("u", "y", *(f"x_{i}" for i in range(1, count + 1)))
         assert errors(this, solution, names).max() < 1e-11
 
 
-def test_two_cars_need_the_fourth_derivative_as_the_formula_says():
+def test_two_cars_need_the_fourth_derivative_as_the_formula_says() -> None:
     this = uneven(2)
     m_1, m_2, k, d = (this.parameter_values()[name] for name in ("mass_1", "mass_2", "stiffness_1", "rest_length_1"))
     t = np.linspace(0.0, 4.0, 21)
@@ -58,43 +59,43 @@ def test_two_cars_need_the_fourth_derivative_as_the_formula_says():
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_the_projected_form_converges_at_first_order(count):
+def test_the_projected_form_converges_at_first_order(count: int) -> None:
     coarse, fine = (sc.solve(scene(count), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.02, 0.01))
     (ratio,) = errors(scene(count), coarse, "u") / errors(scene(count), fine, "u")
     assert ratio == pytest.approx(2.0, abs=0.05)
     assert errors(scene(count), fine, "u") < 0.02
 
 
-def test_with_four_cars_small_steps_make_the_projected_form_worse():
+def test_with_four_cars_small_steps_make_the_projected_form_worse() -> None:
     """Its index is 2 n - 1 = 7: rounding errors grow as h^-6 against a method error of first order."""
     best, small = (sc.solve(scene(4), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.005, 0.00125))
     assert errors(scene(4), small, "u") > 10 * errors(scene(4), best, "u")
 
 
 @pytest.mark.parametrize("count", [2, 3, 5])
-def test_under_the_exact_force_the_first_car_returns_to_its_path(count):
+def test_under_the_exact_force_the_first_car_returns_to_its_path(count: int) -> None:
     inputs = sc.solve(scene(count), sc.Reduced(), step=0.01)
     assert sc.simulate(scene(count), inputs)["tracking_error"].max() < 1e-7
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_default_path_is_just_smooth_enough_for_the_force_to_start_and_end_at_zero(count):
+def test_the_default_path_is_just_smooth_enough_for_the_force_to_start_and_end_at_zero(count: int) -> None:
     np.testing.assert_allclose(scene(count).exact(np.array([0.0, 4.0]))["u"], 0.0, atol=1e-9)
     rougher = scene(count).with_reference(sc.rest_to_rest((0.0,), (1.0,), 4.0, polynomial(4 * count - 1)))
     assert abs(rougher.exact(np.zeros(1))["u"][0]) > 1e-3
 
 
-def test_a_model_is_made_once_for_every_number_of_cars():
+def test_a_model_is_made_once_for_every_number_of_cars() -> None:
     assert cars(3).model() is cars(3).model()
     assert cars(3).model() is not cars(2).model()
 
 
 @pytest.mark.parametrize("count", [1, 0, 2.0])
-def test_fewer_than_two_cars_are_no_chain(count):
+def test_fewer_than_two_cars_are_no_chain(count: float) -> None:
     with pytest.raises(sc.InvalidModel, match=f"a chain of cars has at least 2 of them, not {count}"):
         cars(count)
 
 
-def test_too_many_cars_are_refused_with_what_limits_their_number():
+def test_too_many_cars_are_refused_with_what_limits_their_number() -> None:
     with pytest.raises(sc.InvalidModel, match=r"13 cars need derivatives .* order 26, .* for 24 only: at most 12 cars"):
         cars(MOST_MASSES + 1)

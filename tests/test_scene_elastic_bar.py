@@ -10,6 +10,7 @@ from numpy.polynomial import Polynomial
 from numpy.polynomial.legendre import leggauss
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
 from servocore.scenes.elastic_bar import dalembert, elastic_bar, wave_time
 
@@ -23,26 +24,26 @@ def scene(count: int = 3) -> sc.Scene:
     return elastic_bar(count)
 
 
-def errors(this, solution, names):
+def errors(this: sc.Scene, solution: sc.Solution, names: str) -> Array:
     """Largest errors, as fractions of the largest exact values."""
     exact = this.exact(solution.t)
     return np.array([np.abs(solution[name] - exact[name]).max() / np.abs(exact[name]).max() for name in names])
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_n_masses_have_index_2n_plus_1_and_no_internal_dynamics(count):
+def test_n_masses_have_index_2n_plus_1_and_no_internal_dynamics(count: int) -> None:
     report = sc.analyse(scene(count))
     assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
 
 
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_reduced_form_returns_the_closed_form_at_any_step(count):
+def test_the_reduced_form_returns_the_closed_form_at_any_step(count: int) -> None:
     for this in (scene(count), scene(count).with_parameters(length=0.7, end_mass=0.0, axial_stiffness=60.0)):
         solution = sc.solve(this, sc.Reduced(), step=0.1)
         assert errors(this, solution, ("u", "y", *(f"w_{i}" for i in range(1, count + 1)))).max() < 1e-11
 
 
-def test_the_projected_form_converges_at_first_order():
+def test_the_projected_form_converges_at_first_order() -> None:
     coarse, fine = (sc.solve(scene(), sc.Projected(), sc.BackwardEuler(), step=h) for h in (0.005, 0.0025))
     (ratio,) = errors(scene(), coarse, "u") / errors(scene(), fine, "u")
     assert ratio == pytest.approx(2.0, abs=0.05)
@@ -50,12 +51,12 @@ def test_the_projected_form_converges_at_first_order():
 
 
 @pytest.mark.parametrize("count", [2, 3, 6])
-def test_under_the_exact_force_the_free_end_returns_to_its_path(count):
+def test_under_the_exact_force_the_free_end_returns_to_its_path(count: int) -> None:
     inputs = sc.solve(scene(count), sc.Reduced(), step=0.005)
     assert sc.simulate(scene(count), inputs)["tracking_error"].max() < 1e-7
 
 
-def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body():
+def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body() -> None:
     p = scene(6).with_parameters(axial_stiffness=1e9).parameter_values()
     t = np.linspace(0.0, DURATION, 9)
     jet = scene(6).reference.jet(t, 12)
@@ -63,7 +64,7 @@ def test_the_chain_has_the_mass_of_the_bar_and_carries_it_as_a_rigid_body():
     np.testing.assert_allclose(scene(6).closed_form(jet, p)["u"], rigid, atol=1e-6)
 
 
-def test_dalembert_keeps_the_path_the_elastic_law_and_the_balance_of_momentum():
+def test_dalembert_keeps_the_path_the_elastic_law_and_the_balance_of_momentum() -> None:
     p, h = scene().parameter_values(), 1e-4
     t = np.linspace(-0.1, DURATION + 0.1, 45)
     reference = scene().reference
@@ -80,7 +81,7 @@ def test_dalembert_keeps_the_path_the_elastic_law_and_the_balance_of_momentum():
     np.testing.assert_allclose(dalembert(t, reference, p)["u"], momentum, atol=1e-3)
 
 
-def test_the_bar_is_driven_from_a_wave_time_before_the_motion_to_a_wave_time_after():
+def test_the_bar_is_driven_from_a_wave_time_before_the_motion_to_a_wave_time_after() -> None:
     p = scene().parameter_values()
     delay = wave_time(p)
     assert delay == pytest.approx(0.1)
@@ -91,7 +92,7 @@ def test_the_bar_is_driven_from_a_wave_time_before_the_motion_to_a_wave_time_aft
     assert (np.abs(u[[1, 2]]) > 0.1).all()
 
 
-def test_within_the_motion_the_chain_converges_to_the_bar_with_the_square_of_the_piece():
+def test_within_the_motion_the_chain_converges_to_the_bar_with_the_square_of_the_piece() -> None:
     p, delay = scene().parameter_values(), wave_time(scene().parameter_values())
     t = np.linspace(delay, DURATION - delay, 61)
     bar = dalembert(t, SMOOTH, p)
@@ -104,7 +105,7 @@ def test_within_the_motion_the_chain_converges_to_the_bar_with_the_square_of_the
     assert found[12][0] < 1e-3 * np.abs(bar["u"]).max()
 
 
-def test_at_its_start_the_chain_continues_the_path_as_a_polynomial_and_not_as_rest():
+def test_at_its_start_the_chain_continues_the_path_as_a_polynomial_and_not_as_rest() -> None:
     """With d'Alembert's formula for the polynomial itself, of degree 9 and 0.5 s long."""
     fast, p = sc.rest_to_rest((0.0,), (1.0,), 0.5), scene().parameter_values()
     delay, t = wave_time(p), np.array([0.01])
@@ -119,6 +120,6 @@ def test_at_its_start_the_chain_continues_the_path_as_a_polynomial_and_not_as_re
 
 
 @pytest.mark.parametrize(("count", "sentence"), [(1, "a chain of masses has at least 2"), (13, "at most 12 masses")])
-def test_other_numbers_of_masses_are_refused(count, sentence):
+def test_other_numbers_of_masses_are_refused(count: int, sentence: str) -> None:
     with pytest.raises(sc.InvalidModel, match=sentence):
         elastic_bar(count)

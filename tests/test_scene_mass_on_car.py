@@ -10,6 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.mass_on_car import internal_motion
 
 LEVEL = {"inclination": 0.0}
@@ -20,7 +21,7 @@ MODELS = ("generalized", "points")
 
 
 @cache
-def scene(**changed) -> sc.Scene:
+def scene(**changed: float) -> sc.Scene:
     return sc.scenes.mass_on_car().with_parameters(**changed)
 
 
@@ -31,11 +32,13 @@ def scene_of(kind: str) -> sc.Scene:
 
 
 @cache
-def exact_on_grid(kind: str, steps: int):
+def exact_on_grid(kind: str, steps: int) -> dict[str, Array]:
     return scene_of(kind).exact(np.linspace(0.0, DURATION, steps + 1))
 
 
-def errors(kind, formulation, steps, model, names=("u", "x", "s")):
+def errors(
+    kind: str, formulation: sc.Reduced, steps: int, model: str, names: tuple[str, ...] = ("u", "x", "s")
+) -> Array:
     """Largest errors of backward Euler, as fractions of the largest exact values."""
     solution = sc.solve(scene_of(kind), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
     exact = exact_on_grid(kind, steps)
@@ -53,12 +56,14 @@ def errors(kind, formulation, steps, model, names=("u", "x", "s")):
         ("unstable", 3, 2, "non-minimum phase"),
     ],
 )
-def test_inclination_damper_and_spring_decide_what_kind_of_problem_it_is(model, kind, index, states, classification):
+def test_inclination_damper_and_spring_decide_what_kind_of_problem_it_is(
+    model: str, kind: str, index: int, states: int, classification: str
+) -> None:
     report = sc.analyse(scene_of(kind), model=model)
     assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, classification)
 
 
-def test_the_eigenvalues_are_those_of_the_mass_on_its_spring():
+def test_the_eigenvalues_are_those_of_the_mass_on_its_spring() -> None:
     p = scene_of("inclined").parameter_values()
     inertia = p["mass"] * np.sin(p["inclination"]) ** 2
     expected = np.roots([inertia, p["damping"], p["stiffness"]])
@@ -69,7 +74,7 @@ def test_the_eigenvalues_are_those_of_the_mass_on_its_spring():
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_without_internal_dynamics_the_reduced_form_is_exact_at_any_step(model):
+def test_without_internal_dynamics_the_reduced_form_is_exact_at_any_step(model: str) -> None:
     for steps in (10, 100):
         assert errors("flat", sc.Reduced(), steps, model, ("u", "x", "s", "y")).max() < 1e-12
 
@@ -77,14 +82,16 @@ def test_without_internal_dynamics_the_reduced_form_is_exact_at_any_step(model):
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("kind", ["inclined", "level", "undamped"])
 @pytest.mark.parametrize("formulation", [sc.Reduced(), sc.Projected()], ids=lambda each: each.name)
-def test_with_internal_dynamics_backward_euler_converges_at_first_order(model, kind, formulation):
+def test_with_internal_dynamics_backward_euler_converges_at_first_order(
+    model: str, kind: str, formulation: sc.Formulation
+) -> None:
     coarse, fine = (errors(kind, formulation, steps, model) for steps in (800, 1600))
     np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
     assert fine[0] < 0.01
 
 
 @pytest.mark.parametrize("kind", ["inclined", "level"])
-def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(kind):
+def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(kind: str) -> None:
     this = scene_of(kind)
     solution = sc.solve(this, sc.Reduced(), sc.RadauIIA(3), step=DURATION / 400)
     exact = exact_on_grid(kind, 400)
@@ -92,7 +99,7 @@ def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(k
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-10 * np.abs(exact[name]).max())
 
 
-def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially():
+def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution_exponentially() -> None:
     this = scene_of("unstable")
     with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
         solution = sc.solve(this, sc.Reduced(), sc.BackwardEuler(), step=DURATION / 800)
@@ -104,7 +111,7 @@ def test_forward_integration_of_the_unstable_variant_leaves_the_bounded_solution
     assert slope == pytest.approx(rate, rel=0.05)
 
 
-def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution():
+def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solution() -> None:
     this = scene_of("unstable")
     solution = sc.solve(this)
     assert "BoundaryValue" in solution.advice
@@ -113,7 +120,7 @@ def test_without_further_arguments_the_unstable_variant_gets_the_bounded_solutio
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
 
 
-def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response():
+def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impulse_response() -> None:
     this = scene_of("inclined")
     p = this.parameter_values()
     inertia = p["mass"] * np.sin(p["inclination"]) ** 2
@@ -132,7 +139,7 @@ def test_the_independent_solution_is_the_convolution_of_the_path_with_the_impuls
 
 
 @pytest.mark.parametrize("kind", ["inclined", "level", "flat", "unstable"])
-def test_the_independent_solution_keeps_both_equations_of_motion(kind):
+def test_the_independent_solution_keeps_both_equations_of_motion(kind: str) -> None:
     this = scene_of(kind)
     p = this.parameter_values()
     cos, h = np.cos(p["inclination"]), 1e-3
@@ -147,7 +154,7 @@ def test_the_independent_solution_keeps_both_equations_of_motion(kind):
     np.testing.assert_allclose(forwards, 0.0, atol=1e-6)
 
 
-def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_fades_on_both_sides():
+def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_fades_on_both_sides() -> None:
     this = scene_of("unstable")
     exact = this.exact(np.array([-15.0, -1.0, 0.0, 4.0, 5.0, 19.0]))
     far = np.abs(exact["s"][[0, -1]])
@@ -159,14 +166,14 @@ def test_the_bounded_solution_of_the_unstable_variant_moves_before_the_path_and_
     np.testing.assert_array_equal(level["s"][2:], 0.0)
 
 
-def test_a_mass_on_a_vertical_support_is_carried_along_and_its_spring_stays_at_rest():
+def test_a_mass_on_a_vertical_support_is_carried_along_and_its_spring_stays_at_rest() -> None:
     exact = scene(inclination=np.pi / 2).exact(np.linspace(0.0, 4.0, 9))
     np.testing.assert_allclose(exact["s"], 0.0, atol=1e-15)
     np.testing.assert_allclose(exact["x"], exact["y"], atol=1e-15)
 
 
 @pytest.mark.parametrize("kind", ["inclined", "level", "flat"])
-def test_under_the_exact_force_the_mass_returns_to_its_path(kind):
+def test_under_the_exact_force_the_mass_returns_to_its_path(kind: str) -> None:
     this = scene_of(kind)
     t = np.linspace(0.0, DURATION, 401)
     spline = make_interp_spline(t, this.exact(t)["u"], k=5)
@@ -175,14 +182,14 @@ def test_under_the_exact_force_the_mass_returns_to_its_path(kind):
         assert plant["tracking_error"].max() < 1e-7
 
 
-def test_without_inclination_spring_and_damper_nothing_determines_the_mass():
+def test_without_inclination_spring_and_damper_nothing_determines_the_mass() -> None:
     loose = scene(**FLAT, stiffness=0.0)
     with pytest.raises(sc.InvalidModel, match="the path does not determine s"):
         loose.exact(np.zeros(1))
     assert sc.analyse(loose).classification == "singular here"
 
 
-def test_the_internal_motion_says_what_its_acceleration_is():
+def test_the_internal_motion_says_what_its_acceleration_is() -> None:
     this = scene_of("level")
     t = np.linspace(0.2, 3.8, 5)
     h = 1e-3

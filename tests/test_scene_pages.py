@@ -16,19 +16,19 @@ BLOCK = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
 (PREAMBLE,) = BLOCK.findall(PAGE.partition("\n## ")[0])
 
 
-def test_every_scene_has_a_section_and_every_section_a_scene():
+def test_every_scene_has_a_section_and_every_section_a_scene() -> None:
     assert set(SECTIONS) == set(sc.scenes.REGISTRY)
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_its_example_has_three_lines_and_runs(name):
+def test_its_example_has_three_lines_and_runs(name) -> None:
     (example,) = BLOCK.findall(SECTIONS[name])
     assert len(example.strip().splitlines()) <= 4 if "import" in example else 3
     exec(compile(PREAMBLE + example, "docs/scenes.md", "exec", dont_inherit=True), {})
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_its_sketch_models_index_exact_answer_and_limits_are_there(name):
+def test_its_sketch_models_index_exact_answer_and_limits_are_there(name) -> None:
     section = SECTIONS[name]
     assert re.search(r"^     *.*[|/\\=\[]", section, re.MULTILINE)
     for heading in ("Needs", "Models", "Kind", "Exact answer", "Limits"):
@@ -38,7 +38,7 @@ def test_its_sketch_models_index_exact_answer_and_limits_are_there(name):
 
 
 @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
-def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(name):
+def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(name: str) -> None:
     (row,) = re.findall(rf"^\| \[`{name}`\].*", PAGE, re.MULTILINE)
     cells = [cell.strip() for cell in row.split("|")]
     scene = sc.scenes.REGISTRY[name]()
@@ -63,7 +63,9 @@ def test_the_table_names_its_inputs_and_the_number_of_coordinates_of_its_models(
         ("quadrotor_with_load", "points", "M", 12),
     ],
 )
-def test_the_errors_of_the_projected_form_are_those_of_the_page(name, model, input_name, percent):
+def test_the_errors_of_the_projected_form_are_those_of_the_page(
+    name: str, model: str, input_name: str, percent: float
+) -> None:
     scene = sc.scenes.REGISTRY[name]()
     step = scene.reference.duration / 800
     solution = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, model=model)

@@ -10,6 +10,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.passive_joint_arm import generalized, passive_joint_arm
 
 DURATION = 2.0
@@ -22,11 +23,11 @@ def scene(tip: bool = False) -> sc.Scene:
 
 
 @cache
-def exact_on_grid(steps: int):
+def exact_on_grid(steps: int) -> dict[str, Array]:
     return scene().exact(np.linspace(0.0, DURATION, steps + 1))
 
 
-def errors(formulation, steps, model, names=("u", "a", "b")):
+def errors(formulation: sc.Formulation, steps: int, model: str, names: tuple[str, str, str] = ("u", "a", "b")) -> Array:
     """Largest errors of backward Euler, as fractions of the largest exact values."""
     solution = sc.solve(scene(), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)
     exact = exact_on_grid(steps)
@@ -35,13 +36,15 @@ def errors(formulation, steps, model, names=("u", "a", "b")):
 
 @pytest.mark.parametrize("model", ["generalized", "points"])
 @pytest.mark.parametrize(("tip", "kind"), [(False, "minimum phase"), (True, "non-minimum phase")])
-def test_a_homogeneous_rod_is_of_minimum_phase_inside_and_of_non_minimum_phase_at_its_tip(model, tip, kind):
+def test_a_homogeneous_rod_is_of_minimum_phase_inside_and_of_non_minimum_phase_at_its_tip(
+    model: str, tip: bool, kind: str
+) -> None:
     report = sc.analyse(scene(tip), model=model)
     assert (report.index, report.internal_degrees_of_freedom, report.classification) == (3, 2, kind)
 
 
 @pytest.mark.parametrize("distance", [0.0, 0.3, 0.65, 0.68, 1.0])
-def test_the_eigenvalues_follow_from_the_coefficient_of_the_theory(distance):
+def test_the_eigenvalues_follow_from_the_coefficient_of_the_theory(distance: float) -> None:
     this = scene().with_parameters(tracked_distance=distance)
     p = this.parameter_values()
     J_2 = p["second_inertia"] + p["second_mass"] * p["second_centre"] ** 2
@@ -53,7 +56,7 @@ def test_the_eigenvalues_follow_from_the_coefficient_of_the_theory(distance):
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-8)
 
 
-def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook():
+def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook() -> None:
     system = generalized()
     a, b, p = 0.7, -1.1, scene().parameter_values()
     M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])([a, b], system.parameters.values()))
@@ -68,27 +71,29 @@ def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook():
     [(sc.Reduced(), "generalized"), (sc.Reduced(), "points"), (sc.Projected(), "generalized")],
     ids=lambda each: getattr(each, "name", each),
 )
-def test_backward_euler_converges_at_first_order_where_it_is_of_minimum_phase(formulation, model):
+def test_backward_euler_converges_at_first_order_where_it_is_of_minimum_phase(
+    formulation: sc.Formulation, model: str
+) -> None:
     coarse, fine = (errors(formulation, steps, model) for steps in (1600, 3200))
     np.testing.assert_allclose(coarse / fine, 2.0, atol=0.1)
     assert fine.max() < 0.005
 
 
 @pytest.mark.parametrize("model", ["generalized", "points"])
-def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(model):
+def test_radau_of_order_five_meets_the_independent_solution_close_to_round_off(model: str) -> None:
     solution = sc.solve(scene(), sc.Reduced(), sc.RadauIIA(3), step=DURATION / 400, model=model)
     exact = exact_on_grid(400)
     for name in ("u", "a", "b"):
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * np.abs(exact[name]).max())
 
 
-def test_the_projection_refuses_massless_angles_and_says_so():
+def test_the_projection_refuses_massless_angles_and_says_so() -> None:
     with pytest.raises(sc.InvalidModel, match=r"the projection needs inertia .* the mass matrix is singular on a, b"):
         sc.solve(scene(), sc.Projected(), model="points")
 
 
 @pytest.mark.parametrize("tip", [False, True])
-def test_the_independent_solution_keeps_both_equations_of_motion_of_the_model(tip):
+def test_the_independent_solution_keeps_both_equations_of_motion_of_the_model(tip: bool) -> None:
     system, this, h = generalized(), scene(tip), 2e-3
     t = np.linspace(0.3, 1.7, 6)
     exact = this.exact(np.sort(np.concatenate([t + k * h for k in range(-2, 3)])))
@@ -102,7 +107,7 @@ def test_the_independent_solution_keeps_both_equations_of_motion_of_the_model(ti
     np.testing.assert_allclose(left, 0.0, atol=1e-3 if tip else 1e-4)
 
 
-def test_under_the_exact_torque_the_tracked_point_returns_to_its_path():
+def test_under_the_exact_torque_the_tracked_point_returns_to_its_path() -> None:
     t = np.linspace(0.0, DURATION, 801)
     spline = make_interp_spline(t, scene().exact(t)["u"], k=5)
     for model in scene().models:
@@ -110,7 +115,7 @@ def test_under_the_exact_torque_the_tracked_point_returns_to_its_path():
         assert plant["tracking_error"].max() < 1e-7
 
 
-def test_the_linear_output_stays_close_to_the_angle_of_the_tracked_point():
+def test_the_linear_output_stays_close_to_the_angle_of_the_tracked_point() -> None:
     solution = sc.solve(scene(), sc.Reduced(), step=0.01)
     assert np.abs(solution["b"]).max() > 0.1
     assert np.abs(solution["point_angle"] - solution["y"]).max() < 1e-3
@@ -118,19 +123,19 @@ def test_the_linear_output_stays_close_to_the_angle_of_the_tracked_point():
     np.testing.assert_allclose(radius**2, 1.0 + 0.16 + 0.8 * np.cos(solution["b"]), rtol=1e-12)
 
 
-def test_the_bounded_solution_at_the_tip_moves_before_the_path_and_fades_on_both_sides():
+def test_the_bounded_solution_at_the_tip_moves_before_the_path_and_fades_on_both_sides() -> None:
     exact = scene(tip=True).exact(np.array([-3.0, -0.1, 0.0, 2.0, 2.1, 7.0]))
     assert (np.abs(exact["b"][[0, -1]]) < 1e-12).all()
     assert (np.abs(exact["b"][1:-1]) > 1e-4).all()
     assert np.abs(exact["u"][1]) > 1e-2
 
 
-def test_forward_integration_at_the_tip_is_warned_of_and_leaves_the_bounded_solution():
+def test_forward_integration_at_the_tip_is_warned_of_and_leaves_the_bounded_solution() -> None:
     with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"), pytest.raises(sc.IntegrationFailed):
         sc.solve(scene(tip=True), sc.Reduced(), sc.BackwardEuler(), step=DURATION / 3200)
 
 
-def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pre_actuation():
+def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pre_actuation() -> None:
     arm = scene(tip=True)
     solution = sc.solve(arm)
     assert "BoundaryValue" in solution.advice
@@ -141,19 +146,19 @@ def test_without_further_arguments_the_tip_gets_the_bounded_solution_with_its_pr
         np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-8 * np.abs(exact[name]).max())
 
 
-def test_the_tip_follows_its_path_when_the_arm_is_simulated_under_the_bounded_inputs():
+def test_the_tip_follows_its_path_when_the_arm_is_simulated_under_the_bounded_inputs() -> None:
     arm = scene(tip=True)
     tracked = sc.simulate(arm, sc.solve(arm, step=DURATION / 400))["tracking_error"].max()
     assert tracked < 1e-6
 
 
-def test_tracking_the_centre_of_percussion_is_refused_with_the_reason():
+def test_tracking_the_centre_of_percussion_is_refused_with_the_reason() -> None:
     there = scene().with_parameters(tracked_distance=PERCUSSION)
     with pytest.raises(sc.InvalidReference, match="joint 2 does not feel the acceleration of the tracked point"):
         sc.solve(there, sc.Reduced(), sc.BackwardEuler())
     assert sc.analyse(there).classification == "singular here"
 
 
-def test_without_a_spring_the_tip_has_no_bounded_solution():
+def test_without_a_spring_the_tip_has_no_bounded_solution() -> None:
     with pytest.raises(sc.InvalidModel, match="decaying and growing modes and no others"):
         scene(tip=True).with_parameters(joint_stiffness=0.0).exact(np.zeros(1))

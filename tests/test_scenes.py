@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import ModuleType
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -30,9 +33,10 @@ from suite import FlatModelSuite, ModelSuite, ProblemSuite, ProjectedModelSuite,
 
 import servocore as sc
 from servocore import formulations
+from servocore.numerics.compiled_calls import Array
 
 
-def exported_implementations(package, action) -> set[str]:
+def exported_implementations(package: ModuleType, action: str) -> set[str]:
     """Names of the classes with some action that a package offers, without protocols and the values they exchange."""
     classes = (getattr(package, name) for name in package.__all__)
     return {
@@ -42,14 +46,14 @@ def exported_implementations(package, action) -> set[str]:
     }
 
 
-def test_everything_exported_is_registered_here():
+def test_everything_exported_is_registered_here() -> None:
     """A newcomer must take its line in `problems`, and with it the whole suite."""
     assert set(SCENES) == set(sc.scenes.REGISTRY)
     assert {type(each.formulation).__name__ for each in FORMULATIONS} == exported_implementations(formulations, "dae")
     assert {type(each.method).__name__ for each in METHODS} == exported_implementations(sc, "discretise")
 
 
-def test_only_what_is_shown_to_fail_is_kept_out_of_the_suite():
+def test_only_what_is_shown_to_fail_is_kept_out_of_the_suite() -> None:
     every = {(name, model, each.formulation.name) for name, model in MODELS for each in FORMULATIONS}
     assert {(p.scene_name, p.model, p.of.formulation.name) for p in PROBLEMS} == every - set(UNSTABLE) - set(REFUSED)
     assert set(UNSTABLE) | set(REFUSED) < every
@@ -94,7 +98,9 @@ def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(sc
 
 
 @pytest.mark.parametrize(("scene_name", "model", "formulation"), REFUSED)
-def test_models_that_a_formulation_cannot_take_are_refused_with_the_reason(scene_name, model, formulation):
+def test_models_that_a_formulation_cannot_take_are_refused_with_the_reason(
+    scene_name: str, model: str, formulation: str
+) -> None:
     (of,) = (each.formulation for each in FORMULATIONS if each.formulation.name == formulation)
     with pytest.raises(sc.InvalidModel, match=REFUSED[scene_name, model, formulation]):
         sc.solve(scene(scene_name), of, sc.BackwardEuler(), model=model)
@@ -108,7 +114,7 @@ STEPS = (200, 400, 800, 1600)  # of 0.1, 0.05, 0.025 and 0.0125 s
 
 
 @pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_errors_of_the_crane_s_inputs_halve_with_the_step(model):
+def test_errors_of_the_crane_s_inputs_halve_with_the_step(model: str) -> None:
     errors = np.array([largest_errors(problem("rotary_crane", model), steps, INPUTS) for steps in STEPS])
     ratios = errors[:-1] / errors[1:]
     assert (ratios > 1.8).all()
@@ -116,12 +122,12 @@ def test_errors_of_the_crane_s_inputs_halve_with_the_step(model):
 
 
 @pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_the_crane_s_configuration_is_exact_at_a_step_of_a_tenth_of_a_second(model):
+def test_the_crane_s_configuration_is_exact_at_a_step_of_a_tenth_of_a_second(model: str) -> None:
     errors = largest_errors(problem("rotary_crane", model), 200, ("phi", "s", "l", "swing", "tension"))
     assert (errors < [1e-12, 1e-12, 1e-12, 1e-12, 1e-9]).all()
 
 
-def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_and_the_rest_by_less_than_two():
+def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_and_the_rest_by_less_than_two() -> None:
     """What the paper's figures at this step cannot show: configuration exact, torque far from it."""
     for model in ROTARY_MODELS:
         what = problem("rotary_crane", model)
@@ -132,8 +138,8 @@ def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_
 
 
 @pytest.mark.parametrize("other", ROTARY_MODELS[1:])
-def test_models_differ_by_an_amount_that_halves_with_the_step(other):
-    def distance(steps):
+def test_models_differ_by_an_amount_that_halves_with_the_step(other: str) -> None:
+    def distance(steps: int):
         one, two = (solved(problem("rotary_crane", model), steps) for model in ("points", other))
         return max(np.abs(one[name] - two[name]).max() / np.abs(one[name]).max() for name in INPUTS)
 
@@ -158,7 +164,7 @@ def load_points():
     )
 
 
-def smallest_radius(start, end):
+def smallest_radius(start, end) -> float:
     """Distance of the straight line between two points from the slewing axis."""
     a, b = np.array(start[:2]), np.array(end[:2])
     way = b - a
@@ -169,8 +175,8 @@ def smallest_radius(start, end):
 @settings(max_examples=12)
 @given(parameters=sane_cranes(), start=load_points(), end=load_points(), duration=st.floats(15.0, 40.0))
 def test_every_sane_crane_and_manoeuvre_is_solved_to_first_order_with_exact_configuration(
-    parameters, start, end, duration
-):
+    parameters, start, end, duration: float
+) -> None:
     assume(smallest_radius(start, end) > 2.0)
     assume(np.linalg.norm(np.subtract(start, end)) > 1.0)
     crane = scene("rotary_crane").with_parameters(**parameters).with_reference(sc.rest_to_rest(start, end, duration))
@@ -188,7 +194,7 @@ def test_every_sane_crane_and_manoeuvre_is_solved_to_first_order_with_exact_conf
 
 
 @pytest.mark.parametrize("model", ROTARY_MODELS)
-def test_every_model_listens_to_every_parameter(model):
+def test_every_model_listens_to_every_parameter(model: str) -> None:
     """Other data than the defaults: inputs within the first-order error of the closed form, configuration exact."""
     crane = scene("rotary_crane").with_parameters(
         bridge_inertia=200.0, trolley_mass=25.0, load_mass=60.0, winch_inertia=2.0, winch_radius=0.2, gravity=5.0
@@ -203,7 +209,7 @@ def test_every_model_listens_to_every_parameter(model):
 # Closed forms against what they do not know --------------------------------------------------------------------------
 
 
-def test_overhead_crane_s_closed_form_gives_the_published_instant():
+def test_overhead_crane_s_closed_form_gives_the_published_instant() -> None:
     """Independently computed values for (0, -4) m to (5, -1) m in 3 s, at t = 0.75 s: theory.md section 7."""
     found = scene("overhead_crane").exact(np.array([0.75]))
     expected = {"s": 1.6581329241, "l": 4.1042979426, "F": 417.51828439, "M_w": -139.21837745}
@@ -211,7 +217,7 @@ def test_overhead_crane_s_closed_form_gives_the_published_instant():
         assert found[name][0] == pytest.approx(value, abs=2e-8)
 
 
-def rate(t, values):
+def rate(t: Array, values: Array) -> Array:
     """Derivative of smooth samples by a spline of degree 7."""
     return make_interp_spline(t, values, k=7).derivative()(t)
 
@@ -223,7 +229,7 @@ def rate(t, values):
         ("overhead_crane", {"F": "s", "M_w": "l"}),
     ],
 )
-def test_inputs_of_the_closed_form_do_the_work_that_raises_the_load(scene_name, powers):
+def test_inputs_of_the_closed_form_do_the_work_that_raises_the_load(scene_name: str, powers: dict[str, str]) -> None:
     """From rest to rest the work of all inputs is m g times the height gained: no energy hides anywhere."""
     crane = scene(scene_name)
     p = crane.parameter_values()
@@ -250,10 +256,10 @@ def test_at_rest_only_the_winch_holds_the_load(scene_name):
     np.testing.assert_allclose(found["swing"], 0.0, atol=1e-12)
 
 
-def test_a_scene_makes_each_of_its_models_once_whatever_makes_them():
+def test_a_scene_makes_each_of_its_models_once_whatever_makes_them() -> None:
     made = []
 
-    def pendulum():
+    def pendulum() -> sc.MechanicalSystem:
         made.append(driven_pendulum())
         return made[-1]
 
@@ -264,13 +270,13 @@ def test_a_scene_makes_each_of_its_models_once_whatever_makes_them():
 
 
 @pytest.mark.parametrize("chain", [sc.scenes.cars, sc.scenes.elastic_bar])
-def test_chains_of_equal_length_share_a_model_and_others_do_not(chain):
+def test_chains_of_equal_length_share_a_model_and_others_do_not(chain: Callable[..., sc.Scene]) -> None:
     assert chain(4).model() is chain(4).model()
     assert chain(4).model() is not chain(3).model()
     assert sc.scenes.cars(4).model() is not sc.scenes.elastic_bar(4).model()
 
 
-def test_closed_form_needs_a_scene_that_has_one():
+def test_closed_form_needs_a_scene_that_has_one() -> None:
     bare = as_scene(driven_pendulum(), polynomial_path([[0.0], [1.0]]))
     with pytest.raises(sc.InvalidModel, match="pendulum has no closed form"):
         bare.exact(np.array([0.0]))

@@ -11,13 +11,14 @@ from problems import actuated_chain, car_chain, changed, driven_pendulum, mass_o
 
 import servocore as sc
 from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import gyroscopic_forces
 
 q = sc.Coordinates(sc.Quantity("a", "m"), sc.Quantity("b", "m"))
 STRANGER = ca.SX.sym("stranger")
 
 
-def value(expression, *pairs):
+def value(expression: ca.SX, *pairs: tuple[ca.SX, list[float]]) -> Array:
     """Evaluate an expression; the pairs are (symbols, values)."""
     symbols, values = zip(*pairs, strict=True)
     return np.asarray(ca.Function("value", list(symbols), [expression])(*values))
@@ -26,7 +27,7 @@ def value(expression, *pairs):
 # What it says ---------------------------------------------------------------------------------------------------------
 
 
-def test_momentum_balance_is_newton_s_second_law():
+def test_momentum_balance_is_newton_s_second_law() -> None:
     """M a + grad V - f + B^T u, with -B^T u the force of the inputs: two masses on springs and dampers, by hand."""
     system = actuated_chain()
     a = ca.SX.sym("a", 2)
@@ -40,7 +41,7 @@ def test_momentum_balance_is_newton_s_second_law():
     np.testing.assert_allclose(found.ravel(), inertia + spring + c * np.array(v) - u, rtol=1e-14)
 
 
-def test_constraint_forces_are_G_transposed_times_lam():  # noqa: N802
+def test_constraint_forces_are_G_transposed_times_lam() -> None:  # noqa: N802
     system = redundant_pendulum()
     G = value(system.G, (system.q, [0.0, 0.0, 0.7]), (system.p, [2.0, 1.5, 9.81]))
     np.testing.assert_allclose(G, [[1.0, 0.0, -1.5 * np.cos(0.7)], [0.0, 1.0, -1.5 * np.sin(0.7)]], rtol=1e-14)
@@ -51,20 +52,20 @@ def test_constraint_forces_are_G_transposed_times_lam():  # noqa: N802
     np.testing.assert_allclose(forces.ravel(), G.T @ [3.0, 5.0] + [0.0, 0.0, -0.5], rtol=1e-14)
 
 
-def test_C_is_the_jacobian_of_the_servo_output():  # noqa: N802
+def test_C_is_the_jacobian_of_the_servo_output() -> None:  # noqa: N802
     np.testing.assert_allclose(np.asarray(ca.DM(mass_on_car(0.3, 1.0).C)), [[1.0, np.cos(0.3)]])
 
 
-def test_degrees_of_freedom_are_coordinates_less_constraints():
+def test_degrees_of_freedom_are_coordinates_less_constraints() -> None:
     assert car_chain().degrees_of_freedom == 2
     assert redundant_pendulum().degrees_of_freedom == 1
 
 
-def test_inputs_named_in_order_are_the_symbols_u():
+def test_inputs_named_in_order_are_the_symbols_u() -> None:
     assert [str(each) for each in ca.vertsplit(actuated_chain().u)] == ["F1", "F2"]
 
 
-def test_what_is_not_given_is_zero_or_made():
+def test_what_is_not_given_is_zero_or_made() -> None:
     system = driven_pendulum()
     assert system.constraints.numel() == system.lam.numel() == 0
     assert system.force.is_zero()
@@ -75,13 +76,13 @@ def test_what_is_not_given_is_zero_or_made():
     assert chain.gyroscopic.is_zero(), "a constant M has no gyroscopic forces"
 
 
-def test_home_configuration_is_the_guess_at_home_with_default_parameters():
+def test_home_configuration_is_the_guess_at_home_with_default_parameters() -> None:
     configuration, p = redundant_pendulum("theta").home_configuration()
     np.testing.assert_allclose(configuration, [1.5 * np.sin(0.4), -1.5 * np.cos(0.4), 0.4], rtol=1e-15)
     np.testing.assert_array_equal(p, [2.0, 1.5, 9.81])
 
 
-def test_gyroscopic_forces_of_polar_coordinates_are_coriolis_and_centrifugal():
+def test_gyroscopic_forces_of_polar_coordinates_are_coriolis_and_centrifugal() -> None:
     """M = diag(1, r^2): -r phi'^2 along r, 2 r r' phi' along phi."""
     polar, v = ca.SX.sym("q", 2), ca.SX.sym("v", 2)
     found = gyroscopic_forces(ca.diag(ca.vertcat(1, polar[0] ** 2)), polar, v)
@@ -92,7 +93,7 @@ def test_gyroscopic_forces_of_polar_coordinates_are_coriolis_and_centrifugal():
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
-def test_gyroscopic_forces_do_the_work_that_a_changing_mass_takes(numbers):
+def test_gyroscopic_forces_do_the_work_that_a_changing_mass_takes(numbers) -> None:
     """v . (M_dot v - grad(v^T M v)/2) = v^T M_dot v / 2, so that kinetic energy balances for any M(q)."""
     q3, v3 = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
     root = ca.SX(3, 3)
@@ -122,7 +123,7 @@ def test_gyroscopic_forces_do_the_work_that_a_changing_mass_takes(numbers):
         ("gamma", ca.SX.sym("gamma", 2, 5), r"gamma has shape \(2, 5\), expected \(2, 25\)"),
     ],
 )
-def test_shapes_that_do_not_fit_are_refused(attribute, wrong, shapes):
+def test_shapes_that_do_not_fit_are_refused(attribute: str, wrong: ca.SX, shapes: str) -> None:
     with pytest.raises(sc.InvalidModel, match=f"actuated chain: {shapes}"):
         changed(actuated_chain(), **{attribute: wrong})
 
@@ -130,7 +131,7 @@ def test_shapes_that_do_not_fit_are_refused(attribute, wrong, shapes):
 @pytest.mark.parametrize(
     "attribute", ["mass", "output", "input_matrix", "potential", "force", "gyroscopic", "constraints", "guess"]
 )
-def test_symbols_of_another_model_are_refused(attribute):
+def test_symbols_of_another_model_are_refused(attribute: str) -> None:
     system = redundant_pendulum()
     foreign = getattr(system, attribute) + 0
     foreign[0, 0] += STRANGER
@@ -139,7 +140,7 @@ def test_symbols_of_another_model_are_refused(attribute):
 
 
 @pytest.mark.parametrize("attribute", ["mass", "input_matrix", "potential"])
-def test_velocities_are_refused_where_only_positions_belong(attribute):
+def test_velocities_are_refused_where_only_positions_belong(attribute: str) -> None:
     system = actuated_chain()
     wrong = getattr(system, attribute) + 0
     wrong[0, 0] += system.v[0]
@@ -147,23 +148,23 @@ def test_velocities_are_refused_where_only_positions_belong(attribute):
         changed(system, **{attribute: wrong})
 
 
-def test_velocities_in_an_output_are_refused_by_its_name():
+def test_velocities_in_an_output_are_refused_by_its_name() -> None:
     system = actuated_chain()
     with pytest.raises(sc.InvalidModel, match=r"the output y1 depends on velocities \(v_x1\)"):
         changed(system, output=system.output + ca.vertcat(system.v[0], 0))
 
 
-def test_an_observable_with_a_stranger_is_refused_by_name():
+def test_an_observable_with_a_stranger_is_refused_by_name() -> None:
     with pytest.raises(sc.InvalidModel, match=r"observable power holds symbols .*stranger"):
         changed(driven_pendulum(), observables={sc.Quantity("power", "W"): STRANGER})
 
 
-def test_an_asymmetric_mass_matrix_is_refused():
+def test_an_asymmetric_mass_matrix_is_refused() -> None:
     with pytest.raises(sc.InvalidModel, match="actuated chain: the mass matrix is not symmetric"):
         changed(actuated_chain(), mass=ca.SX([[3.0, 0.5], [0.4, 2.0]]))
 
 
-def test_a_mass_matrix_asymmetric_away_from_zero_only_is_refused():
+def test_a_mass_matrix_asymmetric_away_from_zero_only_is_refused() -> None:
     system = actuated_chain()
     mass = ca.SX([[3.0, 0.5], [0.5, 2.0]])
     mass[0, 1] += system.q[0] * system.q[1]
@@ -185,7 +186,7 @@ def overactuated(base: sc.MechanicalSystem) -> sc.MechanicalSystem:
     return changed(base, **wrong)
 
 
-def test_more_inputs_than_degrees_of_freedom_are_refused():
+def test_more_inputs_than_degrees_of_freedom_are_refused() -> None:
     counted = r"\(3 coordinates, 2 independent ones of 2 holonomic constraints\)"
     with pytest.raises(
         sc.InvalidModel, match=f"redundant pendulum: 2 inputs exceed the 1 degrees of freedom {counted}"
@@ -193,7 +194,7 @@ def test_more_inputs_than_degrees_of_freedom_are_refused():
         overactuated(redundant_pendulum())
 
 
-def test_redundant_constraints_take_no_degree_of_freedom_away():
+def test_redundant_constraints_take_no_degree_of_freedom_away() -> None:
     base = redundant_pendulum()
     thrice = ca.vertcat(base.constraints, base.constraints[0], ca.sum1(base.constraints))
     system = changed(base, constraints=thrice, multipliers=DERIVED)
@@ -206,17 +207,17 @@ def test_redundant_constraints_take_no_degree_of_freedom_away():
         overactuated(system)
 
 
-def test_names_of_constraints_are_as_many_as_constraints():
+def test_names_of_constraints_are_as_many_as_constraints() -> None:
     with pytest.raises(sc.InvalidModel, match="redundant pendulum: 1 names for 2 holonomic constraints"):
         changed(redundant_pendulum(), constraint_names=("rod",))
 
 
-def test_as_many_outputs_as_inputs_are_needed():
+def test_as_many_outputs_as_inputs_are_needed() -> None:
     with pytest.raises(sc.InvalidModel, match="2 inputs cannot prescribe 1 outputs"):
         changed(actuated_chain(), outputs=(sc.Quantity("y1", "m"),))
 
 
-def test_dependent_holonomic_constraints_are_refused_where_they_are():
+def test_dependent_holonomic_constraints_are_refused_where_they_are() -> None:
     system = redundant_pendulum()
     twice = changed(
         redundant_pendulum("x"),
@@ -230,7 +231,7 @@ def test_dependent_holonomic_constraints_are_refused_where_they_are():
         twice.require_full_rank(np.zeros(3), twice.parameters.values())
 
 
-def test_servo_outputs_that_the_constraints_fix_already_are_refused():
+def test_servo_outputs_that_the_constraints_fix_already_are_refused() -> None:
     """Hanging straight down, the pendulum cannot be moved along z."""
     system = redundant_pendulum("z")
     p = system.parameters.values()

@@ -6,17 +6,20 @@ What is wrong is drawn at random where its kind leaves a choice: which entry, Na
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.strategies._internal.core import DataObject
 from problems import actuated_chain, changed, driven_pendulum, redundant_pendulum, scene
 
 import servocore as sc
 from servocore import rotationless as rl
 from servocore.model.system import DERIVED
+from servocore.references.rest_to_rest import RestToRest
 
 CRANE = scene("rotary_crane")
 PATH = sc.rest_to_rest((0.4,), (0.6,), 2.0)
@@ -24,7 +27,9 @@ NOT_FINITE = (float("nan"), float("inf"), -float("inf"))
 FIELDS = ("mass", "output", "input_matrix", "potential", "force", "constraints", "gyroscopic", "guess")
 
 
-def refused(error, said, make):
+def refused(
+    error: type[sc.InvalidModel] | type[sc.InvalidReference] | type[sc.InvalidSetting], said: str, make
+) -> None:
     """Check that `make` raises `error` with exactly this sentence, but for what follows ``...``."""
     with pytest.raises(sc.ServocoreError) as caught:
         make()
@@ -33,7 +38,11 @@ def refused(error, said, make):
     assert text.startswith(said.removesuffix("...")) if said.endswith("...") else text == said
 
 
-def a_scene(system=driven_pendulum, reference=PATH, **more):
+def a_scene(
+    system: sc.MechanicalSystem | Callable[[], None] | Callable[[], sc.MechanicalSystem] = driven_pendulum,
+    reference: RestToRest = PATH,
+    **more: str | int,
+) -> sc.Scene:
     return sc.Scene("mine", {"only": system}, reference, **more)
 
 
@@ -42,7 +51,7 @@ def a_scene(system=driven_pendulum, reference=PATH, **more):
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(FIELDS), st.sampled_from(NOT_FINITE), st.booleans(), st.data())
-def test_an_entry_that_is_no_finite_number_is_refused_by_name(field, value, hidden, data):
+def test_an_entry_that_is_no_finite_number_is_refused_by_name(field, value, hidden: bool, data: DataObject) -> None:
     """Wherever it stands, plainly or within an expression."""
     system = redundant_pendulum()
     wrong = ca.densify(getattr(system, field)) + 0
@@ -61,7 +70,7 @@ def test_an_entry_that_is_no_finite_number_is_refused_by_name(field, value, hidd
 
 
 @pytest.mark.parametrize("value", NOT_FINITE)
-def test_numbers_of_a_model_are_finite(value):
+def test_numbers_of_a_model_are_finite(value: float) -> None:
     for said, make in {
         f"actuated chain: home must hold a finite number for y2, not {value}": lambda: changed(
             actuated_chain(), home=(1.0, value)
@@ -83,13 +92,13 @@ def test_numbers_of_a_model_are_finite(value):
     refused(sc.InvalidModel, f"{nominal}{value}", lambda: sc.Coordinates(sc.Quantity("x", nominal=value)))
 
 
-def test_a_value_that_is_missing_in_a_branch_not_taken_is_none_of_our_business():
+def test_a_value_that_is_missing_in_a_branch_not_taken_is_none_of_our_business() -> None:
     system = driven_pendulum()
     observable = ca.if_else(system.q[0] < 100.0, system.q[0], np.nan)
     assert changed(system, observables={sc.Quantity("angle in range", "rad"): observable})
 
 
-def test_a_guess_without_a_value_at_home_asks_for_another_home():
+def test_a_guess_without_a_value_at_home_asks_for_another_home() -> None:
     system = redundant_pendulum()
     said = (
         "redundant pendulum: the guess at home = (2.0,) has no value for x; home must be a value of y that the system"
@@ -104,14 +113,14 @@ def test_a_guess_without_a_value_at_home_asks_for_another_home():
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-1e6, -1e-6))
-def test_a_negative_mass_is_refused(value):
+def test_a_negative_mass_is_refused(value: float) -> None:
     said = f"actuated chain: the mass matrix is not positive semidefinite at home: that of x2 is {value:g}"
     refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), mass=np.diag([3.0, value])))
 
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e3), st.floats(1.01, 10.0))
-def test_a_coupling_larger_than_the_masses_is_refused(first, second, factor):
+def test_a_coupling_larger_than_the_masses_is_refused(first: float, second: float, factor: float) -> None:
     coupling = factor * np.sqrt(first * second)
     mass = np.array([[first, coupling], [coupling, second]])
     said = (
@@ -125,19 +134,19 @@ def test_a_coupling_larger_than_the_masses_is_refused(first, second, factor):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**31))
-def test_every_mass_matrix_that_is_one_is_taken_however_singular(seed):
+def test_every_mass_matrix_that_is_one_is_taken_however_singular(seed: int) -> None:
     generator = np.random.default_rng(seed)
     root = generator.standard_normal((2, 1)) * 10.0 ** generator.uniform(-5, 5, (2, 1))
     assert changed(actuated_chain(), mass=root @ root.T)
 
 
-def test_a_mass_that_grows_with_a_coordinate_may_vanish_at_home():
+def test_a_mass_that_grows_with_a_coordinate_may_vanish_at_home() -> None:
     system = driven_pendulum()
     assert changed(system, mass=2.0 * system.q[0])
 
 
-def test_parameter_values_that_make_a_mass_negative_are_refused():
-    def rod():
+def test_parameter_values_that_make_a_mass_negative_are_refused() -> None:
+    def rod() -> sc.MechanicalSystem:
         theta, m = sc.Coordinates(sc.Quantity("theta", "rad")), sc.Parameters(sc.Parameter("m", 2.0, "kg"))
         fields = {"mass": m["m"], "output": theta.q, "potential": 0, "home_parameters": ()}
         return changed(driven_pendulum(), coordinates=theta, parameters=m, **fields)
@@ -159,7 +168,9 @@ def test_parameter_values_that_make_a_mass_negative_are_refused():
         ({"centre": (0.0, np.nan, 0.0)}, "its centre of mass holds nan, which is no finite number"),
     ],
 )
-def test_bodies_that_cannot_be_are_refused_where_they_are_assembled(changes, said):
+def test_bodies_that_cannot_be_are_refused_where_they_are_assembled(
+    changes: dict[str, float | tuple[float, ...]], said: str
+) -> None:
     body = rl.RigidBody(**{"name": "b", "mass": 1.0, "inertia": (1.0, 1.0, 1.0)} | changes)
     with pytest.raises(sc.InvalidModel, match=f"body b: {re.escape(said)}"):
         rl.Assembly((body,), sc.Parameters(), (0.0, 0.0, -9.81))
@@ -169,12 +180,12 @@ def test_bodies_that_cannot_be_are_refused_where_they_are_assembled(changes, sai
 
 
 @pytest.mark.parametrize("kind", ["inputs", "outputs"])
-def test_two_of_a_kind_with_one_name_are_refused(kind):
+def test_two_of_a_kind_with_one_name_are_refused(kind: str) -> None:
     said = f"actuated chain: two of the {kind} are called twin, one of them needs another name"
     refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), **{kind: (sc.Quantity("twin"),) * 2}))
 
 
-def test_two_observables_of_one_name_are_refused():
+def test_two_observables_of_one_name_are_refused() -> None:
     twins = {sc.Quantity("power", "W"): 1.0, sc.Quantity("power", "kW"): 2.0}
     said = "actuated chain: two of the observables are called power, one of them needs another name"
     refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), observables=twins))
@@ -194,15 +205,17 @@ def test_two_observables_of_one_name_are_refused():
         ),
     ],
 )
-def test_one_name_for_quantities_of_two_kinds_is_refused(fields, said):
+def test_one_name_for_quantities_of_two_kinds_is_refused(
+    fields: dict[str, tuple[sc.Quantity, sc.Quantity] | dict[sc.Quantity, float]], said: str
+) -> None:
     refused(sc.InvalidModel, f"actuated chain: {said}...", lambda: changed(actuated_chain(), **fields))
 
 
-def test_an_output_may_have_the_name_of_the_coordinate_that_it_is():
+def test_an_output_may_have_the_name_of_the_coordinate_that_it_is() -> None:
     assert changed(actuated_chain(), outputs=(sc.Quantity("x1"), sc.Quantity("x2")))
 
 
-def test_symbols_of_one_group_are_no_symbols_of_another():
+def test_symbols_of_one_group_are_no_symbols_of_another() -> None:
     said = "actuated chain: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
     system = actuated_chain()
     refused(sc.InvalidModel, said, lambda: changed(system, u=system.q))
@@ -211,7 +224,7 @@ def test_symbols_of_one_group_are_no_symbols_of_another():
 # Kinds ----------------------------------------------------------------------------------------------------------------
 
 
-def test_arrays_and_lists_are_taken_for_expressions():
+def test_arrays_and_lists_are_taken_for_expressions() -> None:
     system = actuated_chain()
     k = system.p[0]
     same = changed(
@@ -231,7 +244,7 @@ def test_arrays_and_lists_are_taken_for_expressions():
     np.testing.assert_array_equal(found.values, expected.values)
 
 
-def test_one_input_takes_a_row_as_a_list():
+def test_one_input_takes_a_row_as_a_list() -> None:
     system = redundant_pendulum()
     row = changed(system, input_matrix=[0.0, 0.0, -1.0]).input_matrix
     assert row.shape == (1, 3)
@@ -272,7 +285,7 @@ def test_one_input_takes_a_row_as_a_list():
         ),
     ],
 )
-def test_a_field_of_the_wrong_kind_or_size_is_refused(fields, said):
+def test_a_field_of_the_wrong_kind_or_size_is_refused(fields, said: str) -> None:
     refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), **fields))
 
 
@@ -310,11 +323,11 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields, said):
         ),
     ],
 )
-def test_parts_of_a_model_of_the_wrong_kind_are_refused(make, said):
+def test_parts_of_a_model_of_the_wrong_kind_are_refused(make, said: str) -> None:
     refused(sc.InvalidModel, said, make)
 
 
-def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write():
+def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write() -> None:
     said = (
         "mine: the model only is a MechanicalSystem; models are functions that make a system: models={'only': lambda:"
         " system}"
@@ -325,20 +338,24 @@ def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write():
 @pytest.mark.parametrize(
     "call", [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion, lambda s: sc.export_fmu(s, "x.fmu")]
 )
-def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call):
+def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call) -> None:
     with pytest.raises(sc.InvalidModel, match=r"takes a Scene, not the system pendulum: Scene\(name, models=.*lambda"):
         call(driven_pendulum())
 
 
 @pytest.mark.parametrize("reference", ["line", sc.Reference, sc.rest_to_rest, None])
-def test_a_reference_that_is_none_is_refused(reference):
+def test_a_reference_that_is_none_is_refused(
+    reference: str | type[sc.Reference] | Callable[..., RestToRest] | None,
+) -> None:
     with pytest.raises(sc.InvalidReference, match=r"^mine: the reference must be a Reference, not "):
         a_scene(reference=reference)
 
 
 @pytest.mark.parametrize("look", [sc.solve, sc.analyse, sc.ExactInversion])
 @pytest.mark.parametrize("dimension", [2, 3])
-def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(look, dimension):
+def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
+    look: Callable[..., sc.Solution] | Callable[..., sc.StructureReport] | type[sc.ExactInversion], dimension: int
+) -> None:
     wrong = a_scene(reference=sc.rest_to_rest((0.0,) * dimension, (1.0,) * dimension, 1.0))
     said = f"mine needs a path with 1 components, this one has {dimension}; the outputs are angle"
     refused(sc.InvalidReference, said, lambda: look(wrong))
@@ -380,7 +397,7 @@ def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(l
         ),
     ],
 )
-def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments, said):
+def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments, said: str) -> None:
     refused(sc.InvalidSetting, said, lambda: sc.solve(CRANE, **arguments))
 
 
@@ -405,7 +422,7 @@ def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments, sa
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),
     ],
 )
-def test_paths_from_what_is_no_number_are_refused(make, said):
+def test_paths_from_what_is_no_number_are_refused(make, said: str) -> None:
     refused(sc.InvalidReference, said, make)
 
 
@@ -427,7 +444,7 @@ def test_paths_from_what_is_no_number_are_refused(make, said):
         ),
     ],
 )
-def test_dead_and_doubled_inputs_and_outputs_are_named(fields, said):
+def test_dead_and_doubled_inputs_and_outputs_are_named(fields, said: str) -> None:
     system = actuated_chain()
     wrong = changed(system, **{key: each(system.q) if callable(each) else each for key, each in fields.items()})
     said = f"actuated chain: structurally singular, {said}"
