@@ -23,6 +23,7 @@ import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.catalogue import KINDS
 from crane_fmu.slave.interface import INTERFACE_FILE, ORDERS, Interface
+from servocore.numerics.compiled_calls import Array
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
@@ -95,7 +96,7 @@ class Host:
         self.callbacks.freeMemory = defaultCallbacks.freeMemory
         self.fmu.instantiate(callbacks=self.callbacks, loggingOn=logging)
 
-    def _log(self, _environment, _name, _status, _category, message):
+    def _log(self, _environment, _name, _status, _category, message) -> None:
         self.messages.append(message.decode())
 
     def __enter__(self) -> Host:
@@ -112,12 +113,12 @@ class Host:
                 self.fmu.setReal([self.references[name]], [value])
         return self
 
-    def tell(self, jet) -> Host:
+    def tell(self, jet: Array) -> Host:
         """Set the fifteen inputs."""
         self.fmu.setReal([self.references[name] for name in JET], [float(each) for each in np.ravel(jet)[:15]])
         return self
 
-    def start(self, jet=None, time: float = 0.0) -> Host:
+    def start(self, jet: Array | None = None, time: float = 0.0) -> Host:
         self.fmu.setupExperiment(startTime=time)
         self.fmu.enterInitializationMode()
         if jet is not None:
@@ -141,7 +142,7 @@ class Host:
         return self.fmu.getReal([self.references[name]])[0]
 
 
-def follow(host: Host, reference: sc.Reference, times, *, at: str = "start") -> dict[str, np.ndarray]:
+def follow(host: Host, reference: sc.Reference, times: Array, *, at: str = "start") -> dict[str, np.ndarray]:
     """Drive an instance along a path; `at` is its input_time. Returns outputs by name at all times."""
     times = np.asarray(times, dtype=float)
     jets = reference.jet(times, 4)

@@ -107,7 +107,7 @@ class Hostile(RuleBasedStateMachine):
         return live
 
     @rule(live=consumes(lives), states_first=st.booleans())
-    def free(self, live, states_first):
+    def free(self, live, states_first) -> None:
         if live in self.alive:
             self.alive.remove(live)
             self.end(live, states_first=states_first)
@@ -119,7 +119,7 @@ class Hostile(RuleBasedStateMachine):
         live.instance.free()
 
     @rule(live=lives)
-    def reset(self, live):
+    def reset(self, live: Live) -> None:
         if live in self.alive:
             assert live.instance.call("Reset") == OK
             live.account = Account()
@@ -127,7 +127,7 @@ class Hostile(RuleBasedStateMachine):
     # --- phases ---------------------------------------------------------------------------------------------------
 
     @rule(live=lives, time=TIMES)
-    def setup(self, live, time):
+    def setup(self, live: Live, time: float) -> None:
         self.move(live, ("setup", time), "instantiated", "instantiated", time)
 
     @rule(live=lives)
@@ -139,7 +139,7 @@ class Hostile(RuleBasedStateMachine):
         self.move(live, ("leave",), "initializing", "stepping")
 
     @rule(live=lives)
-    def terminate(self, live):
+    def terminate(self, live) -> None:
         self.move(live, ("terminate",), "stepping", "terminated")
 
     def move(self, live: Live, call: tuple[object, ...], wanted: str, then: str, time: float | None = None) -> None:
@@ -154,7 +154,7 @@ class Hostile(RuleBasedStateMachine):
             account.time = account.time if time is None else time
 
     @rule(live=lives, jet=CHOSEN, time=st.sampled_from((0.0, 2.5)))
-    def begin_well(self, live, jet, time):
+    def begin_well(self, live: Live, jet, time: float) -> None:
         """Bring an instance to where it can step, whatever happened to it."""
         if live not in self.alive:
             return
@@ -167,7 +167,7 @@ class Hostile(RuleBasedStateMachine):
     # --- values ---------------------------------------------------------------------------------------------------
 
     @rule(live=lives, data=st.data(), unknown=st.booleans())
-    def set_reals(self, live, data, unknown):
+    def set_reals(self, live, data, unknown) -> None:
         if live not in self.alive:
             return
         known = [each.reference for each in self.fmu.reals]
@@ -183,14 +183,14 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(("set_reals", [r for r, _ in kept], [v for _, v in kept]))
 
     @rule(live=lives, jet=CHOSEN)
-    def set_jet(self, live, jet):
+    def set_jet(self, live: Live, jet) -> None:
         if live in self.alive:
             values = self.good[jet % len(self.good)]
             assert live.instance.set_reals(self.fmu.inputs, values) == OK
             live.account.calls.append(("set_reals", self.fmu.inputs, values))
 
     @rule(live=lives, data=st.data())
-    def choose(self, live, data):
+    def choose(self, live, data) -> None:
         if live not in self.alive or not self.fmu.choices:
             return
         variable = data.draw(st.sampled_from(self.fmu.choices))
@@ -202,7 +202,7 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(call)
 
     @rule(live=lives, reference=st.sampled_from((0, 20, 999)), text=st.sampled_from((b"", b"%n%s", b"x" * 100)))
-    def other_types(self, live, reference, text):
+    def other_types(self, live, reference, text) -> None:
         if live in self.alive:
             assert live.instance.set_integers("Boolean", [reference], [1]) == OK
             assert live.instance.get_integers("Boolean", [reference]) == (OK, [0])
@@ -212,12 +212,12 @@ class Hostile(RuleBasedStateMachine):
     @rule(
         live=lives, text=st.sampled_from((b"\xff\xfe", b"\xc0\xaf", b"\xed\xa0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82"))
     )
-    def text_that_is_none(self, live, text):
+    def text_that_is_none(self, live, text) -> None:
         if live in self.alive and self.fmu.has_shim:
             assert live.instance.set_text(0, text) == ERROR
 
     @rule(live=lives, unknown=st.booleans())
-    def get(self, live, unknown):
+    def get(self, live, unknown) -> None:
         if live not in self.alive:
             return
         references = [each.reference for each in self.fmu.reals] + [999, 2**32 - 1] * unknown
@@ -229,7 +229,7 @@ class Hostile(RuleBasedStateMachine):
     # --- steps ----------------------------------------------------------------------------------------------------
 
     @rule(live=lives, h=STEPS, offset=st.sampled_from((0.0, 0.0, 0.0, -0.1, 0.3, math.nan, 1e300)))
-    def step(self, live, h, offset):
+    def step(self, live, h, offset) -> None:
         """A step that may be anything; one that is refused changes nothing."""
         if live not in self.alive:
             return
@@ -270,14 +270,14 @@ class Hostile(RuleBasedStateMachine):
     # --- states ---------------------------------------------------------------------------------------------------
 
     @rule(live=lives)
-    def get_state(self, live):
+    def get_state(self, live) -> None:
         if live in self.alive and len(live.states) < 4:
             status, state = live.instance.get_state()
             assert status == OK
             live.states.append((state, live.account.copy()))
 
     @rule(live=lives, data=st.data())
-    def set_state(self, live, data):
+    def set_state(self, live, data) -> None:
         """Back to an earlier state of this instance, or of another of the same FMU."""
         offered = [(state, account) for each in self.alive for state, account in each.states]
         if live in self.alive and offered:
@@ -287,7 +287,7 @@ class Hostile(RuleBasedStateMachine):
             self.compare(live)
 
     @rule(live=lives)
-    def free_state(self, live):
+    def free_state(self, live) -> None:
         if live in self.alive and live.states:
             state, _ = live.states.pop()
             assert live.instance.free_state(state) == OK

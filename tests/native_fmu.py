@@ -25,6 +25,7 @@ from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model
+from servocore.numerics.compiled_calls import Array
 
 OK, WARNING, DISCARD, ERROR = range(4)
 START, END = 1, 2
@@ -240,7 +241,7 @@ class Native:
         getattr(self.fmu, f"set{prefix}")(state)
         getattr(self.fmu, f"free{prefix}")(state)
 
-    def sensitivities(self, knowns, weights) -> np.ndarray:
+    def sensitivities(self, knowns, weights: Array) -> np.ndarray:
         """Derivatives of a weighted sum of all outputs by some variables."""
         unknowns, by = ([self.references[name] for name in names] for names in (self.outputs, knowns))
         sizes = sum(self.sizes[name] for name in knowns)

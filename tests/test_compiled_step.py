@@ -25,18 +25,18 @@ CAN_COMPILE = c_compiler() is not None and makes_linux_binaries()
 compiles = pytest.mark.skipif(not CAN_COMPILE, reason="steps are compiled by a C compiler on 64-bit Linux")
 
 
-def bundle():
+def bundle() -> Path:
     (found,) = Path(extracted(fmu_file())).glob("resources/*_bundle")
     return found
 
 
-def program(name):
+def program(name: str) -> sc.Program:
     return Program.from_json((bundle() / f"{name}.json").read_text())
 
 
-def states(quick, saved, name):
+def states(quick: QuickStep | None, saved: sc.Program, name: str) -> list[bytes]:
     """Bits of all that quick steps along the manoeuvre give, from exact values on."""
-    p = CRANE.model(name.split("-")[0]).parameters.values(CRANE.parameters)
+    p = CRANE.model(name.split("-", maxsplit=1)[0]).parameters.values(CRANE.parameters)
     jets = CRANE.reference.jet(np.arange(0.0, 20.0, H), 4)
     jets[200:, 2] = 0.0  # and along one that is none
     now = begin(saved, jets[0], p, 0.0)
@@ -52,7 +52,7 @@ def states(quick, saved, name):
 
 @compiles
 @pytest.mark.parametrize("name", NAMES)
-def test_machine_code_gives_the_bits_that_the_interpreter_gives(name):
+def test_machine_code_gives_the_bits_that_the_interpreter_gives(name: str) -> None:
     saved = program(name)
     compiled = quick_step(saved, bundle() / f"{name}.so")
     interpreted = QuickStep(saved, usual_step(saved))
@@ -60,7 +60,7 @@ def test_machine_code_gives_the_bits_that_the_interpreter_gives(name):
 
 
 @compiles
-def test_the_libraries_are_those_that_were_chosen_and_are_used():
+def test_the_libraries_are_those_that_were_chosen_and_are_used() -> None:
     assert sorted(each.stem for each in bundle().glob("*.so")) == sorted(["feedback", *NAMES])
     names = [f"{model}-{formulation}" for model in CRANE.models for formulation in ("reduced", "projected", "original")]
     assert set(NAMES) <= set(names)
@@ -70,7 +70,7 @@ def test_the_libraries_are_those_that_were_chosen_and_are_used():
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no library", b"\x7fELF" + bytes(200)])
-def test_a_library_that_cannot_be_loaded_is_done_without(tmp_path, content):
+def test_a_library_that_cannot_be_loaded_is_done_without(tmp_path: Path, content: bytes | None) -> None:
     file = tmp_path / "step.so"
     if content is not None:
         file.write_bytes(content)
@@ -81,19 +81,19 @@ def test_a_library_that_cannot_be_loaded_is_done_without(tmp_path, content):
 
 
 @compiles
-def test_a_library_of_another_program_is_done_without():
+def test_a_library_of_another_program_is_done_without() -> None:
     assert not quick_step(program("points-reduced"), bundle() / "points-original.so").is_compiled
 
 
 @compiles
-def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
+def test_two_libraries_of_one_machine_are_equal_byte_by_byte() -> None:
     text = (bundle() / "points-reduced.json").read_text()
     made = [compiled_steps({"a.json": text}, pytest.fail)["a.so"] for _ in range(2)]
     assert made[0] == made[1] == (bundle() / "points-reduced.so").read_bytes()
 
 
 @compiles
-def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeypatch):
+def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "false")
     text, said = (bundle() / "points-reduced.json").read_text(), []
     assert compiled_steps({"a.json": text, "b.json": text}, said.append) == {}
@@ -101,13 +101,13 @@ def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeyp
     assert notice.startswith("false does not compile")
 
 
-def test_without_a_compiler_nothing_is_compiled(monkeypatch):
+def test_without_a_compiler_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     assert compiled_steps({"a.json": "not even read"}, pytest.fail) == {}
 
 
 @compiles
-def test_the_libraries_need_nothing_but_the_c_library():
+def test_the_libraries_need_nothing_but_the_c_library() -> None:
     command = ["readelf", "-d", str(bundle() / "points-reduced.so")]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     needed = [line.split("[")[1].rstrip("]") for line in done.stdout.splitlines() if "(NEEDED)" in line]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -27,6 +28,7 @@ from native_fmu import (
 )
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 FLAT = (("rotary_crane", 2), ("rotary_crane", 3), ("elastic_hoist", 3))
 INTERNAL = ("mass_on_car", 2)
@@ -52,12 +54,12 @@ def unstepped(name: str, steps: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "fmi"), SOME)
-def test_a_checker_has_nothing_to_say(name, fmi):
+def test_a_checker_has_nothing_to_say(name: str, fmi: int) -> None:
     assert validate_fmu(str(native_file(name, fmi))) == []
 
 
 @pytest.mark.parametrize(("name", "fmi"), SOME)
-def test_with_nothing_connected_it_rests(name, fmi):
+def test_with_nothing_connected_it_rests(name: str, fmi: int) -> None:
     result = simulate_fmu(str(native_file(name, fmi)), stop_time=1.0, output_interval=0.1)
     assert len(result) == 11
     assert result["time"][-1] == pytest.approx(1.0)
@@ -66,7 +68,7 @@ def test_with_nothing_connected_it_rests(name, fmi):
 
 
 @pytest.mark.parametrize(("name", "fmi"), [*FLAT, ("ship", 3)])
-def test_along_the_path_its_inputs_are_those_of_exact_inversion(name, fmi):
+def test_along_the_path_its_inputs_are_those_of_exact_inversion(name: str, fmi: int) -> None:
     with Native(name, fmi) as host:
         found = along_path(host, 200)[:, : len(input_names(name))]
     exact = sc.ExactInversion(scene_called(name))(unstepped(name, 200))
@@ -82,7 +84,9 @@ def test_along_the_path_its_inputs_are_those_of_exact_inversion(name, fmi):
         ("wind", 3, 4, {"theta": 0.3, "theta_dot": -0.5}),
     ],
 )
-def test_with_internal_dynamics_its_inputs_are_those_of_solve(name, fmi, division, start):
+def test_with_internal_dynamics_its_inputs_are_those_of_solve(
+    name: str, fmi: int, division: int, start: dict[str, float]
+) -> None:
     scene, steps = joined(name, 40), 40
     h, inputs = scene.reference.duration / steps, input_names(name)
     with Native(name, fmi) as host:
@@ -99,8 +103,8 @@ def test_with_internal_dynamics_its_inputs_are_those_of_solve(name, fmi, divisio
     assert np.abs(state[0] - own[-1]) <= 1e-12 * np.abs(own).max()
 
 
-def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu():
-    def run(file, names, t, jets):
+def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu() -> None:
+    def run(file: Path, names, t: Array, jets: Array) -> Array:
         columns = [("time", float), *((name, float) for name in names)]
         signals = np.array([(time, *jet.ravel()) for time, jet in zip(t, jets, strict=True)], dtype=columns)
         result = simulate_fmu(str(file), stop_time=20.0, output_interval=0.1, input=signals)
@@ -118,8 +122,8 @@ def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_pytho
     assert np.abs(native - exact).max() <= 1.0001 * np.abs(python - exact).max()
 
 
-def test_the_rotary_crane_has_the_variables_of_the_python_fmu():
-    def table(file):
+def test_the_rotary_crane_has_the_variables_of_the_python_fmu() -> None:
+    def table(file: Path):
         root = ET.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
         return {each.get("name"): (each.get("causality"), each[0].get("unit")) for each in root.iter("ScalarVariable")}
 
@@ -131,7 +135,7 @@ def test_the_rotary_crane_has_the_variables_of_the_python_fmu():
     }
 
 
-def test_fmi_3_has_the_path_as_vectors():
+def test_fmi_3_has_the_path_as_vectors() -> None:
     with Native("rotary_crane", 3) as host:
         assert host.inputs == tuple(f"load.{each}" for each in ("position", "velocity", "acceleration", "jerk", "snap"))
         sizes = [each.dimensions[0].start for each in host.description.modelVariables if each.causality == "input"]
@@ -143,7 +147,7 @@ def test_fmi_3_has_the_path_as_vectors():
 
 @pytest.mark.parametrize("input_time", [START, END])
 @pytest.mark.parametrize(("name", "fmi"), [("rotary_crane", 2), ("mass_on_car", 2), ("elastic_hoist", 3), ("wind", 3)])
-def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, fmi, input_time):
+def test_directional_derivatives_are_those_of_the_step_that_was_computed(name: str, fmi: int, input_time: int) -> None:
     random = np.random.default_rng(5)
     reference = scene_called(name).reference
     t, h = reference.start_time + 0.4 * reference.duration, 0.01 * reference.duration
@@ -154,7 +158,7 @@ def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, f
         by = tuple(each for each in host.parameters if each in scene_called(name).parameters)
         values = host.get(*by)
 
-        def outputs(jet, parameters):
+        def outputs(jet, parameters: Array) -> Array:
             host.restore(saved)
             host.numbers_set(by, parameters)
             assert host.tell(jet).step(t, h) == OK, host.messages
@@ -175,7 +179,7 @@ def test_directional_derivatives_are_those_of_the_step_that_was_computed(name, f
 
 
 @pytest.mark.parametrize(("name", "fmi"), SOME)
-def test_a_restored_state_goes_on_to_the_bit(name, fmi):
+def test_a_restored_state_goes_on_to_the_bit(name: str, fmi: int) -> None:
     reference = scene_called(name).reference
     h = 0.01 * reference.duration
     t = reference.start_time + 0.3 * reference.duration + h * np.arange(5)
@@ -185,7 +189,7 @@ def test_a_restored_state_goes_on_to_the_bit(name, fmi):
         assert host.tell(jets[0]).step(t[0], h) == OK
         saved = host.saved()
 
-        def two_more(instance):
+        def two_more(instance: Native) -> Array:
             for k in (1, 2):
                 assert instance.tell(jets[k]).step(t[k], h) == OK
             return instance.values()
@@ -200,7 +204,7 @@ def test_a_restored_state_goes_on_to_the_bit(name, fmi):
     assert (first == elsewhere).all()
 
 
-def test_the_state_of_another_model_is_refused():
+def test_the_state_of_another_model_is_refused() -> None:
     with Native("rotary_crane", 2) as crane, Native("mass_on_car", 2) as car:
         bytes_of_car = car.saved()
         size = len(crane.saved())
@@ -220,7 +224,9 @@ def test_the_state_of_another_model_is_refused():
         ({"load.position[1]": np.inf}, "at t = 0.1 s the input load.position[1] is inf, not a finite number"),
     ],
 )  # fmt: skip
-def test_a_step_beyond_the_limits_is_discarded_with_a_sentence_and_leaves_no_trace(changed, sentence):
+def test_a_step_beyond_the_limits_is_discarded_with_a_sentence_and_leaves_no_trace(
+    changed: dict[str, float], sentence: str
+) -> None:
     with Native("rotary_crane", 2) as host:
         host.start(input_time=END)
         before, at_rest = host.values(), host.get(*host.inputs)
@@ -244,7 +250,7 @@ def test_a_step_beyond_the_limits_is_discarded_with_a_sentence_and_leaves_no_tra
         ({"y.velocity": 1.0, "y.jerk": 300.0}, "at t = 0.1 s w.rate is 2.5 m/s, it must stay below 2 m/s"),
     ],
 )
-def test_limits_that_a_user_has_set_by_name_are_kept_on_both_sides(changed, sentence):
+def test_limits_that_a_user_has_set_by_name_are_kept_on_both_sides(changed: dict[str, float], sentence: str) -> None:
     with Native("limited", 3) as host:
         host.start(input_time=END)
         host.numbers_set(list(changed), list(changed.values()))
@@ -254,7 +260,7 @@ def test_limits_that_a_user_has_set_by_name_are_kept_on_both_sides(changed, sent
         assert host.step(0.0, 0.1) == OK
 
 
-def test_steps_end_where_the_experiment_ends():
+def test_steps_end_where_the_experiment_ends() -> None:
     with Native("rotary_crane", 2) as host:
         host.fmu.setupExperiment(startTime=0.0, stopTime=0.3)
         host.fmu.enterInitializationMode()
@@ -265,7 +271,7 @@ def test_steps_end_where_the_experiment_ends():
         assert host.messages[-1] == "at t = 0.3 s a communication step of 0.1 s goes beyond the stop time of 0.3 s"
 
 
-def test_a_start_cannot_be_moved_once_the_run_has_begun():
+def test_a_start_cannot_be_moved_once_the_run_has_begun() -> None:
     with Native(*INTERNAL) as host:
         host.start()
         with pytest.raises(FMICallException):
@@ -284,7 +290,7 @@ def test_a_start_cannot_be_moved_once_the_run_has_begun():
         (-1.0, 0.1, "lies behind the FMU's time 0 s"),
     ],
 )
-def test_a_call_that_makes_no_sense_is_an_error(time, h, sentence):
+def test_a_call_that_makes_no_sense_is_an_error(time: float, h: float, sentence: str) -> None:
     with Native("rotary_crane", 3) as host:
         host.start()
         assert host.step(time, h) == ERROR
@@ -292,7 +298,7 @@ def test_a_call_that_makes_no_sense_is_an_error(time, h, sentence):
         assert host.step(0.0, 0.1) == OK
 
 
-def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once():
+def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once() -> None:
     with Native("rotary_crane", 2) as host:
         host.start()
         for k in range(4):
@@ -312,14 +318,14 @@ def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once():
         ({"input_time": 3}, "input_time = 3 is unknown; it may be 1 (start) or 2 (end)"),
     ],
 )
-def test_a_value_that_cannot_be_is_refused_when_it_is_set(values, sentence):
+def test_a_value_that_cannot_be_is_refused_when_it_is_set(values: dict[str, float], sentence: str) -> None:
     with Native("rotary_crane", 2) as host:
         with pytest.raises(FMICallException):
             host.set(**values)
         assert sentence in host.messages[-1].replace("-nan", "nan")
 
 
-def test_a_changed_parameter_acts_from_the_next_step_on():
+def test_a_changed_parameter_acts_from_the_next_step_on() -> None:
     scene = scene_called("rotary_crane")
     (jet,) = jets_of("rotary_crane", [7.0])
     with Native("rotary_crane", 3) as host:
@@ -331,7 +337,7 @@ def test_a_changed_parameter_acts_from_the_next_step_on():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-def test_two_instances_do_not_meet():
+def test_two_instances_do_not_meet() -> None:
     t = unstepped("rotary_crane", 20)
     jets = jets_of("rotary_crane", t)
     with Native("rotary_crane", 3) as alone:
@@ -344,7 +350,7 @@ def test_two_instances_do_not_meet():
         assert (two.values() != expected).any()
 
 
-def test_reset_makes_it_as_new():
+def test_reset_makes_it_as_new() -> None:
     with Native("rotary_crane", 2) as host:
         fresh = host.saved()
         host.start(jets_of("rotary_crane", [7.0])[0], 7.0, load_mass=3.0)

@@ -46,13 +46,13 @@ def demanding(what):
 
 
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
 
 
 @pytest.mark.usefixtures("compiler")
-def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene():
+def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene() -> None:
     write("hoists_of_mine.py", OWN)
     write("heavy.toml", "m = 5.0\n")
     result = run(
@@ -69,7 +69,7 @@ def test_a_function_of_ones_own_becomes_an_fmu_that_is_called_as_its_scene():
 
 
 @pytest.mark.usefixtures("compiler")
-def test_a_run_with_the_cross_check_files_gives_their_results():
+def test_a_run_with_the_cross_check_files_gives_their_results() -> None:
     result = run("export", "cars", "-o", "cars.fmu", "--fmi", "2", "--targets", "host", "--cross-check")
     assert result.exit_code == 0, result.output
     signals, wanted = (
@@ -84,7 +84,7 @@ def test_a_run_with_the_cross_check_files_gives_their_results():
 
 
 @pytest.mark.usefixtures("compiler")
-def test_equal_scenes_give_equal_bytes():
+def test_equal_scenes_give_equal_bytes() -> None:
     for name in ("one.fmu", "two.fmu"):
         sc.export_fmu(scene_called("cars"), name, fmi=2, targets="host")
     assert Path("one.fmu").read_bytes() == Path("two.fmu").read_bytes()
@@ -112,14 +112,16 @@ def test_equal_scenes_give_equal_bytes():
         (("cars", "--c", "source", "--targets", "host"), ("name it with -o FILE.fmu",)),
     ],
 )
-def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(arguments, words):
+def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(
+    arguments: tuple[str, ...], words: tuple[str, ...]
+) -> None:
     write("mine_too.py", OWN)
     before = set(Path().iterdir())
     run.assert_refused(run("export", *arguments), *words)
     assert {each for each in Path().iterdir() if each.name != "__pycache__"} == before
 
 
-def test_unstable_internal_dynamics_are_refused_with_their_rate():
+def test_unstable_internal_dynamics_are_refused_with_their_rate() -> None:
     arm = scene_called("passive_joint_arm").with_parameters(tracked_distance=1.0)
     with pytest.raises(
         sc.InvalidModel, match=r"internal dynamics grow at .* 1/s \(non-minimum phase\).*solve computes them"
@@ -134,7 +136,7 @@ def one_mass(name: str = "hoist", **names: str) -> sc.Scene:
     x = sc.Coordinates(sc.Quantity("w", "m"))
     p = sc.Parameters(sc.Parameter(called["mass"], 2.0, "kg", 0.1), sc.Parameter(called["weight"], 20.0, "N"))
 
-    def model():
+    def model() -> sc.MechanicalSystem:
         return sc.MechanicalSystem(
             name="hoist", coordinates=x, parameters=p, inputs=(sc.Quantity(called["force"], "N", "*/ \n upwards"),),
             outputs=(sc.Quantity(called["height"], "m"),), mass=ca.SX(p[called["mass"]]), output=x.q,
@@ -159,11 +161,11 @@ def one_mass(name: str = "hoist", **names: str) -> sc.Scene:
         ("x" * 100, "x" * 40),
     ],
 )
-def test_any_name_of_a_scene_has_an_identifier(name, identifier):
+def test_any_name_of_a_scene_has_an_identifier(name, identifier) -> None:
     assert identifier_of(name) == identifier
 
 
-def test_names_that_only_c_would_confuse_are_told_apart(compiler):
+def test_names_that_only_c_would_confuse_are_told_apart(compiler: list[str]) -> None:
     export_c(one_mass('Kran */ "1"\n', mass="M", weight="m", force="path", height="outputs"), "source")
     options = ["-std=c99", "-Wall", "-Werror", "-Wno-unused-function"]
     build = [*compiler, *options, "Kran_1.c", "main.c", "-o", "example", "-lm"]
@@ -181,7 +183,7 @@ def test_names_that_only_c_would_confuse_are_told_apart(compiler):
         (lambda: one_mass().with_limits(**{"F.rate": 1.0}), "its limit of F.rate: .* the rate of a force"),
     ],
 )
-def test_what_an_fmu_cannot_say_or_keep_is_refused(make, sentence):
+def test_what_an_fmu_cannot_say_or_keep_is_refused(make, sentence) -> None:
     scene = make()
     with pytest.raises(sc.InvalidModel, match=f"{scene.name} cannot be exported.*{sentence}"):
         sc.export_fmu(scene, "x.fmu", targets="host")
@@ -189,13 +191,13 @@ def test_what_an_fmu_cannot_say_or_keep_is_refused(make, sentence):
 
 
 @pytest.mark.usefixtures("compiler")
-def test_a_rate_that_is_none_at_rest_breaks_no_limit():
+def test_a_rate_that_is_none_at_rest_breaks_no_limit() -> None:
     swinging = sc.scenes.rotary_crane().with_limits(**{"swing.rate": 0.5})  # of the length of a vector, which is zero
     sc.export_fmu(swinging, "crane.fmu", targets="host")
     assert len(simulate_fmu("crane.fmu", stop_time=0.3, output_interval=0.1)) == 4
 
 
-def test_c_source_does_not_write_over_files_of_others():
+def test_c_source_does_not_write_over_files_of_others() -> None:
     write("CMakeLists.txt", "project(mine)")
     run.assert_refused(run("export", "cars", "--c", "."), "cannot write to .", "its CMakeLists.txt would be lost")
     assert Path("CMakeLists.txt").read_text(encoding="utf-8") == "project(mine)"
@@ -203,7 +205,7 @@ def test_c_source_does_not_write_over_files_of_others():
     export_c(scene_called("cars"), "source")  # its own
 
 
-def test_without_a_compiler_it_says_so(monkeypatch):
+def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(targets, "zig", lambda: None)
@@ -214,7 +216,7 @@ def test_without_a_compiler_it_says_so(monkeypatch):
     assert list(Path().iterdir()) == []
 
 
-def test_a_compiler_that_fails_is_named(monkeypatch):
+def test_a_compiler_that_fails_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "false")
     monkeypatch.setattr(targets, "zig", lambda: None)
     run.assert_refused(run("export", "cars", "-o", "x.fmu"), "false does not compile the FMU for")
@@ -222,7 +224,7 @@ def test_a_compiler_that_fails_is_named(monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["overhead_crane", "mass_on_car", "wind"])
-def test_c_source_computes_the_same(name, compiler):
+def test_c_source_computes_the_same(name: str, compiler: list[str]) -> None:
     steps = 40
     scene = scene_called(name)
     if exported(name).method:
@@ -255,7 +257,7 @@ def test_c_source_computes_the_same(name, compiler):
     assert "| stack | at most " in page
 
 
-def test_c_source_is_written_beside_an_fmu_and_alone_at_rest(compiler):
+def test_c_source_is_written_beside_an_fmu_and_alone_at_rest(compiler: list[str]) -> None:
     result = run("export", "cars", "--c", "source")
     assert result.exit_code == 0, result.output
     assert {each.name for each in Path("source").iterdir()} == {
@@ -278,12 +280,12 @@ def test_c_source_is_written_beside_an_fmu_and_alone_at_rest(compiler):
         ("furlong", 1, "furlong/s", None),
     ],
 )
-def test_units_of_derivatives(unit, order, expected, exponents):
+def test_units_of_derivatives(unit: str, order: int, expected: str, exponents: dict[str, int] | None) -> None:
     assert per_time(unit, order) == expected
     assert base_units(expected) == exponents
 
 
-def test_a_universal_library_holds_each_slice_on_a_page_of_its_own():
+def test_a_universal_library_holds_each_slice_on_a_page_of_its_own() -> None:
     header = b"\xcf\xfa\xed\xfe" + (0x01000007).to_bytes(4, "little") + (3).to_bytes(4, "little")
     slices = [header + bytes(100), header.replace(b"\x07", b"\x0c") + b"x" * 20000]
     whole = targets.universal(slices)

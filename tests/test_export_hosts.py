@@ -57,7 +57,7 @@ def numbers_of(text: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi, compiler, tmp_path):
+def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int, compiler: list[str], tmp_path: Path) -> None:
     name, steps = "rotary_crane", 100
     host = tmp_path / "host"
     build = [*compiler, "-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}", HERE / "host.c", "-o", host, "-ldl"]
@@ -73,7 +73,7 @@ def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi, compiler, tmp_path):
 
 
 @pytest.mark.parametrize("master", ["ecospy", "libcosimpy"])
-def test_another_master_gets_what_a_host_in_python_gets(master, tmp_path):
+def test_another_master_gets_what_a_host_in_python_gets(master: str, tmp_path: Path) -> None:
     required(master)
     file, t = native_file("rotary_crane", 2), np.arange(40, 60) * 0.1
     jets = jets_of("rotary_crane", t)
@@ -126,14 +126,14 @@ def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], fold
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name, compiler, tmp_path):
+def test_hostile_sequences_meet_no_sanitizer_and_leave_no_trace(name: str, compiler: list[str], tmp_path: Path) -> None:
     sequences, steps = (10_000, LONG.get(name, 1_000_000)) if FULL else (300, 10_000)
     under_sanitizers(name, 2, "hostile", compiler, tmp_path, sequences, steps, 3)
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
 @pytest.mark.parametrize("name", ["gantry_crane", "wind", "rotary_crane plant", "rotary_crane loop"])
-def test_vectors_that_do_not_fit_meet_no_sanitizer(name, compiler, tmp_path):
+def test_vectors_that_do_not_fit_meet_no_sanitizer(name: str, compiler: list[str], tmp_path: Path) -> None:
     under_sanitizers(name, 3, "hostile3", compiler, tmp_path, 10_000, 3)
 
 
@@ -144,7 +144,7 @@ ALL = [(name, fmi) for name in (*sc.scenes.REGISTRY, "elastic_hoist", "ship", "w
 
 @pytest.mark.skipif(not FULL, reason="make native")
 @pytest.mark.parametrize(("name", "fmi"), ALL)
-def test_every_scene_is_exported_and_computes_the_same(name, fmi):
+def test_every_scene_is_exported_and_computes_the_same(name: str, fmi: int) -> None:
     file, steps = native_file(name, fmi), 100
     assert validate_fmu(str(file)) == []
     alone = simulate_fmu(str(file), stop_time=1.0, output_interval=0.1)
@@ -164,7 +164,7 @@ def test_every_scene_is_exported_and_computes_the_same(name, fmi):
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
-def test_a_branch_that_is_followed_is_followed_in_an_fmu_too():
+def test_a_branch_that_is_followed_is_followed_in_an_fmu_too() -> None:
     scene, steps = scene_called("crossing"), 300
     inputs = [each.name for each in scene.model().inputs]
     solution = sc.solve(scene, step=scene.reference.duration / steps)
@@ -185,7 +185,7 @@ RUNNERS = {
 
 @pytest.mark.skipif(not PLATFORMS, reason="make platforms")
 @pytest.mark.parametrize("target", RUNNERS)
-def test_libraries_of_other_platforms_give_the_same_digits(target, tmp_path):
+def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path: Path) -> None:
     runner = RUNNERS[target]
     if zig() is None or None in runner or not all(Path(each).exists() for each in runner[2:]):
         pytest.skip("needs ziglang, and Wine or QEMU with a C library")
@@ -215,7 +215,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target, tmp_path):
 
 
 @pytest.mark.skipif(not PLATFORMS, reason="make platforms")
-def test_the_library_for_macos_is_universal_and_signed_where_it_has_to_be(tmp_path):
+def test_the_library_for_macos_is_universal_and_signed_where_it_has_to_be(tmp_path: Path) -> None:
     if zig() is None:
         pytest.skip("needs ziglang")
     file = sc.export_fmu(scene_called("cars"), tmp_path / "cars.fmu", fmi=2)
@@ -242,7 +242,7 @@ def test_the_library_for_macos_is_universal_and_signed_where_it_has_to_be(tmp_pa
 
 @pytest.mark.skipif(not FULL or shutil.which("cmake") is None, reason="make native, with cmake")
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_a_tool_builds_it_again_from_its_sources(fmi, tmp_path):
+def test_a_tool_builds_it_again_from_its_sources(fmi: int, tmp_path: Path) -> None:
     file = tmp_path / "cars.fmu"
     with zipfile.ZipFile(native_file("cars", fmi)) as packed, zipfile.ZipFile(file, "w") as bare:
         for name in packed.namelist():
@@ -256,7 +256,7 @@ def test_a_tool_builds_it_again_from_its_sources(fmi, tmp_path):
 
 @pytest.mark.skipif(not PLATFORMS, reason="make platforms")
 @pytest.mark.parametrize("fmi", [2, 3])
-def test_libraries_for_linux_run_on_old_systems_and_need_nothing_but_c(fmi, tmp_path):
+def test_libraries_for_linux_run_on_old_systems_and_need_nothing_but_c(fmi: int, tmp_path: Path) -> None:
     if zig() is None or shutil.which("readelf") is None:
         pytest.skip("needs ziglang and readelf")
     targets = "x86_64-linux,aarch64-linux" if fmi == 3 else "x86_64-linux,x86_64-windows"

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import warnings
 import zipfile
+from _collections_abc import dict_values
 from functools import cache, partial
 from itertools import pairwise
+from pathlib import Path
 from types import SimpleNamespace
 
 import fmpy
@@ -22,8 +24,9 @@ from test_ssp import MASTERS, places, system
 import servocore as sc
 from crane_fmu.build import Wishes, build_ssp
 from crane_fmu.cli import app as crane_app
-from crane_fmu.run import forgotten_modules
+from crane_fmu.run import nothing_left
 from servocore.cli.commands import app
+from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of
 
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
@@ -39,14 +42,14 @@ run, crane = CommandLine(app, "servocore"), CommandLine(crane_app, "crane-fmu")
 
 @pytest.mark.parametrize("fmi", [2, 3] if FULL else [2])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_checker_has_nothing_to_say(name, fmi):
+def test_a_checker_has_nothing_to_say(name: str, fmi) -> None:
     assert validate_fmu(str(native_file(name, fmi))) == []
 
 
 # Trajectory ----------------------------------------------------------------------------------------------------------
 
 
-def played(instants, **parameters):
+def played(instants: Array, **parameters: float) -> Array:
     """Return jets (N, orders, m) of the crane's trajectory, whose steps end at some instants."""
     with Native("rotary_crane trajectory", 2) as host:
         host.start(time=float(instants[0]), **parameters)
@@ -57,7 +60,7 @@ def played(instants, **parameters):
     return np.array(found).reshape(len(instants), 5, 3)
 
 
-def assert_as(found, expected, within=1e-12):
+def assert_as(found: Array, expected: Array, within: float = 1e-12) -> None:
     peaks = np.abs(expected).max(axis=(0, 2), keepdims=True)
     assert (np.abs(found - expected) / peaks).max() < within
 
@@ -65,7 +68,7 @@ def assert_as(found, expected, within=1e-12):
 @pytest.mark.parametrize(
     ("number", "profile"), [(1, sc.DEGREE9), (2, sc.DEGREE13), (3, sc.three_phase()), (3, sc.three_phase(3.0))]
 )
-def test_time_laws_are_those_of_the_library(number, profile):
+def test_time_laws_are_those_of_the_library(number: int, profile: sc.Profile) -> None:
     t = np.arange(-10, 231) * 0.1
     ramp = getattr(profile, "ramp", None) or 0.0
     found = played(t, profile=number, ramp=ramp, start_time=1.0, duration=18.0)
@@ -73,12 +76,12 @@ def test_time_laws_are_those_of_the_library(number, profile):
     assert_as(found, path.jet(t, 4))
 
 
-def test_a_path_that_is_baked_in_is_that_path():
+def test_a_path_that_is_baked_in_is_that_path() -> None:
     t = np.linspace(-1.0, 21.0, 221)
     assert_as(played(t, profile=4), path_of("rotary_crane").jet(t, 4))
 
 
-def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence():
+def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence() -> None:
     for parameters, words in (({"profile": 1, "ramp": 2.0}, "a ramp belongs to the profile 3"),
                               ({"profile": 3, "ramp": 15.0}, "takes at least 30 s")):  # fmt: skip
         with Native("rotary_crane trajectory", 2) as host:
@@ -115,7 +118,7 @@ WATCHED = (
 
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=str)
-def test_the_plant_moves_as_the_one_in_python(settings):
+def test_the_plant_moves_as_the_one_in_python(settings: dict[str, float]) -> None:
     found = []
     for make in (partial(Native, "python", 2, fmu_file("CranePlant")), partial(Native, "rotary_crane plant", 2)):
         with make() as host:
@@ -130,7 +133,7 @@ def test_the_plant_moves_as_the_one_in_python(settings):
     assert (np.abs(native - python) <= 1e-12 * np.abs(python).max(axis=0)).all()
 
 
-def test_a_plant_of_any_scene_moves_by_the_steps_of_the_library():
+def test_a_plant_of_any_scene_moves_by_the_steps_of_the_library() -> None:
     scene, h, steps = sc.scenes.mass_on_car(), 0.01, 100
     with Native("mass_on_car plant") as host:
         host.start(brakes=2, input_time=END)
@@ -148,7 +151,7 @@ def test_a_plant_of_any_scene_moves_by_the_steps_of_the_library():
     assert [found[each] for each in ("x", "s", "x_dot", "s_dot")] == pytest.approx(state, rel=1e-12, abs=1e-14)
 
 
-def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope():
+def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope() -> None:
     with Native("rotary_crane plant", 2) as host:
         host.start(brakes=2)
         host.numbers_set(host.inputs, [0.0, 0.0, 1000.0])
@@ -174,7 +177,7 @@ def moved(name: str, shift: dict[str, np.ndarray] | None = None) -> Native:
     return host
 
 
-def set_all(host: Native, values, shift=None) -> None:
+def set_all(host: Native, values, shift: dict[str, Array] | None = None) -> None:
     """Set all inputs, one number after the other, and what is shifted besides."""
     sizes, place = {each.name: each.size or 1 for each in exported(host.name).of("input")}, 0
     for name in host.inputs:
@@ -194,7 +197,7 @@ def directions(name: str) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
-def test_derivatives_of_a_plant_are_difference_quotients():
+def test_derivatives_of_a_plant_are_difference_quotients() -> None:
     name, e = "rotary_crane plant", 1e-3
     along, ends = directions(name), []
     with moved(name) as host:
@@ -207,7 +210,7 @@ def test_derivatives_of_a_plant_are_difference_quotients():
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "rotary_crane plant"] if FULL else ["rotary_crane"])
-def test_adjoint_products_are_those_of_directions(name):
+def test_adjoint_products_are_those_of_directions(name) -> None:
     along = directions(name)
     with moved(name) as host:
         forward = host.derivatives(list(along), np.concatenate(list(along.values())))
@@ -221,7 +224,7 @@ def test_adjoint_products_are_those_of_directions(name):
 
 
 @pytest.mark.parametrize("input_time", [START, END])
-def test_the_feedback_is_that_of_python(input_time):
+def test_the_feedback_is_that_of_python(input_time: int) -> None:
     """A load beside its path, its measured motion made up: only equal laws say the same of it."""
     h, first = 0.1, 40
     motion, found = sc.solve(CRANE, step=h), []
@@ -271,7 +274,9 @@ def driven(host: Native, jets: np.ndarray, h: float, input_time: int, connected:
     [("position", START, 0.1, 0.0), ("position", END, 0.01, 1e-6), ("velocity", END, 0.1, 0.0),
      ("acceleration", START, 0.01, 1e-4), ("jerk", START, 0.1, 0.0)],
 )  # fmt: skip
-def test_what_is_not_connected_is_estimated_as_in_python(connected, input_time, h, rounding):
+def test_what_is_not_connected_is_estimated_as_in_python(
+    connected: str, input_time: int, h: float, rounding: float
+) -> None:
     jets, found = CRANE.reference.jet(np.arange(200) * h, 4), []
     if rounding:
         jets = np.round(jets / rounding) * rounding
@@ -285,7 +290,7 @@ def test_what_is_not_connected_is_estimated_as_in_python(connected, input_time, 
     assert np.abs(native - python).max() < 1e-12 * np.abs(python).max()
 
 
-def test_a_start_in_motion_is_told_once_and_known_after_some_samples():
+def test_a_start_in_motion_is_told_once_and_known_after_some_samples() -> None:
     h = 0.01
     jets = CRANE.reference.jet(8.0 + np.arange(12) * h, 4)
     with Native("rotary_crane loop", 2) as host:
@@ -297,7 +302,7 @@ def test_a_start_in_motion_is_told_once_and_known_after_some_samples():
     assert np.abs(found[6:, 0] - wanted[6:]).max() < 0.01 * np.abs(wanted).max()
 
 
-def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning():
+def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning() -> None:
     with Native("rotary_crane loop", 2) as host:
         host.start()
         before, path = host.values(), CRANE.reference.jet(0.0, 4).ravel()
@@ -316,7 +321,7 @@ def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning():
 # Command line --------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_writes_plant_and_trajectory(tmp_path, monkeypatch):
+def test_the_command_writes_plant_and_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
     write("path.csv", csv_of(path_of("rotary_crane")))
@@ -338,7 +343,9 @@ def test_the_command_writes_plant_and_trajectory(tmp_path, monkeypatch):
         (("--trajectory",), "name the file to write with -o"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options, words, tmp_path, monkeypatch):
+def test_options_that_do_not_go_together_are_refused(
+    options: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     run.assert_refused(run("export", "cars", *options), words)
     assert not any(tmp_path.iterdir())
@@ -351,7 +358,7 @@ PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration"
 
 
 @cache
-def systems(connected: str):
+def systems(connected: str) -> dict_values[bool, Path]:
     """Return the system in Python and the native one whose inverse models are told no more than a derivative."""
     parts, wishes = {}, {"parameters": {"connected": connected}} if connected != "snap" else {}
     for native in (False, True):
@@ -366,11 +373,13 @@ def systems(connected: str):
 @pytest.mark.parametrize("settings", [{}, {"crane.feedback": 0.0}, PUSHED], ids=["feedback", "feedforward", "pushed"])
 @pytest.mark.parametrize("h", [0.1, 0.01])
 @pytest.mark.parametrize("connected", ["snap", "velocity", "position"])
-def test_the_native_system_goes_where_the_one_in_python_goes(connected, h, settings):
+def test_the_native_system_goes_where_the_one_in_python_goes(
+    connected: str, h: float, settings: dict[str, float]
+) -> None:
     found = []
     for file in systems(connected):
         values = [SimpleNamespace(name=name, value=value) for name, value in settings.items()]
-        with forgotten_modules(), warnings.catch_warnings():
+        with nothing_left(), warnings.catch_warnings():
             warnings.simplefilter("ignore", ResourceWarning)
             given = SimpleNamespace(parameters=values)
             rows = simulate_ssp(str(file), stop_time=20.0, step_size=h, parameter_set=given)
@@ -383,19 +392,21 @@ def test_the_native_system_goes_where_the_one_in_python_goes(connected, h, setti
 @pytest.mark.parametrize("h", [0.1, 0.01])
 @pytest.mark.parametrize("package", MASTERS)
 @pytest.mark.parametrize("connected", ["snap", "position"])
-def test_other_masters_take_the_native_system_where_the_one_in_python_goes(connected, package, h):
+def test_other_masters_take_the_native_system_where_the_one_in_python_goes(
+    connected: str, package: str, h: float
+) -> None:
     python, native = (places(package, file, round(15.0 / h), h) for file in systems(connected))
     assert np.abs(native - python).max() < 1e-9
 
 
 @pytest.mark.skipif(not FULL, reason="make native")
-def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path, monkeypatch):
+def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write("path.csv", csv_of(path_of("rotary_crane")))
     write("heavy.toml", "load_mass = 80.0\n")
     options = ("--native", "--targets", "host", "--reference", "path.csv", "--parameters", "heavy.toml")
     assert crane("ssp", *options).exit_code == 0
-    with forgotten_modules():
+    with nothing_left():
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
     wanted, found = (np.array([rows[f"{n}.load.position[{k}]"] for k in (1, 2, 3)]) for n in ("trajectory", "plant"))
     np.testing.assert_allclose(wanted.T, path_of("rotary_crane").jet(rows["time"] + 0.01, 0)[:, 0], atol=1e-12)
@@ -408,6 +419,6 @@ def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path, monkeypat
                     assert not any(each.endswith(".py") or "python" in each for each in fmu.namelist())
 
 
-def test_platforms_belong_to_the_native_system(tmp_path, monkeypatch):
+def test_platforms_belong_to_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     crane.assert_refused(crane("ssp", "--targets", "host"), "--targets belongs to --native")

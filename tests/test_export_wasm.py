@@ -10,7 +10,9 @@ import os
 import shutil
 import subprocess
 import threading
+from collections.abc import Iterator
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +23,7 @@ from wasm_module import Module, module_file, sections
 import servocore as sc
 from servocore.cli.commands import app
 from servocore.export import targets, wasm
+from servocore.numerics.compiled_calls import Array
 
 run = CommandLine(app, "servocore")
 INSTANTS, STEPS = 1000, 200
@@ -39,14 +42,14 @@ def module(name: str) -> Module:
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _freed():
+def _freed() -> Iterator[None]:
     """Free modules before the interpreter ends, which wasmtime's destructors do not outlive."""
     yield
     module.cache_clear()
     gc.collect()
 
 
-def jets(name: str, t) -> np.ndarray:
+def jets(name: str, t: Array) -> np.ndarray:
     scene = scene_called(name)
     orders = len(module(name).about["path"]) // len(scene.model().outputs)
     return scene.reference.jet(np.asarray(t, dtype=float), orders - 1)
@@ -57,7 +60,7 @@ def instants(name: str, count: int) -> np.ndarray:
     return np.linspace(path.start_time, path.end_time, count + 1)
 
 
-def largest_difference(found, solution) -> float:
+def largest_difference(found: dict[str, Array], solution: sc.Solution) -> float:
     """Return the largest difference of all outputs relative to their peaks."""
     peaks = {name: max(np.abs(solution[name]).max(), 1e-300) for name in found}
     return max(np.abs(values - solution[name]).max() / peaks[name] for name, values in found.items())
@@ -72,7 +75,7 @@ def marched(name: str, **parameters: float):
 
 @needs_wasmtime
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm")])
-def test_inputs_at_a_thousand_instants_are_those_of_the_library(name):
+def test_inputs_at_a_thousand_instants_are_those_of_the_library(name) -> None:
     t = instants(name, INSTANTS)
     found, verdicts = module(name).invert(jets(name, t))
     assert not verdicts.any()
@@ -81,7 +84,7 @@ def test_inputs_at_a_thousand_instants_are_those_of_the_library(name):
 
 @needs_wasmtime
 @pytest.mark.parametrize("name", SCENES)
-def test_steps_of_the_projected_form_are_those_of_the_library(name):
+def test_steps_of_the_projected_form_are_those_of_the_library(name: str) -> None:
     (found, verdicts), h, scene = marched(name)
     assert len(verdicts) == STEPS + 1
     assert not verdicts.any()
@@ -90,7 +93,7 @@ def test_steps_of_the_projected_form_are_those_of_the_library(name):
 
 
 @needs_wasmtime
-def test_a_start_in_motion_takes_the_path_before_it():
+def test_a_start_in_motion_takes_the_path_before_it() -> None:
     path = sc.figure_of_eight((8.0, 0.0, -5.0), (2.0, 0.0, 0.0), (0.0, 1.0, 0.5), 12.0)
     scene, h = scene_called("rotary_crane").with_reference(path), 12.0 / STEPS
     times = h * np.concatenate([module("rotary_crane").about["instants"], np.arange(1, STEPS + 1)])
@@ -101,7 +104,7 @@ def test_a_start_in_motion_takes_the_path_before_it():
 
 
 @needs_wasmtime
-def test_parameters_are_taken_with_each_call():
+def test_parameters_are_taken_with_each_call() -> None:
     t = instants("rotary_crane", 100)
     found, _ = module("rotary_crane").invert(jets("rotary_crane", t), load_mass=80.0)
     heavy = sc.solve(scene_called("rotary_crane").with_parameters(load_mass=80.0), step=t[1] - t[0])
@@ -112,14 +115,14 @@ def test_parameters_are_taken_with_each_call():
 
 
 @needs_wasmtime
-def test_the_time_is_told_where_equations_hold_it():
+def test_the_time_is_told_where_equations_hold_it() -> None:
     (found, verdicts), h, scene = marched("wind")
     assert not verdicts.any()
     assert largest_difference(found, sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=h, checks=False)) < 1e-9
 
 
 @needs_wasmtime
-def test_an_instant_that_is_none_has_a_verdict_and_leaves_the_others_alone():
+def test_an_instant_that_is_none_has_a_verdict_and_leaves_the_others_alone() -> None:
     crane, t = module("rotary_crane"), instants("rotary_crane", 20)
     told = jets("rotary_crane", t)
     usual, _ = crane.invert(told)
@@ -136,7 +139,7 @@ def test_an_instant_that_is_none_has_a_verdict_and_leaves_the_others_alone():
 
 
 @needs_wasmtime
-def test_marching_ends_where_a_step_is_not_solved():
+def test_marching_ends_where_a_step_is_not_solved() -> None:
     t = instants("rotary_crane", 20)
     told = np.concatenate([jets("rotary_crane", t[:1]), jets("rotary_crane", t)])
     told[8] = np.nan
@@ -146,7 +149,7 @@ def test_marching_ends_where_a_step_is_not_solved():
 
 
 @needs_zig
-def test_the_crane_imports_nothing_and_is_small():
+def test_the_crane_imports_nothing_and_is_small() -> None:
     content = module_file("rotary_crane").read_bytes()
     assert 2 not in [number for number, _ in sections(content)]  # the section of imports
     assert len(content) <= 50_000
@@ -167,7 +170,7 @@ export async function asked(bytes, path, past) {
 """
 
 
-def javascript(folder) -> tuple[str, str]:
+def javascript(folder: Path) -> tuple[str, str]:
     """Write module, loader and a path beside each other; return two arrays as texts."""
     file = module_file("rotary_crane")
     for each in (file, wasm.loader_beside(file)):
@@ -199,7 +202,7 @@ def assert_as_in_the_library(found) -> None:
 
 @needs_zig
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
-def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path):
+def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path: Path) -> None:
     path, past = javascript(tmp_path)
     (tmp_path / "main.mjs").write_text(
         'import fs from "node:fs"; import { asked } from "./asked.mjs";\n'
@@ -213,7 +216,7 @@ def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path):
 
 @needs_zig
 @pytest.mark.skipif(not FULL or shutil.which("chromium") is None, reason="make native, with chromium")
-def test_a_browser_gives_the_numbers_of_the_library(tmp_path):
+def test_a_browser_gives_the_numbers_of_the_library(tmp_path: Path) -> None:
     path, past = javascript(tmp_path)
     (tmp_path / "index.html").write_text(
         '<!doctype html><pre id="found"></pre><script type="module">\n'
@@ -239,13 +242,13 @@ def test_a_browser_gives_the_numbers_of_the_library(tmp_path):
 
 
 @needs_zig
-def test_the_command_writes_module_and_loader(tmp_path, monkeypatch):
+def test_the_command_writes_module_and_loader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert "cars.wasm, cars.mjs: WebAssembly of cars" in run("export", "cars", "--wasm", "cars.wasm").output
     assert sorted(each.name for each in tmp_path.iterdir()) == ["cars.mjs", "cars.wasm"]
 
 
-def test_what_cannot_be_a_module_is_refused_with_a_sentence(tmp_path, monkeypatch):
+def test_what_cannot_be_a_module_is_refused_with_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     run.assert_refused(run("export", "cars", "--wasm", "cars.js"), "the name of a WebAssembly module ends with .wasm")
     monkeypatch.setattr(wasm, "zig", lambda: None)

@@ -17,32 +17,33 @@ from fmu_host import Host, extracted, fmu_file, in_a_process, interface, scratch
 
 import servocore as sc
 from crane_fmu.build import fmu as build
-from crane_fmu.build.bundle import collect, travelling
+from crane_fmu.build.bundle import Content, collect, travelling
 from crane_fmu.build.description import UNITS
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, ROTARY_CRANE
+from crane_fmu.catalogue.fmu_kinds import FmuKind
 
 ROOT = Path(__file__).parents[1]
 
 
-def members(file):
+def members(file: Path | io.BytesIO):
     with zipfile.ZipFile(file) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
 @pytest.fixture(scope="module")
-def content():
+def content() -> Content:
     return collect()
 
 
-def test_fmpy_finds_no_problems():
+def test_fmpy_finds_no_problems() -> None:
     assert validate_fmu(str(fmu_file())) == []
     command = [sys.executable, "-m", "fmpy", "validate", str(fmu_file())]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
 
 
-def test_the_command_builds_into_a_folder_it_makes(tmp_path):
+def test_the_command_builds_into_a_folder_it_makes(tmp_path: Path) -> None:
     folder = tmp_path / "a b" / "c"
     command = [sys.executable, str(ROOT / "build_fmu.py"), "-o", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
@@ -53,13 +54,17 @@ def test_the_command_builds_into_a_folder_it_makes(tmp_path):
     assert (folder / "RotaryCrane.fmu").read_bytes() == fmu_file().read_bytes()
 
 
-def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(tmp_path, capsys):
+def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "file").touch()
     assert build.main(["-o", str(tmp_path / "file" / "x")]) == 2
     assert capsys.readouterr().err.startswith("build_fmu.py: cannot make the folder")
 
 
-def test_an_fmu_that_fails_its_check_is_not_put_in_place(content, tmp_path, monkeypatch):
+def test_an_fmu_that_fails_its_check_is_not_put_in_place(
+    content: Content, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     broken = replace(content, files={**content.files, "crane_fmu/slave/motion.py": "raise RuntimeError('broken')\n"})
     monkeypatch.setattr(build, "collect", lambda *_: broken)
     (tmp_path / "RotaryCrane.fmu").write_text("older")
@@ -72,10 +77,12 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(content, tmp_path, monk
     assert [each.read_text() for each in tmp_path.iterdir()] == ["older"]
 
 
-def test_a_file_missing_from_the_bundle_is_found_by_the_check(content, tmp_path, monkeypatch):
+def test_a_file_missing_from_the_bundle_is_found_by_the_check(
+    content: Content, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     packed = build.packed
 
-    def without_one_program(content, _):
+    def without_one_program(content, _) -> bytes:
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w") as archive:
             for name, data in members(io.BytesIO(packed(content))).items():
@@ -90,14 +97,14 @@ def test_a_file_missing_from_the_bundle_is_found_by_the_check(content, tmp_path,
     assert not list(tmp_path.iterdir())
 
 
-def test_building_leaves_no_traces_in_the_process(content):
+def test_building_leaves_no_traces_in_the_process(content: Content) -> None:
     path, modules = list(sys.path), set(sys.modules)
     build.packed(content)
     assert sys.path == path
     assert not {each for each in set(sys.modules) - modules if each.startswith("rotary_crane")}
 
 
-def test_the_archive_holds_what_is_needed_and_nothing_else():
+def test_the_archive_holds_what_is_needed_and_nothing_else() -> None:
     found = members(fmu_file())
     assert next(iter(found)) == "modelDescription.xml"
     assert {"model.png", "documentation/index.html", "resources/requirements.txt"} <= set(found)
@@ -112,7 +119,7 @@ def test_the_archive_holds_what_is_needed_and_nothing_else():
 
 
 @pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
-def test_what_the_slave_imports_travels_and_nothing_else(kind):
+def test_what_the_slave_imports_travels_and_nothing_else(kind: FmuKind) -> None:
     sources = travelling(f"crane_fmu.slave.{kind.module}")
     assert f"crane_fmu/slave/{kind.module}.py" in sources
     assert "servocore/errors.py" in sources
@@ -130,7 +137,7 @@ def test_what_the_slave_imports_travels_and_nothing_else(kind):
     assert not [line for line in offered if "solve" in line]
 
 
-def test_all_variables_have_units_with_their_dimension():
+def test_all_variables_have_units_with_their_dimension() -> None:
     description = ET.fromstring(members(fmu_file())["modelDescription.xml"])
     defined = {each.get("name"): each.find("BaseUnit") for each in description.iter("Unit")}
     for element, variable in zip(description.iter("ScalarVariable"), interface().variables, strict=True):
@@ -142,7 +149,7 @@ def test_all_variables_have_units_with_their_dimension():
     assert {"deg", "kN"} <= displays
 
 
-def test_defaults_and_bounds_are_those_of_the_crane_to_the_last_bit():
+def test_defaults_and_bounds_are_those_of_the_crane_to_the_last_bit() -> None:
     described = {each.name: each for each in read_model_description(str(fmu_file())).modelVariables}
     for each in sc.scenes.rotary_crane().model().parameters.declared:
         found = described[each.name]
@@ -150,7 +157,7 @@ def test_defaults_and_bounds_are_those_of_the_crane_to_the_last_bit():
         assert found.unit == each.unit
 
 
-def test_outputs_depend_on_inputs_at_the_start_only():
+def test_outputs_depend_on_inputs_at_the_start_only() -> None:
     description = read_model_description(str(fmu_file()))
     assert all(each.dependencies == [] for each in description.outputs)
     for each in description.initialUnknowns:
@@ -158,7 +165,7 @@ def test_outputs_depend_on_inputs_at_the_start_only():
         assert {"load.position[1]", "load.snap[3]", "load_mass", "gravity"} <= names
 
 
-def test_the_description_offers_states_and_variable_steps():
+def test_the_description_offers_states_and_variable_steps() -> None:
     offered = read_model_description(str(fmu_file())).coSimulation
     assert offered.canGetAndSetFMUstate
     assert offered.canSerializeFMUstate
@@ -166,7 +173,7 @@ def test_the_description_offers_states_and_variable_steps():
     assert not offered.canBeInstantiatedOnlyOncePerProcess
 
 
-def test_the_identifier_changes_with_the_interface_only(content):
+def test_the_identifier_changes_with_the_interface_only(content: Content) -> None:
     table = interface()
     assert read_model_description(str(fmu_file())).guid.strip("{}") == table.guid
     changed = replace(table.variables[0], description="something else")
@@ -174,7 +181,7 @@ def test_the_identifier_changes_with_the_interface_only(content):
     assert replace(content, files={**content.files, "more.py": ""}).name != content.name
 
 
-def test_two_builds_of_different_content_live_in_one_process(content):
+def test_two_builds_of_different_content_live_in_one_process(content: Content) -> None:
     checks = content.files["crane_fmu/slave/checks.py"]
     assert "LONGEST_STEP = 3600.0" in checks
     impatient = checks.replace("LONGEST_STEP = 3600.0", "LONGEST_STEP = 0.05")
@@ -186,7 +193,7 @@ def test_two_builds_of_different_content_live_in_one_process(content):
         assert hasty.step(0.0, 0.05)
 
 
-def test_another_servocore_in_the_process_is_neither_used_nor_disturbed():
+def test_another_servocore_in_the_process_is_neither_used_nor_disturbed() -> None:
     done = in_a_process(
         "import sys, types\nfrom pathlib import Path\n"
         "from fmu_host import Host\n"
@@ -212,7 +219,7 @@ print(*sorted(unwanted & {each.split(".")[0] for each in sys.modules}))
 """
 
 
-def test_a_clean_process_runs_it_without_scipy_or_the_project(tmp_path):
+def test_a_clean_process_runs_it_without_scipy_or_the_project(tmp_path: Path) -> None:
     command = [sys.executable, "-I", "-c", CLEAN, str(fmu_file())]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -220,7 +227,7 @@ def test_a_clean_process_runs_it_without_scipy_or_the_project(tmp_path):
 
 
 @pytest.mark.parametrize("missing", ["casadi", "numpy"])
-def test_a_missing_package_is_named(missing):
+def test_a_missing_package_is_named(missing: str) -> None:
     done = in_a_process(
         "import sys\n"
         "import fmpy.fmi2, fmpy\n"
@@ -248,13 +255,13 @@ def test_a_missing_package_is_named(missing):
     assert "requirements.txt" in done.stdout
 
 
-def test_it_runs_from_a_path_with_a_space(tmp_path):
+def test_it_runs_from_a_path_with_a_space(tmp_path: Path) -> None:
     (tmp_path / "with space").mkdir()
     done = in_a_process(CLEAN, fmu_file(), TMPDIR=str(tmp_path / "with space"))
     assert done.returncode == 0, done.stderr
 
 
-def test_the_page_in_the_documentation_is_the_one_in_the_fmu():
+def test_the_page_in_the_documentation_is_the_one_in_the_fmu() -> None:
     page = user_page(ROTARY_CRANE)
     written = (ROOT / "docs" / "fmu.md").read_text(encoding="utf-8")
     assert written == page, "run: python build_fmu.py --page docs/fmu.md"

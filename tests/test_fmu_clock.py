@@ -17,7 +17,7 @@ CRANE = sc.scenes.rotary_crane()
 
 
 @pytest.mark.parametrize("start", START_TIMES)
-def test_a_million_steps_may_be_counted_from_the_start(start):
+def test_a_million_steps_may_be_counted_from_the_start(start: float) -> None:
     h = 1e-3
     present = start
     for i in range(1_000_000):
@@ -27,7 +27,7 @@ def test_a_million_steps_may_be_counted_from_the_start(start):
 
 @pytest.mark.parametrize("start", START_TIMES)
 @pytest.mark.parametrize("name", KINDS)
-def test_every_fmu_takes_the_time_that_the_host_tells(name, start):
+def test_every_fmu_takes_the_time_that_the_host_tells(name: str, start: float) -> None:
     h = 1e-3
     with Host(fmu_file(name)) as host:
         host.start(time=start)
@@ -35,7 +35,7 @@ def test_every_fmu_takes_the_time_that_the_host_tells(name, start):
             assert host.step(start + i * h, h), host.messages
 
 
-def test_outputs_do_not_depend_on_when_the_run_begins():
+def test_outputs_do_not_depend_on_when_the_run_begins() -> None:
     jets = CRANE.reference.jet(8.0 + 0.01 * np.arange(200), 4)
     rows = []
     for start in START_TIMES:
@@ -49,7 +49,7 @@ def test_outputs_do_not_depend_on_when_the_run_begins():
         np.testing.assert_allclose(row, rows[0], rtol=1e-9, atol=1e-9)
 
 
-def test_a_step_back_and_a_gap_are_refused_with_all_digits():
+def test_a_step_back_and_a_gap_are_refused_with_all_digits() -> None:
     with Host() as host:
         host.start(time=1e9)
         assert host.step(1e9, 1e-3)

@@ -6,6 +6,7 @@ import gc
 import json
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from fmu_host import JET, Host, fmu_file, follow, in_a_process
 import servocore as sc
 from crane_fmu.build.page import REFUSALS
 from crane_fmu.catalogue import MODELS
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 REST = np.zeros((5, 3))
@@ -22,7 +24,7 @@ REST[0] = 5.0, 0.0, -5.0
 SENTENCES = [sentence for _, sentence in REFUSALS["RotaryCrane"]]
 
 
-def moved(**changes):
+def moved(**changes: tuple[int, int, float]) -> Array:
     """Inputs of the load at rest with some values changed."""
     jet = REST.copy()
     for row, column, value in changes.values():
@@ -30,11 +32,11 @@ def moved(**changes):
     return jet
 
 
-def inputs_with(row, column, value):
+def inputs_with(row: int, column: int, value: float):
     return lambda host: host.start().tell(moved(change=(row, column, value))).step(0.0, 0.1)
 
 
-def after_a_step(time, h):
+def after_a_step(time: float, h: float):
     return lambda host: host.start().step(0.0, 0.1) and host.step(time, h)
 
 
@@ -60,7 +62,7 @@ MISTAKES = (
 
 
 @pytest.mark.parametrize(("mistake", "sentence"), list(zip(MISTAKES, SENTENCES, strict=True)), ids=SENTENCES)
-def test_every_refusal_is_the_sentence_that_the_page_promises(mistake, sentence):
+def test_every_refusal_is_the_sentence_that_the_page_promises(mistake, sentence) -> None:
     with Host() as host:
         assert not mistake(host)
         assert host.messages[-1] == sentence
@@ -68,7 +70,7 @@ def test_every_refusal_is_the_sentence_that_the_page_promises(mistake, sentence)
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("name", JET)
-def test_no_input_may_be_anything_but_a_finite_number(name, value):
+def test_no_input_may_be_anything_but_a_finite_number(name: str, value: float) -> None:
     with Host() as host:
         host.start().set(**{name: value})
         before = host.outputs()
@@ -78,27 +80,27 @@ def test_no_input_may_be_anything_but_a_finite_number(name, value):
 
 
 @pytest.mark.parametrize("h", [0.0, -0.0, -1.0, math.nan, math.inf, -math.inf, 1e9, 1e300])
-def test_no_step_may_be_anything_but_positive_and_moderate(h):
+def test_no_step_may_be_anything_but_positive_and_moderate(h: float) -> None:
     with Host() as host:
         assert not host.start().step(0.0, h)
         assert "the communication step is" in host.messages[0]
 
 
 @pytest.mark.parametrize("time", [math.nan, math.inf, -1.0, 0.3])
-def test_time_neither_jumps_nor_loses_its_value(time):
+def test_time_neither_jumps_nor_loses_its_value(time: float) -> None:
     with Host() as host:
         assert not host.start().step(time, 0.1)
         assert "communication point" in host.messages[0]
 
 
-def test_a_step_that_round_off_swallows_is_refused():
+def test_a_step_that_round_off_swallows_is_refused() -> None:
     with Host() as host:
         assert not host.start(time=1e9).step(1e9, 1e-9)
         assert "round-off" in host.messages[0]
 
 
 @pytest.mark.parametrize(("h", "reached"), [(20.0, 0.0), (5.0, 10.0)])  # the first step, and one like the step before
-def test_a_step_that_lands_on_another_branch_is_refused_and_smaller_ones_go_on(h, reached):
+def test_a_step_that_lands_on_another_branch_is_refused_and_smaller_ones_go_on(h: float, reached: float) -> None:
     with Host() as host:
         host.set(formulation="projected", input_time="end").start(CRANE.reference.jet(0.0, 4))
         t = 0.0
@@ -113,7 +115,7 @@ def test_a_step_that_lands_on_another_branch_is_refused_and_smaller_ones_go_on(h
         assert host["s"] == pytest.approx(CRANE.exact(np.array([t + 1.0]))["s"][0], abs=1e-3)
 
 
-def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened():
+def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened() -> None:
     t = np.arange(0, 41) * 0.1 + 4.0
     jets = CRANE.reference.jet(t, 4)
     with Host() as plain, Host() as disturbed:
@@ -129,7 +131,7 @@ def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened():
         assert disturbed["M_b"] == wanted["M_b"][-1]
 
 
-def test_fmpy_stops_short_at_a_refused_step_and_says_why():
+def test_fmpy_stops_short_at_a_refused_step_and_says_why() -> None:
     heights = [(0.0, -5.0), (0.65, -5.0), (0.7, 5.0), (1.0, 5.0)]
     table = np.array(heights, dtype=[("time", float), ("load.position[3]", float)])
     messages = []
@@ -180,21 +182,21 @@ def test_fixed_parameters_keep_their_value_after_the_initialization(name, value)
         assert host["tension"] == pytest.approx(981.0)
 
 
-def test_outputs_cannot_be_set():
+def test_outputs_cannot_be_set() -> None:
     with Host() as host:
         host.start().set(M_b=7.0)
         assert host["M_b"] == pytest.approx(0.0, abs=1e-9)
         assert "cannot be set" in host.messages[0]
 
 
-def test_a_terminated_fmu_refuses_steps():
+def test_a_terminated_fmu_refuses_steps() -> None:
     with Host() as host:
         host.start().fmu.terminate()
         assert not host.step(0.0, 0.1)
         assert "terminated" in host.messages[0]
 
 
-def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same():
+def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> None:
     t = np.arange(51) * 0.1
     with Host(logging=False) as quiet, Host(logging=True) as loud:
         found = follow(quiet, CRANE.reference, t), follow(loud, CRANE.reference, t)
@@ -206,7 +208,7 @@ def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same():
 # --- state -----------------------------------------------------------------------------------------------------------
 
 
-def drive(host, t, jets):
+def drive(host: Host, t: Array, jets: Array):
     rows = []
     for k in range(len(t) - 1):
         assert host.tell(jets[k]).step(t[k], t[k + 1] - t[k]), host.messages
@@ -215,7 +217,7 @@ def drive(host, t, jets):
 
 
 @pytest.mark.parametrize("settings", [{}, {"input_time": "end"}, {"model": "bodies", "internal_step": 0.02}])
-def test_going_back_and_repeating_gives_the_same_bits(settings):
+def test_going_back_and_repeating_gives_the_same_bits(settings: dict[str, str]) -> None:
     t = 5.0 + np.cumsum([0.0, *[0.1, 0.1, 0.05, 0.1] * 8])
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:
@@ -231,7 +233,7 @@ def test_going_back_and_repeating_gives_the_same_bits(settings):
         host.fmu.freeFMUState(kept)
 
 
-def test_a_state_also_holds_what_failed_and_what_has_not_begun():
+def test_a_state_also_holds_what_failed_and_what_has_not_begun() -> None:
     with Host() as host:
         fresh = host.fmu.getFMUState()
         host.set(gravity=0.0).start()
@@ -277,7 +279,7 @@ def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path):
 
 
 @pytest.mark.parametrize("wrong", [b"", b"{}", b"[1]", b"\xff\xfe", b'{"format": "rotary crane state 1", "guid": "x"}'])
-def test_a_foreign_state_is_refused_and_nothing_changes(wrong):
+def test_a_foreign_state_is_refused_and_nothing_changes(wrong: bytes) -> None:
     with Host() as host:
         host.start()
         host.fmu.setFMUState(host.fmu.deSerializeFMUstate(wrong))
@@ -288,7 +290,7 @@ def test_a_foreign_state_is_refused_and_nothing_changes(wrong):
 # --- instances -------------------------------------------------------------------------------------------------------
 
 
-def test_two_instances_do_not_know_each_other():
+def test_two_instances_do_not_know_each_other() -> None:
     t = np.arange(31) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as alone:
@@ -304,7 +306,7 @@ def test_two_instances_do_not_know_each_other():
     assert rows == wanted
 
 
-def test_a_reset_instance_is_like_a_fresh_one():
+def test_a_reset_instance_is_like_a_fresh_one() -> None:
     t = 3.0 + np.arange(21) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as fresh:
@@ -317,7 +319,7 @@ def test_a_reset_instance_is_like_a_fresh_one():
         assert drive(used.start(jets[0], 3.0), t, jets) == wanted
 
 
-def test_a_hundred_instances_in_one_process_work():
+def test_a_hundred_instances_in_one_process_work() -> None:
     """PythonFMU 0.7 gives away a reference to the entry module's names with each."""
     done = in_a_process(
         "import sys, gc\nfrom pathlib import Path\nfrom fmu_host import Host\n"
@@ -364,13 +366,13 @@ print("alive")
 
 
 @pytest.mark.parametrize("kind", ["RuntimeError", "MemoryError", "KeyboardInterrupt", "SystemExit"])
-def test_an_exception_in_a_callback_neither_ends_nor_harms_the_host(kind):
+def test_an_exception_in_a_callback_neither_ends_nor_harms_the_host(kind: str) -> None:
     done = in_a_process(FAULT, fmu_file(), kind)
     assert done.stdout.strip() == "alive", done.stderr
     assert done.returncode == 0
 
 
-def test_wrong_value_references_do_not_end_the_host():
+def test_wrong_value_references_do_not_end_the_host() -> None:
     done = in_a_process(
         "import sys, math\nfrom pathlib import Path\nfrom fmu_host import Host\n"
         "with Host(Path(sys.argv[1])) as host:\n"
@@ -385,7 +387,7 @@ def test_wrong_value_references_do_not_end_the_host():
     assert done.stdout.strip() == "alive", done.stderr
 
 
-def test_many_steps_leave_no_memory_behind():
+def test_many_steps_leave_no_memory_behind() -> None:
     with Host(logging=False) as host:
         host.start()
         for k in range(200):

@@ -20,13 +20,13 @@ GUSTS = ("gust[1]", "gust[2]")
 
 @pytest.mark.parametrize("h", STEPS[:-2])
 @pytest.mark.parametrize("at", MASTERS)
-def test_the_default_manoeuvre_holds_at_every_step(at, h):
+def test_the_default_manoeuvre_holds_at_every_step(at: str, h: float) -> None:
     assert deviation(Case(), h, at) < BOUNDS[h] / 50.0
 
 
 @pytest.mark.parametrize("any_crane", [False, True], ids=["nominal", "any crane"])
 @pytest.mark.parametrize("at", MASTERS)
-def test_random_manoeuvres_hold_at_long_steps(at, any_crane):
+def test_random_manoeuvres_hold_at_long_steps(at: str, any_crane: bool) -> None:
     rng = np.random.default_rng(11 + any_crane)
     for h in (0.1, 0.05):
         for _ in range(2):
@@ -36,7 +36,7 @@ def test_random_manoeuvres_hold_at_long_steps(at, any_crane):
 
 
 @pytest.mark.parametrize("at", MASTERS)
-def test_native_fmus_keep_the_load_as_near_as_those_with_python(at):
+def test_native_fmus_keep_the_load_as_near_as_those_with_python(at: str) -> None:
     python, native = (deviation(Case(), 0.1, at, each) for each in (False, True))
     assert native == pytest.approx(python, rel=1e-6)
 
@@ -49,7 +49,7 @@ NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three
 @pytest.mark.parametrize(
     ("path", "begin"), [(CRANE.reference, 8.0), (NEAR_AXIS, 4.2)], ids=["default", "near the axis"]
 )
-def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(path, begin, gust):
+def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(path: sc.Reference, begin: float, gust: str) -> None:
     disturbance = {"mass_error": 0.05, gust: 20.0, "gust_start": begin, "gust_duration": 2.0}
     count, h = round((begin + 3.0) / 0.01), 0.01
     jets = path.jet(h * np.arange(count + 1), 4)
@@ -58,7 +58,7 @@ def test_a_mass_error_and_a_gust_cost_less_than_10_mm_at_10_ms(path, begin, gust
     assert np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max() < 0.01
 
 
-def test_drives_that_give_no_more_bring_the_load_back_without_winding_up():
+def test_drives_that_give_no_more_bring_the_load_back_without_winding_up() -> None:
     """The gust takes some 1.6 kN.m; with half a kN.m the load gives way and returns."""
     disturbance = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
     path, h, count = CRANE.reference, 0.02, 800
@@ -85,7 +85,9 @@ OFF_THE_PATH = {
 @pytest.mark.parametrize("h", [0.1, 0.02])
 @pytest.mark.parametrize("at", MASTERS)
 @pytest.mark.parametrize("start", OFF_THE_PATH.values(), ids=OFF_THE_PATH)
-def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(start, at, h):
+def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(
+    start: dict[str, float], at: str, h: float
+) -> None:
     jets, tensions = jets_of(CRANE.reference, h)[: round(9.0 / h)], []
     with Loop(Case(disturbance=start), at) as loop:
         for k in range(len(jets) - 1):
@@ -96,13 +98,13 @@ def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(start, at
     assert min(tensions) > 0.8 * 981.0
 
 
-def at_rest(shift):
+def at_rest(shift: float):
     """What a crane at rest measures whose load hangs off by a distance along x."""
     return {"measured.s": 5.0 + shift, "measured.l": 5.0, "measured.position[1]": 5.0 + shift,
             "measured.position[3]": -5.0}  # fmt: skip
 
 
-def test_a_load_far_from_its_path_is_left_to_the_feedforward_and_told_once():
+def test_a_load_far_from_its_path_is_left_to_the_feedforward_and_told_once() -> None:
     with Host() as host:
         host.start()
         for k, shift in enumerate((0.6, 0.4, 0.6, 0.2)):
@@ -113,7 +115,7 @@ def test_a_load_far_from_its_path_is_left_to_the_feedforward_and_told_once():
         assert "the measured load is 0.6 m from its path, more than feedback_distance = 0.5 m" in host.messages[0]
 
 
-def test_a_step_too_long_for_the_pendulum_is_told_with_the_longest_that_will_do():
+def test_a_step_too_long_for_the_pendulum_is_told_with_the_longest_that_will_do() -> None:
     with Host() as host:
         host.start().set(**at_rest(0.01))
         assert host.step(0.0, 0.3)
@@ -123,7 +125,7 @@ def test_a_step_too_long_for_the_pendulum_is_told_with_the_longest_that_will_do(
 
 
 @pytest.mark.parametrize("name", FORCES)
-def test_outputs_stay_within_the_limits_without_feedback_too(name):
+def test_outputs_stay_within_the_limits_without_feedback_too(name: str) -> None:
     with Host() as host:
         host.set(**{f"limit.{name}": 1.0}).start(CRANE.reference.jet(8.0, 4))
         assert abs(host[name]) <= 1.0
@@ -134,14 +136,14 @@ def test_outputs_stay_within_the_limits_without_feedback_too(name):
 
 @pytest.mark.parametrize("h", [0.1])
 @pytest.mark.parametrize("at", MASTERS)
-def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(at, h):
+def test_the_transition_matrix_of_the_whole_loop_decays_over_the_path(at: str, h: float) -> None:
     """Frozen eigenvalues prove nothing for a crane that moves: the product over the path has to become small."""
     norms = list(transition_norms(laws()[at], at, h))
     assert norms[-1] < 1e-10 * max(norms)
 
 
 @pytest.mark.parametrize(("at", "bound"), [("start", 4.8), ("end", 3.1)])
-def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at, bound):
+def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at: str, bound: float) -> None:
     law = laws()[at]
     for h in (0.1, 0.01):
         for place in CRANE.reference.jet(np.array([0.0, 10.0, 20.0]), 0)[:, 0]:
@@ -151,7 +153,7 @@ def test_disturbances_at_the_inputs_are_amplified_no_more_than_the_page_says(at,
 # What is not known in time -------------------------------------------------------------------------------------------
 
 
-def test_a_jump_of_crackle_costs_what_no_jacobi_master_can_save():
+def test_a_jump_of_crackle_costs_what_no_jacobi_master_can_save() -> None:
     """The law stays within a dozen times of the least that any inputs could reach, those without bounds included."""
     assert smallest_distance() == pytest.approx(1.33, abs=0.01)
     assert smallest_distance(most=5.0) == pytest.approx(2.66, abs=0.01)
@@ -170,7 +172,7 @@ UNDER = (np.array([30.0, 20.0, -40.0]), np.array([3.0, -2.0, 1.0]), list(CRANE.p
 """Inputs, force on the load, parameters."""
 
 
-def test_a_short_step_is_computed_with_less_work_and_the_same_result():
+def test_a_short_step_is_computed_with_less_work_and_the_same_result() -> None:
     u, d, p = UNDER
     h = SHORT_TURN / fastest(Case())
     step, slope = advance(hanging(CRANE.model("points")), 3), [100.0, 50.0, 20.0]

@@ -16,6 +16,7 @@ import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS
 from crane_fmu.run import numbered
 from crane_fmu.slave.paths import hermite, taylor
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 MODELS = tuple(CRANE.models)
@@ -23,7 +24,7 @@ UNSOLVED = ("generalized", "original")  # index 5 on five coordinates: Newton's 
 ROUTES = [route for route in itertools.product(MODELS, FORMULATIONS) if route != UNSOLVED]
 
 
-def table(t, jets):
+def table(t: Array, jets: Array) -> Array:
     """A table of inputs for fmpy."""
     rows = np.zeros(len(t), dtype=[("time", float), *((name, float) for name in JET)])
     rows["time"] = t
@@ -32,12 +33,12 @@ def table(t, jets):
     return rows
 
 
-def worst(found, wanted, names=OUTPUTS):
+def worst(found: dict[str, Array], wanted: sc.Solution | dict[str, Array], names: tuple[str, ...] = OUTPUTS):
     """Largest deviation of any output from what is wanted, relative to its peak."""
     return max(np.abs(found[name] - wanted[name]).max() / np.abs(wanted[name]).max() for name in names)
 
 
-def simulate(step, **settings):
+def simulate(step: float, **settings: str):
     t = np.arange(round(20 / step) + 1) * step
     result = simulate_fmu(
         str(fmu_file()),
@@ -54,7 +55,7 @@ def simulate(step, **settings):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_the_default_manoeuvre_runs_in_fmpy_to_its_end(model):
+def test_the_default_manoeuvre_runs_in_fmpy_to_its_end(model: str) -> None:
     t, result = simulate(0.1, model=model, formulation="projected")
     solution = sc.solve(CRANE, sc.Projected(), sc.BackwardEuler(), step=0.1, model=model)
     np.testing.assert_allclose(result["time"], t, rtol=1e-14, atol=1e-14)
@@ -64,14 +65,14 @@ def test_the_default_manoeuvre_runs_in_fmpy_to_its_end(model):
 
 
 @pytest.mark.parametrize(("model", "formulation"), ROUTES)
-def test_inputs_of_the_end_of_a_step_give_what_solve_gives(model, formulation):
+def test_inputs_of_the_end_of_a_step_give_what_solve_gives(model: str, formulation: str) -> None:
     solution = sc.solve(CRANE, FORMULATIONS[formulation], sc.BackwardEuler(), step=0.1, model=model)
     with Host() as host:
         found = follow(host.set(model=model, formulation=formulation), CRANE.reference, solution.t, at="end")
     assert worst(found, solution) < 1e-9
 
 
-def test_a_step_that_newton_cannot_solve_is_refused_with_its_times_and_the_worst_equation():
+def test_a_step_that_newton_cannot_solve_is_refused_with_its_times_and_the_worst_equation() -> None:
     """Index 5 on five coordinates fails at this step in `solve` as well; round-off decides where."""
     route = dict(zip(("model", "formulation"), UNSOLVED, strict=True))
     with pytest.raises(sc.IntegrationFailed):
@@ -89,7 +90,7 @@ def test_a_step_that_newton_cannot_solve_is_refused_with_its_times_and_the_worst
 
 @pytest.mark.parametrize("at", ["start", "end"])
 @pytest.mark.parametrize("formulation", ["projected", "original"])
-def test_the_error_falls_in_proportion_to_the_step(formulation, at):
+def test_the_error_falls_in_proportion_to_the_step(formulation: str, at: str) -> None:
     errors = []
     for step in (0.1, 0.05, 0.025):
         t = np.arange(round(20 / step) + 1) * step
@@ -100,7 +101,7 @@ def test_the_error_falls_in_proportion_to_the_step(formulation, at):
     assert (abs(orders - 1.0) < 0.1).all(), errors
 
 
-def test_the_reduced_formulation_has_no_step_error():
+def test_the_reduced_formulation_has_no_step_error() -> None:
     t = np.arange(201) * 0.1
     with Host() as host:
         found = follow(host, CRANE.reference, t, at="end")
@@ -109,7 +110,7 @@ def test_the_reduced_formulation_has_no_step_error():
 
 @pytest.mark.parametrize("at", ["start", "end"])
 @pytest.mark.parametrize("formulation", ["projected", "original"])
-def test_steps_that_vary_cost_no_order(formulation, at):
+def test_steps_that_vary_cost_no_order(formulation: str, at: str) -> None:
     """Without the rebuilt history M_b would be off by its whole size after every change."""
     errors = []
     for step in (0.05, 0.025, 0.0125):
@@ -124,7 +125,7 @@ def test_steps_that_vary_cost_no_order(formulation, at):
 
 
 @pytest.mark.parametrize("at", ["start", "end"])
-def test_internal_steps_are_as_good_as_communication_steps(at):
+def test_internal_steps_are_as_good_as_communication_steps(at: str) -> None:
     t = np.arange(201) * 0.1
     errors = []
     for internal in (0.0, 0.05, 0.025):
@@ -134,7 +135,7 @@ def test_internal_steps_are_as_good_as_communication_steps(at):
     assert np.abs(np.log2(np.array(errors[:-1]) / errors[1:]) - 1.0).max() < 0.1, errors
 
 
-def test_steps_of_a_nanosecond_stay_as_exact_as_the_start():
+def test_steps_of_a_nanosecond_stay_as_exact_as_the_start() -> None:
     """A host takes such steps around events; differences over them would be round-off."""
     t = np.concatenate([np.arange(50, 60) * 0.1, 5.9 + np.arange(1, 4) * 1e-9, np.arange(60, 70) * 0.1])
     with Host() as host:
@@ -154,7 +155,7 @@ def test_outputs_are_exact_after_an_initialization_in_motion():
             assert value == pytest.approx(exact[name][0], rel=1e-9, abs=1e-9)
 
 
-def test_a_start_in_motion_is_forgotten_after_one_step():
+def test_a_start_in_motion_is_forgotten_after_one_step() -> None:
     t = 5.0 + np.arange(20) * 0.01
     with Host() as host:
         found = follow(host.set(formulation="projected"), CRANE.reference, t, at="end")
@@ -183,7 +184,7 @@ def test_inputs_that_come_only_after_the_initialization_are_taken_for_the_start(
         assert late.outputs().tolist() == early.outputs().tolist()
 
 
-def test_the_bridge_angle_counts_full_turns():
+def test_the_bridge_angle_counts_full_turns() -> None:
     """Three turns in thirty seconds, each step crossing no more than a few degrees."""
     t = np.arange(0.0, 30.0, 0.05)
     rate = 2 * np.pi / 10
@@ -206,7 +207,7 @@ def test_the_bridge_angle_counts_full_turns():
 
 @pytest.mark.parametrize("name", ["bridge_inertia", "trolley_mass", "load_mass", "winch_inertia"])
 @pytest.mark.parametrize("model", MODELS)
-def test_tunable_parameters_take_effect_at_the_next_step(model, name):
+def test_tunable_parameters_take_effect_at_the_next_step(model: str, name: str) -> None:
     heavier = CRANE.with_parameters(**{name: 2.0 * CRANE.parameter_values()[name]})
     t = np.arange(201) * 0.1
     wanted = sc.solve(heavier, sc.Projected(), sc.BackwardEuler(), step=0.1, model=model)
@@ -223,17 +224,17 @@ def test_tunable_parameters_take_effect_at_the_next_step(model, name):
                     assert value == pytest.approx(wanted[output][k], abs=1e-8 * np.abs(wanted[output]).max())
 
 
-def test_every_model_of_the_scene_is_in_the_fmu():
+def test_every_model_of_the_scene_is_in_the_fmu() -> None:
     table = {each.name: each for each in fmu_host.interface().variables}
     assert table["model"].choices == MODELS
     assert table["formulation"].choices == tuple(FORMULATIONS)
 
 
 @given(st.lists(st.floats(-3, 3), min_size=10, max_size=10), st.floats(0.01, 5.0), st.floats(0, 1))
-def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients, h, at):
+def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients, h: float, at: float) -> None:
     polynomial = np.polynomial.Polynomial(coefficients)
 
-    def jet(tau):
+    def jet(tau: float) -> Array:
         # derivatives in units of h, so that all are of one size
         return np.array([[polynomial.deriv(k)(tau / h) / h**k] * 3 for k in range(5)])
 
@@ -242,14 +243,14 @@ def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients, h,
 
 
 @given(st.lists(st.floats(-3, 3), min_size=5, max_size=5), st.floats(-2.0, 2.0))
-def test_taylor_continues_a_quartic_exactly(coefficients, tau):
+def test_taylor_continues_a_quartic_exactly(coefficients, tau: float) -> None:
     polynomial = np.polynomial.Polynomial(coefficients)
     jet = np.array([[polynomial.deriv(k)(0.0)] * 3 for k in range(5)])
     wanted = np.array([[polynomial.deriv(k)(tau)] * 3 for k in range(5)])
     np.testing.assert_allclose(taylor(jet, tau), wanted, rtol=1e-12, atol=1e-11)
 
 
-def test_the_table_of_variables_is_the_model_description():
+def test_the_table_of_variables_is_the_model_description() -> None:
     with Host() as host:
         names = [each.name for each in host.description.modelVariables]
     assert names[:15] == list(JET)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,33 +14,34 @@ from fmu_host import UNKNOWN, Host, fmu_file, in_a_process, interface
 import servocore as sc
 from crane_fmu.build.page import REFUSALS, user_page
 from crane_fmu.catalogue import KINDS
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 OTHERS = ("LoadTrajectory", "CranePlant")
 LOAD = tuple(f"load.position[{k}]" for k in (1, 2, 3))
 
 
-def plant(**settings):
+def plant(**settings: str | float) -> Host:
     return Host(fmu_file("CranePlant")).set(**settings)
 
 
-def trajectory(**settings):
+def trajectory(**settings: float) -> Host:
     return Host(fmu_file("LoadTrajectory")).set(**settings)
 
 
-def load(host):
+def load(host: Host) -> Array:
     return np.array([host[name] for name in LOAD])
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_fmpy_finds_no_problems(name):
+def test_fmpy_finds_no_problems(name: str) -> None:
     assert validate_fmu(str(fmu_file(name))) == []
 
 
 # The plant ---------------------------------------------------------------------------------------------------------
 
 
-def follow(host, step, inputs, until=2.0, at="start"):
+def follow(host: Host, step: float, inputs, until: float = 2.0, at: str = "start") -> Array:
     """Drive the plant with sampled inputs."""
     host.set(input_time=at)
     u = inputs(0.0)
@@ -51,18 +53,18 @@ def follow(host, step, inputs, until=2.0, at="start"):
     return load(host)
 
 
-def push(time):
+def push(time: float):
     return 300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)
 
 
-def exact():
+def exact() -> Array:
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0 + 1e-9, 0.0, -5.0), 2.0)
     found = sc.simulate(CRANE.with_reference(path), lambda t: np.array(push(t)), t=np.array([0.0, 2.0]))
     return np.array([found[name][-1] for name in "xyz"])
 
 
 @pytest.mark.parametrize(("settings", "order"), [({}, 2.0), ({"hold": "zero_order"}, 1.0), ({"at": "end"}, 2.0)])
-def test_continuing_the_inputs_linearly_makes_the_error_of_second_order(settings, order):
+def test_continuing_the_inputs_linearly_makes_the_error_of_second_order(settings: dict[str, str], order: float) -> None:
     at, errors = settings.pop("at", "start"), []
     for step in (0.02, 0.01):
         with plant(**settings) as host:
@@ -70,7 +72,7 @@ def test_continuing_the_inputs_linearly_makes_the_error_of_second_order(settings
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
 
 
-def test_at_10_ms_the_hold_costs_less_than_a_tenth_of_holding_the_inputs():
+def test_at_10_ms_the_hold_costs_less_than_a_tenth_of_holding_the_inputs() -> None:
     errors = []
     for hold in ("first_order", "zero_order"):
         with plant(hold=hold) as host:
@@ -78,7 +80,7 @@ def test_at_10_ms_the_hold_costs_less_than_a_tenth_of_holding_the_inputs():
     assert errors[0] < 0.1 * errors[1]
 
 
-def test_with_nothing_connected_the_brakes_hold_and_the_load_hangs():
+def test_with_nothing_connected_the_brakes_hold_and_the_load_hangs() -> None:
     with plant(hold="zero_order") as host:
         host.start()
         for k in range(10):
@@ -92,7 +94,7 @@ def test_with_nothing_connected_the_brakes_hold_and_the_load_hangs():
         assert load(host)[2] < -5.001
 
 
-def test_without_brakes_a_load_that_nobody_holds_falls_and_drives_the_winch():
+def test_without_brakes_a_load_that_nobody_holds_falls_and_drives_the_winch() -> None:
     with plant(brakes="none", hold="zero_order") as host:
         host.start()
         assert host.step(0.0, 0.1)
@@ -100,7 +102,7 @@ def test_without_brakes_a_load_that_nobody_holds_falls_and_drives_the_winch():
         assert load(host)[2] == pytest.approx(-5.0 - fall, rel=1e-6)
 
 
-def test_wind_pushes_the_load_away():
+def test_wind_pushes_the_load_away() -> None:
     with plant(**{"wind[2]": 20.0}) as host:
         host.set(M_w=-98.1).start()
         for k in range(20):
@@ -108,7 +110,7 @@ def test_wind_pushes_the_load_away():
         assert load(host)[1] == pytest.approx(0.5 * 0.2 * 0.2**2, rel=0.05)
 
 
-def test_a_gust_begins_and_ends_between_communication_points():
+def test_a_gust_begins_and_ends_between_communication_points() -> None:
     ends = []
     for step in (0.1, 0.01):
         with plant(**{"gust[1]": 200.0, "gust_start": 0.123, "gust_duration": 0.2}) as host:
@@ -119,7 +121,7 @@ def test_a_gust_begins_and_ends_between_communication_points():
     np.testing.assert_allclose(ends[0], ends[1], atol=1e-8)
 
 
-def test_a_mass_error_makes_the_load_heavier():
+def test_a_mass_error_makes_the_load_heavier() -> None:
     with plant(mass_error=0.05) as host:
         host.set(M_w=-98.1).start()
         assert host["tension"] == pytest.approx(981.0 * 1.05 - 105.0 * host_acceleration(), rel=1e-9)
@@ -130,7 +132,7 @@ def host_acceleration():
     return (105.0 - 100.0) * 9.81 / (105.0 + 10.0)
 
 
-def test_it_may_start_in_motion_and_swinging():
+def test_it_may_start_in_motion_and_swinging() -> None:
     start = {"start.position[1]": 3.0, "start.position[2]": 4.0, "start.velocity[1]": 0.5, "start.swing[1]": 0.1}
     with plant(**start) as host:
         host.start()
@@ -162,7 +164,7 @@ def mistakes():
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_every_refusal_is_the_sentence_that_the_page_promises(name):
+def test_every_refusal_is_the_sentence_that_the_page_promises(name: str) -> None:
     promised = [sentence for _, sentence in REFUSALS[name]]
     for mistake, sentence in zip(mistakes()[name], promised, strict=True):
         with Host(fmu_file(name)) as host:
@@ -170,7 +172,7 @@ def test_every_refusal_is_the_sentence_that_the_page_promises(name):
             assert host.messages[-1].endswith(sentence)
 
 
-def test_after_a_refusal_the_plant_goes_on_as_if_nothing_had_happened():
+def test_after_a_refusal_the_plant_goes_on_as_if_nothing_had_happened() -> None:
     with plant() as plain, plant() as disturbed:
         for host in (plain, disturbed):
             host.set(M_w=-98.1).start()
@@ -195,7 +197,7 @@ with Host(Path(sys.argv[1])) as host:
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name, tmp_path):
+def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name: str, tmp_path: Path) -> None:
     outputs = [each.name for each in interface(name).of("output")]
     with Host(fmu_file(name)) as host:
         if name == "CranePlant":
@@ -237,7 +239,7 @@ def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(na
 
 
 @pytest.mark.parametrize("profile", ["degree9", "degree13", "three-phase"])
-def test_a_trajectory_has_all_derivatives_of_its_line(profile):
+def test_a_trajectory_has_all_derivatives_of_its_line(profile: str) -> None:
     law = {"degree9": sc.DEGREE9, "degree13": sc.DEGREE13, "three-phase": sc.three_phase(4.0)}[profile]
     path = sc.rest_to_rest((1.0, 2.0, -3.0), (5.0, 0.0, -4.0), 12.0, law, start_time=1.0)
     points = {f"start[{k + 1}]": v for k, v in enumerate((1.0, 2.0, -3.0))}
@@ -252,13 +254,13 @@ def test_a_trajectory_has_all_derivatives_of_its_line(profile):
             np.testing.assert_allclose(found, path.jet(0.5 * (k + 1), 4), atol=1e-12)
 
 
-def test_it_starts_where_the_crane_and_the_plant_do():
+def test_it_starts_where_the_crane_and_the_plant_do() -> None:
     with trajectory() as host, plant() as other:
         np.testing.assert_array_equal(load(host.start()), load(other.start()))
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_the_page_in_the_documentation_is_the_one_in_the_fmu(name):
+def test_the_page_in_the_documentation_is_the_one_in_the_fmu(name: str) -> None:
     from test_fmu_build import ROOT, members
 
     kind = KINDS[name]

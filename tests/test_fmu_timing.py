@@ -11,17 +11,19 @@ import pytest
 from fmu_host import Host
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.polynomial.polynomial import Polynomial
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification, estimate_functions
-from crane_fmu.slave.estimate import contradiction, estimation
+from crane_fmu.slave.estimate import Estimation, contradiction, estimation
 from crane_fmu.slave.interface import ORDERS
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 RATE, SIZE = 1.0, 0.5
 
 
-def sine(t):
+def sine(t: Array | float) -> Array:
     """Jets of a load that swings to and fro along the bridge, shape (n, 5, 3)."""
     t = np.atleast_1d(t)
     jets = np.zeros((len(t), 5, 3))
@@ -31,7 +33,7 @@ def sine(t):
     return jets
 
 
-def driven(step, connected, stop=3.0, settings=None, jets=sine):
+def driven(step: float, connected: str, stop: float = 3.0, settings=None, jets=sine):
     """Times and outputs of a host that connects derivatives up to one order, from the first step on."""
     t = np.arange(round(stop / step) + 1) * step
     names = ("M_b", "F", "M_w", "s", "l")
@@ -47,23 +49,23 @@ def driven(step, connected, stop=3.0, settings=None, jets=sine):
     return t[1:], dict(zip(names, np.array(rows).T, strict=True)), said
 
 
-def _told(jet, connected):
+def _told(jet, connected: str):
     told = jet.copy()
     told[ORDERS.index(connected) + 1 :] = 0.0
     return told
 
 
-def exact(t):
+def exact(t: Array) -> dict[str, Array]:
     return sc.scenes.rotary_crane().closed_form(sine(t), CRANE.parameter_values())
 
 
-def error(name, step, connected="snap", **settings):
+def error(name: str, step: float, connected: str = "snap", **settings):
     t, found, _ = driven(step, connected, settings={"connected": connected, **settings})
     late = t > 1.0
     return np.abs(found[name] - exact(t)[name])[late].max()
 
 
-def test_with_all_derivatives_connected_the_lag_is_gone():
+def test_with_all_derivatives_connected_the_lag_is_gone() -> None:
     """A host that holds its inputs would see s late by a step: an error of 5e-3 m at 10 ms."""
     assert error("s", 0.01) < 1e-6 * SIZE
     t, found, _ = driven(0.01, "snap")
@@ -71,7 +73,7 @@ def test_with_all_derivatives_connected_the_lag_is_gone():
     assert lagging > 3e-3 * SIZE
 
 
-def test_the_error_of_the_extrapolated_position_is_of_fifth_order():
+def test_the_error_of_the_extrapolated_position_is_of_fifth_order() -> None:
     """The load's height has no part in it, and s = x + k x'': x is of order five, x'' of order three."""
     errors = []
     for step in (0.2, 0.1):
@@ -83,7 +85,7 @@ def test_the_error_of_the_extrapolated_position_is_of_fifth_order():
     assert np.log2(error("s", 0.1) / error("s", 0.05)) == pytest.approx(3.0, abs=0.2)
 
 
-def test_inputs_of_the_end_of_a_step_take_no_extrapolation():
+def test_inputs_of_the_end_of_a_step_take_no_extrapolation() -> None:
     t = np.arange(301) * 0.01
     with Host() as host:
         host.set(input_time="end").start(sine(t[:1])[0])
@@ -94,7 +96,7 @@ def test_inputs_of_the_end_of_a_step_take_no_extrapolation():
 
 
 @pytest.mark.parametrize("connected", ORDERS[:-1])
-def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(connected):
+def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(connected: str) -> None:
     """Snap, and with it F, to third order in the step, lag included: to first order by the extrapolation of snap."""
     motion = error("s", 0.02, connected)
     assert motion < 3e-5
@@ -103,14 +105,14 @@ def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(co
 
 
 @cache
-def estimator():
+def estimator() -> Estimation:
     return estimation(estimate_functions(8))
 
 
-def estimates(times, path, order):
+def estimates(times: Array, path: Polynomial, order: int) -> SimpleNamespace:
     """Return the estimated derivatives above one of a path of scalars or vectors at the last of some times."""
 
-    def told(time):
+    def told(time) -> Array:
         jet = np.zeros((5, 3))
         jet[order] = path(time)
         return jet.ravel()
@@ -122,7 +124,7 @@ def estimates(times, path, order):
 
 
 @pytest.mark.parametrize("connected", ORDERS[:-1])
-def test_estimates_fall_with_third_order_in_snap(connected):
+def test_estimates_fall_with_third_order_in_snap(connected: str) -> None:
     order, errors = ORDERS.index(connected), []
     for step in (0.04, 0.02):
         found = estimates(np.arange(-20, 1) * step, lambda t: sine(t)[0, order], order)
@@ -131,7 +133,7 @@ def test_estimates_fall_with_third_order_in_snap(connected):
 
 
 @given(st.lists(st.floats(-1, 1), min_size=5, max_size=5), st.sampled_from(range(4)), st.floats(0.005, 0.2))
-def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(coefficients, order, step):
+def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(coefficients, order, step: float) -> None:
     path = np.polynomial.Polynomial(coefficients)
     times = np.cumsum([0.0, *(step * f for f in (1.0, 0.7, 1.3, 1.0, 0.9, 1.1, 1.0))])
     times -= times[-1]
@@ -144,7 +146,7 @@ def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(coefficie
         assert (np.abs(row - path.deriv(k)(0.0)) <= 1e-10 * step ** (order - k)).all()
 
 
-def test_noise_comes_out_less_amplified_than_the_page_says():
+def test_noise_comes_out_less_amplified_than_the_page_says() -> None:
     rng, step = np.random.default_rng(3), 0.01
     for order in range(4):
         found = estimates(np.arange(-200, 1) * step, lambda _: 1e-6 * rng.choice([-1.0, 1.0], 3), order)
@@ -155,12 +157,12 @@ MANOEUVRE = CRANE.reference
 UNEVEN = np.random.default_rng(5)
 
 
-def uneven(step, share):
+def uneven(step: float, share: float) -> Array:
     t = np.cumsum([0.0, *(step * (1.0 + share * UNEVEN.uniform(-1.0, 1.0, round(22.0 / step))))])
     return t[t <= 20.0]
 
 
-def worst_torque(times, jets=None):
+def worst_torque(times: Array, jets: Array | None = None):
     """Largest error of M_b as a share of its peak with positions connected, and what was said."""
     jets = MANOEUVRE.jet(times, 4) if jets is None else jets
     found = []
@@ -180,14 +182,14 @@ def worst_torque(times, jets=None):
     [uneven(0.02, 0.2), uneven(0.01, 0.2), np.sort(np.append(np.arange(0.0, 20.0, 0.01), [3.001, 8.001, 12.3456]))],
     ids=["20 ms +-20 %", "10 ms +-20 %", "steps split"],
 )
-def test_positions_at_steps_that_vary_are_enough_and_nothing_is_said(times):
+def test_positions_at_steps_that_vary_are_enough_and_nothing_is_said(times: Array) -> None:
     error, said = worst_torque(times)
     assert error < 0.05
     assert said == []
 
 
 @pytest.mark.parametrize("rounding", [1e-6, 1e-5, 1e-4])
-def test_rounded_positions_are_filtered_and_told(rounding):
+def test_rounded_positions_are_filtered_and_told(rounding: float) -> None:
     times = np.arange(0.0, 12.0, 0.01)
     jets = MANOEUVRE.jet(times, 4)
     jets[:, 0] = np.round(jets[:, 0] / rounding) * rounding
@@ -198,12 +200,12 @@ def test_rounded_positions_are_filtered_and_told(rounding):
     assert "derivatives above the load's position are estimated to" in said[0]
 
 
-def test_exact_positions_at_1_ms_are_not_lost_in_rounding():
+def test_exact_positions_at_1_ms_are_not_lost_in_rounding() -> None:
     error, said = worst_torque(np.arange(7000, 9000) * 1e-3)
     assert error < 0.05 or "starts in motion" in said[0]
 
 
-def test_a_start_in_motion_waits_for_samples_and_says_so():
+def test_a_start_in_motion_waits_for_samples_and_says_so() -> None:
     times = 8.0 + 0.01 * np.arange(100)
     jets = MANOEUVRE.jet(times, 4)
     wanted = CRANE.closed_form(MANOEUVRE.jet(times[1:], 4), CRANE.parameter_values())["M_b"]
@@ -223,7 +225,7 @@ def test_a_start_in_motion_waits_for_samples_and_says_so():
     )
 
 
-def test_positions_alone_are_enough_for_the_default_manoeuvre():
+def test_positions_alone_are_enough_for_the_default_manoeuvre() -> None:
     _, found, said = driven(
         0.02, "position", 20.0, {"connected": "position"}, lambda t: CRANE.reference.jet(np.atleast_1d(t), 4)
     )
@@ -234,7 +236,7 @@ def test_positions_alone_are_enough_for_the_default_manoeuvre():
 
 
 @pytest.mark.parametrize("connected", ORDERS[:-1])
-def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_and_then_refused(connected):
+def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_and_then_refused(connected: str) -> None:
     t = np.arange(30) * 0.1
     with Host() as host:
         host.start(_told(sine(0.0)[0], connected))
@@ -252,18 +254,18 @@ def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_and_then_re
         assert host.tell(sine(t[2])[0]).step(t[2], 0.1)
 
 
-def test_the_default_manoeuvre_gives_no_cause_for_remarks():
+def test_the_default_manoeuvre_gives_no_cause_for_remarks() -> None:
     for step in (0.01, 0.1, 1.0):
         _, _, said = driven(step, "snap", 20.0, jets=lambda t: CRANE.reference.jet(np.atleast_1d(t), 4))
         assert said == []
 
 
-def test_a_load_at_rest_contradicts_nothing():
+def test_a_load_at_rest_contradicts_nothing() -> None:
     rest = (5.0, 0.0, -5.0, *[0.0] * 12)
     assert contradiction(rest, rest, 4) == ""
 
 
-def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_start():
+def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_start() -> None:
     """FMPy's master for SSP starts with zeros everywhere: a load at the girder, on the axis, is no wish."""
     with Host() as host:
         host.start().tell(np.zeros((5, 3)))
@@ -272,7 +274,7 @@ def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_star
         assert not host.step(0.01, 0.01)
 
 
-def test_measured_values_are_needed_all_or_none():
+def test_measured_values_are_needed_all_or_none() -> None:
     with Host() as host:
         host.start().set(**{"measured.phi": 0.1})
         assert not host.step(0.0, 0.01)
@@ -280,7 +282,7 @@ def test_measured_values_are_needed_all_or_none():
         assert host.set(feedback=0.0).step(0.0, 0.01)
 
 
-def test_the_state_of_the_feedback_is_rolled_back_too():
+def test_the_state_of_the_feedback_is_rolled_back_too() -> None:
     at_rest = {"measured.s": 5.01, "measured.l": 5.0, "measured.position[1]": 5.02, "measured.position[3]": -5.0}
     with Host() as host:
         host.start().set(**at_rest)

@@ -27,7 +27,7 @@ def last_sequence(said: str) -> str:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_no_sequence_of_calls_ends_the_process_or_leaves_a_trace(name):
+def test_no_sequence_of_calls_ends_the_process_or_leaves_a_trace(name: str) -> None:
     sequences = str(SEQUENCES if name == "RotaryCrane" or SEQUENCES > 1000 else SEQUENCES // 4)
     done = in_a_process(
         "import sys, hostile; hostile.main(*sys.argv[1:])",
@@ -49,7 +49,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_the_machine_is_not_blind(fault):
+def test_the_machine_is_not_blind(fault: str) -> None:
     code = f"import sys, hostile\nfrom hostile_fmu import Instance\n{FAULTS[fault]}\nhostile.main(*sys.argv[1:])"
     done = in_a_process(code, fmu_file(), "300", SEED, "no", seconds=100)
     assert done.returncode == 1, done.stdout

@@ -37,7 +37,7 @@ def run(*arguments: object) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_memory_does_not_grow_with_the_steps(name):
+def test_memory_does_not_grow_with_the_steps(name: str) -> None:
     found = run(FILES[name](), INSTANCES, STEPS)
     print(found)
     assert found["steps"] == STEPS
@@ -46,7 +46,7 @@ def test_memory_does_not_grow_with_the_steps(name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_instances_may_be_stepped_in_threads(name):
+def test_instances_may_be_stepped_in_threads(name: str) -> None:
     """CasADi lets other threads run while it evaluates, and its functions are shared by the instances."""
     assert run(FILES[name](), 0, 500, 4)["equal"] == 1.0
 
@@ -65,7 +65,7 @@ timed = pytest.mark.skipif(not FULL, reason="times are measured by make load; he
 
 
 @timed
-def test_a_step_costs_at_most_three_times_what_pythonfmu_itself_does():
+def test_a_step_costs_at_most_three_times_what_pythonfmu_itself_does() -> None:
     ratios = costs()["ratio"]
     assert isinstance(ratios, dict)
     print(ratios)
@@ -73,7 +73,7 @@ def test_a_step_costs_at_most_three_times_what_pythonfmu_itself_does():
 
 
 @timed
-def test_an_instance_is_there_in_a_tenth_of_a_second():
+def test_an_instance_is_there_in_a_tenth_of_a_second() -> None:
     found = costs()
     first, second = found["first instance"], found["second instance"]
     assert isinstance(first, float)
@@ -89,7 +89,7 @@ def bundled(module: str) -> Any:
     return sys.modules[f"{bundle.name}.{module}"]
 
 
-def test_every_step_but_the_first_is_one_compiled_call(monkeypatch):
+def test_every_step_but_the_first_is_one_compiled_call(monkeypatch: pytest.MonkeyPatch) -> None:
     with Host() as host:
         host.start(PATH[0]).tell(PATH[0])
         assert host.step(0.0, 0.05)
@@ -101,7 +101,7 @@ def test_every_step_but_the_first_is_one_compiled_call(monkeypatch):
             assert host.tell(PATH[k]).step(0.05 * k, 0.05), host.messages
 
 
-def test_later_instances_read_no_file_again(monkeypatch):
+def test_later_instances_read_no_file_again(monkeypatch: pytest.MonkeyPatch) -> None:
     with Host() as first, monkeypatch.context() as patch:
         assert first.start().step(0.0, 0.1)
         patch.setattr(bundled("crane_fmu.slave.base").Interface, "from_json", None)

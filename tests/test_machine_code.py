@@ -31,7 +31,7 @@ SOURCE = "int servocore_answer(void) { return 42; }\n"
 
 
 @pytest.fixture
-def own_cache(tmp_path, monkeypatch) -> CodeCache:
+def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CodeCache:
     monkeypatch.setenv("SERVOCORE_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("SERVOCORE_MACHINE_CODE", raising=False)
     return CodeCache.of_user()
@@ -52,7 +52,7 @@ OPERATIONS = [
 
 @pytest.mark.parametrize("along", [(True, True), (True, False), (False, True)], ids=["both", "first", "second"])
 @pytest.mark.usefixtures("compiler")
-def test_every_operation_gives_the_bits_of_the_interpreter(along):
+def test_every_operation_gives_the_bits_of_the_interpreter(along: tuple[bool, bool]) -> None:
     function = ca.Function("sc_all", [x, y], [ca.densify(ca.vertcat(*OPERATIONS))])
     special = [0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, 2.0, -2.5]
     first, second = (each.ravel() for each in np.meshgrid(special, special))
@@ -64,7 +64,7 @@ def test_every_operation_gives_the_bits_of_the_interpreter(along):
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 63, 64, 65, 200])
 @pytest.mark.usefixtures("compiler")
-def test_any_number_of_instants_and_cases_will_do(count):
+def test_any_number_of_instants_and_cases_will_do(count: int) -> None:
     function = ca.Function("sc_some", [x, y], [ca.vertcat(x * y, x + 2), x - y])
     compiled = Vectorized(function, (True, False), True, "some")
     t, p = np.linspace(0.0, 1.0, count)[None], np.array([[3.0], [4.0], [5.0]])
@@ -75,7 +75,7 @@ def test_any_number_of_instants_and_cases_will_do(count):
 
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 64, 201])
 @pytest.mark.usefixtures("compiler")
-def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count):
+def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count: int) -> None:
     values = ca.vertcat(*OPERATIONS[:-3], 1 / (x - 3), ca.log(x - y), x * y)
     function = ca.Function("sc_extremes", [x, y], [ca.densify(values), x - y])
     t, p = np.linspace(-2.0, 3.0, count)[None] + 0.1, np.array([[3.0], [-4.0], [np.nan], [-np.inf]])
@@ -90,7 +90,7 @@ def test_extremes_are_those_of_all_instants_and_tell_what_is_no_number(count):
 
 
 @pytest.mark.usefixtures("compiler")
-def test_threads_give_what_one_gives(monkeypatch):
+def test_threads_give_what_one_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     monkeypatch.setattr("servocore.numerics.vectorized._PER_THREAD", 100)
     function = ca.Function("sc_shared", [x, y], [x * y])
@@ -100,7 +100,7 @@ def test_threads_give_what_one_gives(monkeypatch):
 
 
 @pytest.mark.usefixtures("compiler")
-def test_steps_in_a_row_give_the_bits_of_the_interpreter():
+def test_steps_in_a_row_give_the_bits_of_the_interpreter() -> None:
     state, z = ca.SX.sym("state", 2), ca.SX.sym("z", 2)
     following = ca.vertcat(state[1], ca.sin(state[0]) - ca.fmin(0.1 * x * state[1], z[1]) + ca.if_else(x > 2, z[0], x))
     function = ca.Function("sc_row", [state, x, z], [following, state[0] * z[0]])
@@ -116,7 +116,7 @@ def test_steps_in_a_row_give_the_bits_of_the_interpreter():
 
 
 @pytest.mark.parametrize("profile", [sc.DEGREE9, sc.DEGREE13, sc.three_phase(), sc.three_phase(1.0)], ids=str)
-def test_a_path_gives_the_same_bits_as_a_formula(profile):
+def test_a_path_gives_the_same_bits_as_a_formula(profile: sc.Profile) -> None:
     path = sc.rest_to_rest((5.0, 0.0, -1.0), (-3.0, 1.5, -0.2), 7.3, profile, 0.4)
     t = np.concatenate([np.linspace(-1.0, 9.0, 997), [0.4, 7.7, 4.05]])
     for order in (0, 1, 4, 8):
@@ -130,7 +130,7 @@ def test_a_path_gives_the_same_bits_as_a_formula(profile):
 
 @pytest.mark.parametrize("name", ["rotary_crane", "gantry_crane"])
 @pytest.mark.usefixtures("compiler")
-def test_a_solution_has_the_same_bits(name):
+def test_a_solution_has_the_same_bits(name: str) -> None:
     scene = getattr(sc.scenes, name)()
     interpreted, compiled = (sc.solve(scene, native=native) for native in (False, True))
     np.testing.assert_array_equal(compiled.values, interpreted.values)
@@ -138,7 +138,7 @@ def test_a_solution_has_the_same_bits(name):
 
 
 @pytest.mark.usefixtures("compiler")
-def test_neighbours_that_are_apart_are_found_in_machine_code_too():
+def test_neighbours_that_are_apart_are_found_in_machine_code_too() -> None:
     problem = Problem.of(sc.scenes.rotary_crane())
     taylor, t = Taylor.of(problem.array), np.linspace(0.0, 20.0, 101)
     jets = problem.reference.jet(t, problem.array.reference_order)
@@ -155,7 +155,7 @@ def test_neighbours_that_are_apart_are_found_in_machine_code_too():
 
 
 @pytest.mark.usefixtures("compiler")
-def test_what_stands_out_between_instants_is_found_in_machine_code_too():
+def test_what_stands_out_between_instants_is_found_in_machine_code_too() -> None:
     crane = sc.scenes.rotary_crane()
     problem, found = Problem.of(crane), sc.solve(crane, step=0.02)
     assert suspects(problem, found, True) == suspects(problem, found) == []
@@ -167,7 +167,7 @@ def test_what_stands_out_between_instants_is_found_in_machine_code_too():
         assert suspects(problem, spoilt, True) == suspects(problem, spoilt) != [], (name, k)
 
 
-def test_machine_code_has_no_more_statements_than_the_expression_has_operations():
+def test_machine_code_has_no_more_statements_than_the_expression_has_operations() -> None:
     problem = Problem.of(sc.scenes.rotary_crane())
     flat = problem.resolved.once(inversion).expression
     source = vector_source(flat, (True, False))
@@ -179,7 +179,7 @@ def test_machine_code_has_no_more_statements_than_the_expression_has_operations(
 
 
 @pytest.mark.usefixtures("compiler")
-def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_cache):
+def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_cache: code_cache.CodeCache) -> None:
     function = ca.Function("sc_product", [x, y], [x * y])
     t, p = np.arange(100.0)[None], np.array([3.0])
     product = Vectorized(function, (True, False), None, "product")
@@ -196,7 +196,7 @@ def test_machine_code_is_made_from_the_second_call_on_and_found_by_the_next(own_
 
 
 @pytest.mark.usefixtures("compiler")
-def test_many_instants_are_worth_it_at_once_and_false_switches_it_off(own_cache):
+def test_many_instants_are_worth_it_at_once_and_false_switches_it_off(own_cache: code_cache.CodeCache) -> None:
     function = ca.Function("sc_sum", [x, y], [x + y])
     t, p = np.arange(10_000.0)[None], np.array([3.0])
     for native, expected in ((False, 0), (None, 1)):
@@ -206,7 +206,7 @@ def test_many_instants_are_worth_it_at_once_and_false_switches_it_off(own_cache)
 
 
 @pytest.mark.usefixtures("own_cache")
-def test_without_a_compiler_all_goes_on_interpreted(monkeypatch):
+def test_without_a_compiler_all_goes_on_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)
     function = ca.Function("sc_difference", [x, y], [x - y])
@@ -218,7 +218,7 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch):
         Vectorized(function, (True, False), True, "difference")
 
 
-def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
+def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
     slow = tmp_path / "slowcc"
     slow.write_text('#!/bin/sh\necho $$ > pid; cp pid "$0.pid"\nexec sleep 60\n')
     slow.chmod(0o755)
@@ -242,14 +242,14 @@ def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path):
     assert not list((tmp_path / "cache").glob("*.building"))
 
 
-def one_of_its_own(scene):
+def one_of_its_own(scene: sc.Scene) -> sc.Scene:
     """A scene that shares nothing compiled with those of other tests, which compile no machine code."""
     own = replace(scene.model(), name=f"{scene.model().name} of this test")
     return replace(scene, models={"own": lambda: own})
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")
-def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its_bits():
+def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its_bits() -> None:
     crane, t = one_of_its_own(sc.scenes.overhead_crane()), np.linspace(0.0, 3.0, 300)
     inputs = sc.ExactInversion(crane)
     first = inputs(t)
@@ -261,7 +261,7 @@ def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")
-def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits():
+def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits() -> None:
     crane = one_of_its_own(sc.scenes.overhead_crane())
     problem = Problem.of(crane)
     how = (sc.Projected(), sc.BackwardEuler())
@@ -277,7 +277,7 @@ def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits(
 # Where it is kept ----------------------------------------------------------------------------------------------------
 
 
-def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache):
+def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache: code_cache.CodeCache) -> None:
     assert own_cache.store("a" * 40, b"code") is not None
     assert stat.S_IMODE(own_cache.folder.stat().st_mode) == 0o700
     assert own_cache.find("a" * 40) is not None
@@ -290,14 +290,14 @@ def test_the_folder_is_its_users_alone_and_another_is_refused(own_cache):
     assert "no machine code is kept" in refused.output.replace("\n", " ")
 
 
-def test_a_link_in_the_place_of_the_folder_is_refused(own_cache, tmp_path):
+def test_a_link_in_the_place_of_the_folder_is_refused(own_cache: code_cache.CodeCache, tmp_path: Path) -> None:
     (tmp_path / "elsewhere").mkdir(mode=0o700)
     own_cache.folder.symlink_to(tmp_path / "elsewhere")
     assert own_cache.refusal().endswith("is no folder")
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")
-def test_contents_that_are_not_those_that_were_stored_are_not_loaded():
+def test_contents_that_are_not_those_that_were_stored_are_not_loaded() -> None:
     path = built(Build(SOURCE, "an answer"))
     assert library_of(Build(SOURCE, "an answer")) == path
     path.write_bytes(path.read_bytes()[:-1] + b"?")
@@ -306,7 +306,9 @@ def test_contents_that_are_not_those_that_were_stored_are_not_loaded():
     assert built(Build(SOURCE, "an answer")) == path
 
 
-def test_the_longest_unused_go_when_there_is_no_more_room(own_cache, monkeypatch):
+def test_the_longest_unused_go_when_there_is_no_more_room(
+    own_cache: code_cache.CodeCache, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(code_cache, "MOST_BYTES", 250)
     paths = [own_cache.store(f"{k}" * 40, bytes([k]) * 100) for k in (1, 2)]
     os.utime(paths[0], (2e9, 2e9))
@@ -315,7 +317,7 @@ def test_the_longest_unused_go_when_there_is_no_more_room(own_cache, monkeypatch
     assert set(own_cache.contents()) == {paths[0], newest}
 
 
-def test_one_process_builds_and_others_see_that(own_cache):
+def test_one_process_builds_and_others_see_that(own_cache: code_cache.CodeCache) -> None:
     assert own_cache.claim("a" * 40)
     assert not own_cache.claim("a" * 40)
     os.utime(own_cache.folder / f"{'a' * 40}.building", (1e9, 1e9))
@@ -325,7 +327,7 @@ def test_one_process_builds_and_others_see_that(own_cache):
 
 
 @pytest.mark.usefixtures("compiler")
-def test_processes_that_build_the_same_do_not_meet(own_cache):
+def test_processes_that_build_the_same_do_not_meet(own_cache: code_cache.CodeCache) -> None:
     code = f"from servocore.numerics.machine_code import Build, built\nprint(built(Build({SOURCE!r}, 'an answer')))"
     running = [subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) for _ in range(3)]
     found = {each.communicate(timeout=60)[0].strip() for each in running}
@@ -333,7 +335,7 @@ def test_processes_that_build_the_same_do_not_meet(own_cache):
     assert not list(own_cache.folder.glob("*.part"))
 
 
-def test_the_command_shows_and_clears_the_cache(own_cache):
+def test_the_command_shows_and_clears_the_cache(own_cache: code_cache.CodeCache) -> None:
     own_cache.store("a" * 40, b"code" * 1000)
     shown = CliRunner().invoke(app, ["cache"])
     assert "1 library of machine code with 0.004 MB of at most 67.1 MB in" in shown.output

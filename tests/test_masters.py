@@ -130,7 +130,7 @@ def at_end() -> Path:
 
 
 @pytest.mark.parametrize("master", MASTERS)
-def test_every_master_gets_what_solve_gets(master, tmp_path):
+def test_every_master_gets_what_solve_gets(master: str, tmp_path: Path) -> None:
     required(master)
     wanted = solution()
     times = wanted.t[40 : 40 + COUNT + 1] - wanted.t[40]  # in motion from the first step
@@ -183,7 +183,7 @@ assert execution.step(10)
 
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("master", IDLE)
-def test_every_fmu_runs_in_every_master_with_nothing_connected(master, name):
+def test_every_fmu_runs_in_every_master_with_nothing_connected(master: str, name: str) -> None:
     required(master)
     done = in_a_process(IDLE[master] + "print('alive', flush=True)\n", FILES[name]())
     assert "alive" in done.stdout, done.stderr
@@ -191,14 +191,14 @@ def test_every_fmu_runs_in_every_master_with_nothing_connected(master, name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_fmpy_finds_no_problems(name):
+def test_fmpy_finds_no_problems(name: str) -> None:
     command = [sys.executable, "-m", "fmpy", "validate", str(FILES[name]())]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.strip()) == (0, "No problems found.")
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_fmutool_finds_no_problems(name):
+def test_fmutool_finds_no_problems(name: str) -> None:
     required("fmu_manipulation_toolbox")
     code = "import sys; from fmu_manipulation_toolbox.cli.fmutool import fmutool; sys.exit(fmutool())"
     command = [sys.executable, "-c", code, "-input", str(FILES[name]()), "-check"]
@@ -210,7 +210,7 @@ def test_fmutool_finds_no_problems(name):
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name, tmp_path):
+def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_path: Path) -> None:
     required("ecospy")
     program = Path(str(find_spec("ecospy").origin)).parent / "binaries" / "ecos"  # type: ignore[union-attr]
     if not program.is_file():

@@ -1,6 +1,7 @@
 """Machine code computes what the interpreter computes, to the last bit, and says when it cannot be had."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,37 +23,37 @@ def fresh() -> sc.Scene:
     [(sc.Reduced(), sc.BackwardEuler()), (sc.Projected(), sc.BackwardEuler()), (sc.Projected(), sc.RadauIIA(2))],
     ids=["exact inversion", "backward Euler", "Radau"],
 )
-def test_machine_code_gives_the_same_bits(formulation, method):
+def test_machine_code_gives_the_same_bits(formulation: sc.Formulation, method: sc.Method) -> None:
     interpreted, compiled = (sc.solve(CRANE, formulation, method, native=each) for each in (False, True))
     np.testing.assert_array_equal(compiled.values, interpreted.values)
     assert compiled.statistics == interpreted.statistics
 
 
-def test_internal_dynamics_run_in_machine_code_too():
+def test_internal_dynamics_run_in_machine_code_too() -> None:
     scene = sc.scenes.mass_on_car()
     interpreted, compiled = (sc.solve(scene, sc.Reduced(), sc.BDF(2), native=each) for each in (False, True))
     np.testing.assert_array_equal(compiled.values, interpreted.values)
 
 
-def test_a_program_is_compiled_once():
+def test_a_program_is_compiled_once() -> None:
     stepper = sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.1, native=True)
     assert sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.2, native=True).program is stepper.program
 
 
-def test_machine_code_is_not_saved():
+def test_machine_code_is_not_saved() -> None:
     stepper = sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.1, native=True)
     with pytest.raises(sc.ServocoreError, match="machine code cannot be saved"):
         stepper.program.to_json()
 
 
-def test_without_a_compiler_machine_code_is_refused(monkeypatch):
+def test_without_a_compiler_machine_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "")
     monkeypatch.setattr(machine_code, "COMPILERS", ("no-such-compiler",))
     with pytest.raises(sc.InvalidSetting, match=r"machine code needs a C compiler: .* none of no-such-compiler"):
         sc.solve(fresh(), native=True)
 
 
-def test_a_compiler_that_fails_is_named_with_its_reason(monkeypatch, tmp_path):
+def test_a_compiler_that_fails_is_named_with_its_reason(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "brokencc"
     broken.write_text("#!/bin/sh\necho 'no space left' >&2\nexit 1\n")
     broken.chmod(0o755)
@@ -61,7 +62,7 @@ def test_a_compiler_that_fails_is_named_with_its_reason(monkeypatch, tmp_path):
         sc.solve(fresh(), native=True)
 
 
-def test_without_checks_the_numbers_are_the_same_and_limits_are_not_looked_at():
+def test_without_checks_the_numbers_are_the_same_and_limits_are_not_looked_at() -> None:
     checked, bare = (sc.solve(CRANE, sc.Reduced(), checks=each) for each in (True, False))
     np.testing.assert_array_equal(bare.values, checked.values)
     # So fast that the rope goes slack: the equations then lead to another branch, which is refused all the same.

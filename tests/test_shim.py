@@ -49,7 +49,9 @@ def guid() -> str:
     return read_model_description(str(fmu_file())).guid
 
 
-def run(folder: Path, *, given: str | None = None, location: str | None = None, **environment: str):
+def run(
+    folder: Path, *, given: str | None = None, location: str | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """Run the C program without anything of this process's environment."""
     binary = folder / "binaries" / shim.PLATFORM / "RotaryCrane.so"
     where = location or (folder / "resources").as_uri()
@@ -79,7 +81,7 @@ def expected() -> np.ndarray:
     return np.array(rows)
 
 
-def test_a_c_program_runs_it_with_nothing_preloaded_and_gets_the_same_numbers():
+def test_a_c_program_runs_it_with_nothing_preloaded_and_gets_the_same_numbers() -> None:
     done = run(unpacked(), **HERE)
     assert done.returncode == 0, done.stdout
     wanted = expected()
@@ -88,25 +90,25 @@ def test_a_c_program_runs_it_with_nothing_preloaded_and_gets_the_same_numbers():
     assert wanted[-1][2] == pytest.approx(-98.1)
 
 
-def test_the_active_virtual_environment_is_used():
+def test_the_active_virtual_environment_is_used() -> None:
     done = run(unpacked(), VIRTUAL_ENV=sys.prefix)
     assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.parametrize("folder", ["Krähe", "a b [1] #é", "50%"])
-def test_the_folder_may_have_any_name(folder):
+def test_the_folder_may_have_any_name(folder) -> None:
     done = run(unpacked(folder), **HERE)
     assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.parametrize("form", ["file:{}", "file://localhost{}", "file://{}", "{}"])
-def test_addresses_may_have_every_form_that_hosts_use(form):
+def test_addresses_may_have_every_form_that_hosts_use(form: str) -> None:
     folder = unpacked()
     done = run(folder, location=form.format(folder / "resources"), **HERE)
     assert done.returncode == 0, done.stdout
 
 
-def test_python_hosts_too_may_unpack_into_a_folder_of_any_name(tmp_path):
+def test_python_hosts_too_may_unpack_into_a_folder_of_any_name(tmp_path: Path) -> None:
     (tmp_path / "Krähe [1]").mkdir()
     code = (
         "import sys\nfrom fmpy import simulate_fmu\n"
@@ -132,14 +134,14 @@ def test_python_hosts_too_may_unpack_into_a_folder_of_any_name(tmp_path):
         ({"CRANE_FMU_LIBPYTHON": "libm.so.6"}, "CRANE_FMU_LIBPYTHON = libm.so.6 is no Python library"),
     ],
 )
-def test_what_is_wrong_is_told_in_a_sentence_and_no_instance_is_made(arguments, sentence):
+def test_what_is_wrong_is_told_in_a_sentence_and_no_instance_is_made(arguments: dict[str, str], sentence: str) -> None:
     done = run(unpacked(), **{**HERE, **arguments})
     assert done.returncode == 3
     assert sentence in done.stdout
     assert done.stdout.startswith("log: 3 ")
 
 
-def test_a_python_without_the_packages_is_told_and_the_host_survives(tmp_path):
+def test_a_python_without_the_packages_is_told_and_the_host_survives(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
     done = run(unpacked(), CRANE_FMU_PYTHON=str(tmp_path / "bare" / "bin" / "python"))
     assert done.returncode == 3, done.stdout
@@ -149,7 +151,7 @@ def test_a_python_without_the_packages_is_told_and_the_host_survives(tmp_path):
     )
 
 
-def test_the_environment_decides_which_python_library_is_opened(tmp_path):
+def test_the_environment_decides_which_python_library_is_opened(tmp_path: Path) -> None:
     """One of another version than that of the building Python: its library, or a sentence with its name."""
     other = next(
         version for version in ("3.12", "3.13", "3.11") if version != f"{sys.version_info[0]}.{sys.version_info[1]}"
@@ -164,11 +166,11 @@ def test_the_environment_decides_which_python_library_is_opened(tmp_path):
     assert missing in done.stdout or "importing numpy with the packages of" in done.stdout
 
 
-def test_a_guid_in_braces_is_the_same():
+def test_a_guid_in_braces_is_the_same() -> None:
     assert run(unpacked(), given=f"{{{guid()}}}", **HERE).returncode == 0
 
 
-def test_null_pointers_and_states_given_back_twice_are_harmless():
+def test_null_pointers_and_states_given_back_twice_are_harmless() -> None:
     code = (
         "import ctypes, sys\nfrom pathlib import Path\nfrom fmu_host import Host\n"
         "with Host(Path(sys.argv[1])) as host:\n"
@@ -191,7 +193,7 @@ def test_null_pointers_and_states_given_back_twice_are_harmless():
     assert done.stdout.strip() == "alive", done.stderr
 
 
-def test_only_co_simulation_is_offered():
+def test_only_co_simulation_is_offered() -> None:
     said = []
     library = ctypes.CDLL(str(unpacked() / "binaries" / shim.PLATFORM / "RotaryCrane.so"))
     callbacks = fmi2CallbackFunctions()
@@ -206,7 +208,7 @@ def test_only_co_simulation_is_offered():
 # --- building --------------------------------------------------------------------------------------------------------
 
 
-def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
+def test_two_libraries_of_one_machine_are_equal_byte_by_byte() -> None:
     first, second = (shim.compiled_shim("some guid", pytest.fail) for _ in range(2))
     assert first is not None
     assert first == second
@@ -223,8 +225,8 @@ def test_two_libraries_of_one_machine_are_equal_byte_by_byte():
     ],
 )
 def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_was(
-    monkeypatch, variable, value, sentence
-):
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str, sentence: str
+) -> None:
     monkeypatch.setenv(variable, value)
     folder = unpacked()
     before = {each.relative_to(folder).as_posix(): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
@@ -235,12 +237,12 @@ def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_wa
     assert notice.endswith("the FMU will run in hosts that are Python only")
 
 
-def test_a_place_on_the_building_machine_is_never_the_only_one_that_is_tried():
+def test_a_place_on_the_building_machine_is_never_the_only_one_that_is_tried() -> None:
     libraries = shim.python_libraries()
     assert {f"libpython3.{minor}.so.1.0" for minor in (11, 12, 13)} <= set(libraries)
 
 
-def test_pythonfmus_binary_alone_still_works_in_python_hosts():
+def test_pythonfmus_binary_alone_still_works_in_python_hosts() -> None:
     """What an FMU that was built without a compiler holds."""
     folder = unpacked("plain")
     binaries = folder / "binaries" / shim.PLATFORM

@@ -6,6 +6,7 @@ import warnings
 import zipfile
 from functools import cache
 from importlib.util import find_spec
+from pathlib import Path
 from types import SimpleNamespace
 from xml.etree import ElementTree as ET
 
@@ -22,22 +23,23 @@ from crane_fmu.build import build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, table_of
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
-from crane_fmu.run import forgotten_modules
+from crane_fmu.run import nothing_left
+from servocore.numerics.compiled_calls import Array
 
 STEP = 0.01
 GUSTS = [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0), (-14.14, -14.14, 0.0)]
 
 
 @cache
-def system():
+def system() -> Path:
     build_ssp(scratch() / "system")
     return scratch() / "system" / "Crane.ssp"
 
 
-def deviation(stop=20.0, **parameters):
+def deviation(stop: float = 20.0, **parameters: float) -> float:
     """Largest distance in mm of the load from where it should be, in a run of fmpy's own master."""
     values = [SimpleNamespace(name=name.replace("__", "."), value=value) for name, value in parameters.items()]
-    with forgotten_modules(), warnings.catch_warnings():
+    with nothing_left(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         rows = simulate_ssp(
             str(system()), stop_time=stop, step_size=STEP, parameter_set=SimpleNamespace(parameters=values)
@@ -51,32 +53,32 @@ def deviation(stop=20.0, **parameters):
     return 1e3 * float(np.linalg.norm(wanted - found, axis=0).max())
 
 
-def gust(force, start=8.0):
+def gust(force: tuple[float, float, float], start: float = 8.0) -> dict[str, float]:
     return {f"plant__gust[{k + 1}]": force[k] for k in range(3)} | {
         "plant__gust_start": start,
         "plant__gust_duration": 2.0,
     }
 
 
-def test_feedforward_alone_keeps_the_load_within_5_mm():
+def test_feedforward_alone_keeps_the_load_within_5_mm() -> None:
     assert deviation(crane__feedback=0.0) < 1.3
 
 
-def test_feedback_keeps_the_load_within_1_mm():
+def test_feedback_keeps_the_load_within_1_mm() -> None:
     assert deviation() < 0.01
 
 
 @pytest.mark.parametrize("force", GUSTS)
-def test_feedback_rejects_a_mass_error_and_a_gust(force):
+def test_feedback_rejects_a_mass_error_and_a_gust(force: tuple[float, float, float]) -> None:
     assert deviation(11.0, plant__mass_error=0.05, **gust(force)) < 10.0
 
 
-def test_without_feedback_the_same_gust_is_not_forgiven():
+def test_without_feedback_the_same_gust_is_not_forgiven() -> None:
     """The bound above is no matter of course: a pendulum of four metres gives way by 80 mm."""
     assert deviation(11.0, crane__feedback=0.0, **gust(GUSTS[0])) > 50.0
 
 
-def test_a_steady_wind_leaves_no_lasting_error():
+def test_a_steady_wind_leaves_no_lasting_error() -> None:
     parameters = {"plant__wind[1]": 10.0, "plant__wind[2]": -10.0, "plant__mass_error": -0.05}
     assert deviation(6.0, **parameters) < 10.0
 
@@ -109,7 +111,7 @@ for name in ("trajectory", "plant"):
 MASTERS = {"ecospy": ECOS, "libcosimpy": LIBCOSIM}
 
 
-def places(package, file, steps, step=STEP):
+def places(package: str, file: Path, steps: int, step: float = STEP) -> Array:
     """Where trajectory and plant have the load after so many steps in another master."""
     if find_spec(package) is None or in_a_process(f"import {package}").returncode:
         pytest.skip(f"{package} is not installed or does not load")
@@ -119,13 +121,13 @@ def places(package, file, steps, step=STEP):
 
 
 @pytest.mark.parametrize("package", MASTERS)
-def test_other_masters_run_it_as_well(package):
+def test_other_masters_run_it_as_well(package: str) -> None:
     wanted, found = places(package, system(), 1000)
     np.testing.assert_allclose(wanted, sc.scenes.rotary_crane().reference.jet(10.0, 0)[0], atol=1e-9)
     assert 1e3 * np.linalg.norm(wanted - found) < 0.01
 
 
-def test_every_connection_joins_an_output_with_an_input_of_the_same_unit():
+def test_every_connection_joins_an_output_with_an_input_of_the_same_unit() -> None:
     tables = {COMPONENTS[name]: {v.name: v for v in kind.interface().variables} for name, kind in KINDS.items()}
     for (source, output), (sink, given) in connections():
         assert tables[source][output].causality == "output"
@@ -135,7 +137,7 @@ def test_every_connection_joins_an_output_with_an_input_of_the_same_unit():
     assert {(name, key) for name, table in tables.items() for key in table if table[key].causality == "input"} == fed
 
 
-def test_the_system_has_the_form_that_all_masters_read():
+def test_the_system_has_the_form_that_all_masters_read() -> None:
     read = read_ssd(str(system())).system
     assert [each.name for each in read.elements] == list(COMPONENTS.values())
     assert not read.connectors
@@ -147,13 +149,13 @@ def test_the_system_has_the_form_that_all_masters_read():
     assert not [each for each in root.iter() if "ParameterBinding" in each.tag]
 
 
-def test_two_builds_are_equal_byte_by_byte(tmp_path):
+def test_two_builds_are_equal_byte_by_byte(tmp_path: Path) -> None:
     build_ssp(tmp_path)
     assert (tmp_path / "Crane.ssp").read_bytes() == system().read_bytes()
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name):
+def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> None:
     folder = system().parent
     found = read_csv(str(folder / f"{name}_ref.csv"))
     options = dict(line.split(",") for line in (folder / f"{name}_ref.opt").read_text().splitlines())
@@ -163,7 +165,7 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name):
     assert (folder / f"{name}_in.csv").is_file() == has_inputs
 
 
-def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path, monkeypatch):
+def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = sc.through([[5.0, 0.0, -5.0], [4.0, 1.0, -4.0], [4.0, 2.0, -5.0]], duration=20.0)
     (tmp_path / "path.csv").write_text(table_of(path))
@@ -179,7 +181,9 @@ def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path, monkeyp
     np.testing.assert_allclose(found, path.jet(7.5, 4)[[0, 4]].ravel(), atol=1e-9)
 
 
-def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(tmp_path, monkeypatch):
+def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "nowhere.csv"])
     assert result.exit_code == 2
@@ -187,7 +191,7 @@ def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(tmp_path, monk
     assert not (tmp_path / "out").exists()
 
 
-def test_a_trajectory_without_a_table_says_where_one_belongs():
+def test_a_trajectory_without_a_table_says_where_one_belongs() -> None:
     with Host(fmu_file("LoadTrajectory")) as host:
         host.set(profile="file").start()
         assert not host.step(0.0, 0.1)
@@ -198,7 +202,7 @@ GOAL = (4.0, 2.0, -5.0)
 
 
 @cache
-def own_system():
+def own_system() -> Path:
     """Made by the command from a path and a crane of one's own."""
     folder = scratch() / "own"
     folder.mkdir()
@@ -212,8 +216,8 @@ def own_system():
     return folder / "out" / "Crane.ssp"
 
 
-def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master():
-    with forgotten_modules(), warnings.catch_warnings():
+def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master() -> None:
+    with nothing_left(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         rows = simulate_ssp(str(own_system()), stop_time=11.0, step_size=STEP)
     found = [rows[f"plant.load.position[{k}]"][-1] for k in (1, 2, 3)]
@@ -226,7 +230,7 @@ def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master():
 
 
 @pytest.mark.parametrize("package", MASTERS)
-def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package):
+def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package: str) -> None:
     wanted, found = places(package, own_system(), 1100)
     np.testing.assert_allclose(wanted, GOAL, atol=1e-9)
     assert np.linalg.norm(found - GOAL) < 1e-4
@@ -240,7 +244,9 @@ def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package):
         (["--profile", "degree13", "--reference", "path.csv"], "either by --reference or by --profile"),
     ],
 )
-def test_wishes_that_make_no_sense_are_one_sentence_and_no_folder(options, sentence, tmp_path, monkeypatch):
+def test_wishes_that_make_no_sense_are_one_sentence_and_no_folder(
+    options: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     result = CliRunner().invoke(app, ["ssp", "-o", "out", *options])
     assert result.exit_code == 2

@@ -72,7 +72,7 @@ class Module:
             lambda path, p, to, verdicts: self.exports["march"](self.store, count, start, h, path, p, to, verdicts),
         )  # fmt: skip
 
-    def _called(self, instants, numbers, call):
+    def _called(self, instants: int, numbers, call):
         memory, base = self.exports["memory"], self.exports["__heap_base"].value(self.store)
         sizes = [*(each.nbytes for each in numbers), 8 * len(self.outputs) * instants, 4 * instants]
         places = -(-base // 8) * 8 + np.concatenate([[0], np.cumsum(sizes)])
