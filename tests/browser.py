@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -45,7 +46,7 @@ def require_browser() -> None:
 class Page:
     """One page. `errors` collects what the console and the engine complain of."""
 
-    def __init__(self, file: Path, profile: Path, *, width=1280, height=900) -> None:
+    def __init__(self, file: Path, profile: Path, *, width: int = 1280, height: int = 900) -> None:
         to_browser, from_us = os.pipe()
         to_us, from_browser = os.pipe()
         self._write, self._read, self._left, self._number = from_us, to_us, b"", 0
@@ -139,7 +140,7 @@ class Page:
             raise AssertionError(f"{method}: {answers[0]['error']}")
         return answers[0]["result"]
 
-    def _until(self, done, number: int = 0, answers: list | None = None) -> None:
+    def _until(self, done: Callable[[], bool], number: int = 0, answers: list | None = None) -> None:
         end = time.monotonic() + SECONDS
         while not done():
             while b"\0" not in self._left:

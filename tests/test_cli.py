@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tomllib
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
 from crane_fmu.cli import app
 from crane_fmu.feedforward import line
+from servocore.numerics.compiled_calls import Array
 
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 INPUTS = ((1, "M_b"), (2, "F"), (3, "M_w"))
@@ -27,16 +29,16 @@ assert_refused = run.assert_refused
 
 
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def table(text):
+def table(text: str) -> tuple[str, Array]:
     lines = text.splitlines()
     return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
 
 
-def reference_csv(name="path.csv", groups=5, count=41, change=None):
+def reference_csv(name: str = "path.csv", groups: int = 5, count: int = 41, change=None) -> str:
     """Write the default manoeuvre with so many groups of columns."""
     reference = sc.scenes.rotary_crane().reference
     t = np.linspace(0.0, reference.duration, count)
@@ -49,7 +51,7 @@ def reference_csv(name="path.csv", groups=5, count=41, change=None):
 
 
 class TestFeedforward:
-    def test_the_table_goes_to_the_standard_output_stream_without_an_output_file(self):
+    def test_the_table_goes_to_the_standard_output_stream_without_an_output_file(self) -> None:
         result = run("feedforward", *LINE)
         header, values = table(result.stdout)
         assert result.exit_code == 0
@@ -60,7 +62,7 @@ class TestFeedforward:
         assert values[-1, 0] == 20.0
         assert os.listdir() == []
 
-    def test_a_file_holds_what_solve_returns_to_the_last_bit(self):
+    def test_a_file_holds_what_solve_returns_to_the_last_bit(self) -> None:
         assert run("feedforward", *LINE, *PAPER, "--step", 0.1, "--output", "inputs.csv").exit_code == 0
         header, values = table(Path("inputs.csv").read_text())
         solution = sc.solve(sc.scenes.rotary_crane(), sc.Projected(), sc.BackwardEuler(), step=0.1)
@@ -70,7 +72,7 @@ class TestFeedforward:
             np.testing.assert_array_equal(values[:, k], solution[name], err_msg=name)
         assert os.listdir() == ["inputs.csv"]
 
-    def test_the_inputs_approach_the_closed_form_with_the_first_order_and_the_motion_is_exact(self):
+    def test_the_inputs_approach_the_closed_form_with_the_first_order_and_the_motion_is_exact(self) -> None:
         crane, errors = sc.scenes.rotary_crane(), []
         for step in (0.1, 0.05):
             _, values = table(run("feedforward", *LINE, *PAPER, "--step", step).stdout)
@@ -81,7 +83,7 @@ class TestFeedforward:
         np.testing.assert_allclose(np.divide(*errors), 2.0, rtol=0.05)
 
     @pytest.mark.parametrize("model", MODELS)
-    def test_every_model_is_as_close_to_the_closed_form_as_its_step_is_small(self, model):
+    def test_every_model_is_as_close_to_the_closed_form_as_its_step_is_small(self, model: str) -> None:
         _, values = table(run("feedforward", *LINE, *PAPER, "--step", 0.0125, "--model", model).stdout)
         exact = sc.scenes.rotary_crane().exact(values[:, 0])
         for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
@@ -90,13 +92,13 @@ class TestFeedforward:
             np.testing.assert_allclose(values[:, k], exact[name], atol=1e-9, err_msg=name)
 
     @pytest.mark.parametrize("formulation", FORMULATIONS)
-    def test_every_formulation_can_be_asked_for(self, formulation):
+    def test_every_formulation_can_be_asked_for(self, formulation: str) -> None:
         result = run("feedforward", *LINE, "--formulation", formulation)
         assert result.exit_code == 0
         assert table(result.stdout)[0] == HEADER
 
     @pytest.mark.parametrize("method", METHODS)
-    def test_every_method_can_be_asked_for(self, method):
+    def test_every_method_can_be_asked_for(self, method: str) -> None:
         result = run("feedforward", *LINE, "--formulation", "projected", "--method", method)
         header, values = table(result.stdout)
         assert header == HEADER
@@ -106,14 +108,14 @@ class TestFeedforward:
         if not method.startswith("gauss"):  # between its nodes a collocation polynomial that damps nothing may stray
             np.testing.assert_allclose(values[:, 5], sc.scenes.rotary_crane().exact(values[:, 0])["s"], atol=1e-6)
 
-    def test_by_default_the_inputs_are_exact(self):
+    def test_by_default_the_inputs_are_exact(self) -> None:
         _, values = table(run("feedforward", *LINE).stdout)
         exact = sc.scenes.rotary_crane().exact(values[:, 0])
         for k, name in enumerate(HEADER.split(",")[1:10], start=1):
             np.testing.assert_allclose(values[:, k], exact[name], atol=1e-8, err_msg=name)
 
     @pytest.mark.parametrize("options", [["--rtol", 1e-3], ["--atol", 0.5], ["--rtol", 1e-3, "--atol", 0.1]])
-    def test_a_tolerance_takes_the_place_of_a_step(self, options):
+    def test_a_tolerance_takes_the_place_of_a_step(self, options) -> None:
         result = run("feedforward", *LINE, "--formulation", "projected", "--method", "radau3", *options)
         _, values = table(result.stdout)
         assert values.shape == (201, 11)
@@ -121,12 +123,14 @@ class TestFeedforward:
         for k, name in ((1, "M_b"), (2, "F"), (3, "M_w")):
             assert np.abs(values[:, k] - exact[name]).max() < 2e-3 * np.abs(exact[name]).max() + 0.5, name
 
-    def test_rows_under_a_tolerance_are_where_they_are_wanted(self):
+    def test_rows_under_a_tolerance_are_where_they_are_wanted(self) -> None:
         result = run("feedforward", *LINE, "--rtol", 1e-3, "--output-step", 0.5)
         assert table(result.stdout)[1][:, 0].tolist() == [0.5 * k for k in range(41)]
 
-    def test_a_warning_of_the_library_is_a_note_and_the_table_comes_all_the_same(self, monkeypatch):
-        def warn(*arguments, **options):
+    def test_a_warning_of_the_library_is_a_note_and_the_table_comes_all_the_same(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def warn(*arguments, **options) -> sc.Solution:
             warnings.warn("mind the gap", sc.ServocoreWarning, stacklevel=1)
             return solve(*arguments, **options)
 
@@ -145,7 +149,7 @@ class TestFeedforward:
             ["--formulation", "original", "--method", "trapezoidal", "--step", 0.05],
         ],
     )
-    def test_inputs_off_by_half_their_peak_end_with_code_1_and_one_true_sentence(self, options):
+    def test_inputs_off_by_half_their_peak_end_with_code_1_and_one_true_sentence(self, options) -> None:
         result = run("feedforward", *LINE, *options, "--output", "inputs.csv")
         assert result.exit_code == 1
         assert result.stdout == ""
@@ -164,7 +168,7 @@ class TestFeedforward:
         assert share == pytest.approx(100.0 * np.abs(values[name] - exact).max() / np.abs(exact).max(), rel=0.01)
         assert share >= 50.0
 
-    def test_limits_that_the_motion_keeps_change_nothing(self):
+    def test_limits_that_the_motion_keeps_change_nothing(self) -> None:
         limits = ["--limit", "F=60", "--limit", "M_w=-104..-92", "--limit", "swing=5deg", "--limit", "s.rate=1.2"]
         limited = run("feedforward", *LINE, *limits)
         assert limited.exit_code == 0
@@ -185,11 +189,11 @@ class TestFeedforward:
             ("F=3 m", "the limit of F is given in m, but its unit is N"),
         ],
     )
-    def test_a_limit_that_is_broken_or_none_is_refused(self, limit, sentence):
+    def test_a_limit_that_is_broken_or_none_is_refused(self, limit: str, sentence: str) -> None:
         assert_refused(run("feedforward", *LINE, "--limit", limit, "--output", "inputs.csv"), sentence)
         assert os.listdir() == []
 
-    def test_the_shortest_duration_that_a_refusal_names_keeps_the_limits(self):
+    def test_the_shortest_duration_that_a_refusal_names_keeps_the_limits(self) -> None:
         limits, way = ["--limit", "M_b=1000", "--limit", "F=60"], ["--from", 5, 0, -5, "--to", -2, 2, -2]
         refused = run("feedforward", *way, "--duration", 2, *limits)
         assert refused.exit_code == 2
@@ -197,51 +201,51 @@ class TestFeedforward:
         assert run("feedforward", *way, "--duration", shortest, *limits).exit_code == 0
         assert run("feedforward", *way, "--duration", 0.999 * shortest, *limits).exit_code == 2
 
-    def test_limits_from_a_file_count_and_options_replace_them(self):
+    def test_limits_from_a_file_count_and_options_replace_them(self) -> None:
         Path("limits.toml").write_text('F = 17\nM_w = [-104, -92]\nswing = "5 deg"\ns.rate = 1.2\n')
         assert_refused(run("feedforward", *LINE, "--limits", "limits.toml"), "F goes beyond its lower limit of -17 N")
         assert run("feedforward", *LINE, "--limits", "limits.toml", "--limit", "F=60").exit_code == 0
 
-    def test_a_limit_that_is_broken_at_rest_is_told_apart(self):
+    def test_a_limit_that_is_broken_at_rest_is_told_apart(self) -> None:
         assert_refused(run("feedforward", *LINE, "--limit", "M_w=50"), "no duration helps")
 
-    def test_what_code_1_advises_helps(self):
+    def test_what_code_1_advises_helps(self) -> None:
         advised = run("feedforward", *LINE, "--formulation", "reduced", "--method", "gauss1", "--step", 0.1)
         assert advised.exit_code == 0
         assert advised.stderr == ""
 
-    def test_inputs_off_by_a_quarter_of_their_peak_are_what_a_step_is_for(self):
+    def test_inputs_off_by_a_quarter_of_their_peak_are_what_a_step_is_for(self) -> None:
         result = run("feedforward", *LINE, *PAPER, "--step", 0.1)
         assert result.exit_code == 0
         _, values = table(result.stdout)
         exact = sc.scenes.rotary_crane().exact(values[:, 0])["M_b"]
         assert np.abs(values[:, 1] - exact).max() > 0.2 * np.abs(exact).max()
 
-    def test_an_input_that_is_zero_but_for_round_off_has_no_peak_to_be_off_from(self):
+    def test_an_input_that_is_zero_but_for_round_off_has_no_peak_to_be_off_from(self) -> None:
         radial = ["--from", 5, 2.83, -5, "--to", 3, 1.698, -5, "--duration", 10]
         assert run("feedforward", *radial, "--formulation", "original", "--step", 0.01).exit_code == 0
 
     @pytest.mark.parametrize("profile", PROFILES)
-    def test_every_profile_can_be_asked_for(self, profile):
+    def test_every_profile_can_be_asked_for(self, profile: str) -> None:
         _, values = table(run("feedforward", *LINE, "--profile", profile).stdout)
         path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, PROFILES[profile])
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
 
-    def test_a_ramp_shapes_the_three_phase_profile(self):
+    def test_a_ramp_shapes_the_three_phase_profile(self) -> None:
         options = ("--profile", "three-phase", "--ramp", 8)
         _, values = table(run("feedforward", *LINE, *options).stdout)
         path = sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, sc.three_phase(8.0))
         np.testing.assert_allclose(values[:, 7:10], path.jet(values[:, 0], 0)[:, 0], atol=1e-12)
 
     @pytest.mark.parametrize("groups", [1, 2, 5])
-    def test_a_reference_file_gives_what_the_line_gives(self, groups):
+    def test_a_reference_file_gives_what_the_line_gives(self, groups: int) -> None:
         path = reference_csv(groups=groups, count=201)
         _, values = table(run("feedforward", "--reference", path, "--step", 0.1).stdout)
         _, expected = table(run("feedforward", *LINE, "--step", 0.1).stdout)
         np.testing.assert_allclose(values[:, 4:10], expected[:, 4:10], atol=1e-6)
         np.testing.assert_allclose(values[:, 1:4], expected[:, 1:4], atol=1e-2)
 
-    def test_rounded_positions_are_followed_within_a_tolerance(self):
+    def test_rounded_positions_are_followed_within_a_tolerance(self) -> None:
         path = reference_csv(groups=1, count=201, change=lambda values: values.round(5, out=values))
         assert_refused(run("feedforward", "--reference", path), "path.csv", "tolerance")
         result = run("feedforward", "--reference", path, "--tolerance", 1e-5)
@@ -249,29 +253,29 @@ class TestFeedforward:
         line = table(run("feedforward", *LINE).stdout)[1]
         np.testing.assert_allclose(table(result.stdout)[1][:, 7:10], line[:, 7:10], atol=2e-5)
 
-    def test_parameters_from_a_file_change_the_crane(self):
+    def test_parameters_from_a_file_change_the_crane(self) -> None:
         write("crane.toml", "load_mass = 50\n")
         _, values = table(run("feedforward", *LINE, "--parameters", "crane.toml").stdout)
         assert values[0, 10] == pytest.approx(50 * 9.81)
         assert values[0, 3] == pytest.approx(-50 * 9.81 * 0.1)
 
     @pytest.mark.parametrize(("name", "start"), [("p.png", b"\x89PNG"), ("p.svg", b"<?xml"), ("p.pdf", b"%PDF")])
-    def test_a_plot_is_drawn_beside_the_table(self, name, start):
+    def test_a_plot_is_drawn_beside_the_table(self, name: str, start: bytes) -> None:
         assert run("feedforward", *LINE, "--plot", name, "--output", "inputs.csv").exit_code == 0
         assert Path(name).read_bytes().startswith(start)
         assert sorted(os.listdir()) == ["inputs.csv", name]
 
-    def test_an_older_output_is_replaced(self):
+    def test_an_older_output_is_replaced(self) -> None:
         write("inputs.csv", "old")
         assert run("feedforward", *LINE, "--output", "inputs.csv").exit_code == 0
         assert Path("inputs.csv").read_text().startswith(HEADER)
 
 
-def _not_a_number(values):
+def _not_a_number(values) -> None:
     values[3, 2] = np.nan
 
 
-def _back_in_time(values):
+def _back_in_time(values) -> None:
     values[3, 0] = values[2, 0]
 
 
@@ -330,7 +334,7 @@ REFUSED_PATHS = {
 
 
 @pytest.mark.parametrize(("options", "word"), REFUSED_PATHS.values(), ids=REFUSED_PATHS)
-def test_refusals_are_one_sentence_and_leave_no_file(options, word):
+def test_refusals_are_one_sentence_and_leave_no_file(options, word: str) -> None:
     assert_refused(run("feedforward", "--output", "o.csv", *options), word)
     assert os.listdir() == []
 
@@ -348,7 +352,7 @@ CONTENTS = {
 
 
 @pytest.mark.parametrize(("make", "word"), CONTENTS.values(), ids=CONTENTS)
-def test_a_bad_reference_file_is_refused_with_its_name(make, word):
+def test_a_bad_reference_file_is_refused_with_its_name(make: Callable[[], str], word: str) -> None:
     assert_refused(run("feedforward", "--reference", make(), "--output", "o.csv"), "path.csv", word)
     assert os.listdir() == ["path.csv"]
 
@@ -371,53 +375,53 @@ TOML = {
 
 
 @pytest.mark.parametrize(("text", "word"), TOML.values(), ids=TOML)
-def test_a_bad_parameter_file_is_refused_with_file_and_key(text, word):
+def test_a_bad_parameter_file_is_refused_with_file_and_key(text: str, word: str) -> None:
     write("crane.toml", text)
     result = run("feedforward", *LINE, "--parameters", "crane.toml", "--output", "o.csv")
     assert_refused(result, "crane.toml", word)
     assert os.listdir() == ["crane.toml"]
 
 
-def test_a_negative_tolerance_is_refused():
+def test_a_negative_tolerance_is_refused() -> None:
     assert_refused(run("feedforward", "--reference", reference_csv(groups=1), "--tolerance", -1), "tolerance")
 
 
-def test_a_parameter_file_that_is_no_text_is_refused():
+def test_a_parameter_file_that_is_no_text_is_refused() -> None:
     Path("crane.toml").write_bytes(b"\xff\xfe\x00")
     assert_refused(run("feedforward", *LINE, "--parameters", "crane.toml"), "crane.toml")
 
 
-def test_a_parameter_file_may_name_all_six_and_integers_count():
+def test_a_parameter_file_may_name_all_six_and_integers_count() -> None:
     crane = sc.scenes.rotary_crane()
     text = "\n".join(f"{name} = {value}" for name, value in crane.parameter_values().items())
     assert sc.read_parameters(Path(write("crane.toml", text)), crane) == crane.parameter_values()
     assert tomllib.loads("load_mass = 3") == sc.read_parameters(Path(write("one.toml", "load_mass = 3")), crane)
 
 
-def test_the_file_that_is_read_is_never_overwritten():
+def test_the_file_that_is_read_is_never_overwritten() -> None:
     path = reference_csv()
     before = Path(path).read_bytes()
     assert_refused(run("feedforward", "--reference", path, "--output", path), path)
     assert Path(path).read_bytes() == before
 
 
-def test_a_line_is_of_use_without_the_command_line():
+def test_a_line_is_of_use_without_the_command_line() -> None:
     assert line((5, 0, -5), (-2, 2, -2), 20.0).duration == 20.0
 
 
-def test_no_command_and_an_unknown_one_are_refused():
+def test_no_command_and_an_unknown_one_are_refused() -> None:
     assert_refused(run(), "--help")
     assert_refused(run("fly"), "fly")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["feedforward", "--help"], ["feedforward", "-h"]])
-def test_help_is_no_error(arguments):
+def test_help_is_no_error(arguments: list[str]) -> None:
     result = run(*arguments)
     assert result.exit_code == 0
     assert "Usage" in result.stdout
 
 
-def test_the_module_runs_as_a_program():
+def test_the_module_runs_as_a_program() -> None:
     result = subprocess.run(
         [sys.executable, "-m", "crane_fmu", "feedforward", *LINE, "--step", "-1"],
         capture_output=True, text=True, check=False, env={**os.environ, "PYTHONPATH": str(ROOT)},
@@ -437,7 +441,7 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize("arguments", EXAMPLES, ids=" ".join)
-def test_the_examples_of_the_page_run(arguments):
+def test_the_examples_of_the_page_run(arguments) -> None:
     reference_csv(count=201)
     write("crane.toml", re.search(r"^```toml\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1])
     result = run(*arguments)
@@ -447,12 +451,12 @@ def test_the_examples_of_the_page_run(arguments):
             assert Path(arguments[arguments.index(option) + 1]).is_file()
 
 
-def test_the_page_names_every_option_and_every_choice():
+def test_the_page_names_every_option_and_every_choice() -> None:
     listed = set(re.findall(r"--[a-z][a-z-]*", run("feedforward", "--help").stdout)) - {"--help"}
     assert {option for option in listed if f"`{option}" not in PAGE} == set()
     for name in (*PROFILES, *MODELS, *FORMULATIONS, *METHODS, *sc.scenes.rotary_crane().parameter_values()):
         assert re.search(rf"(`|^){name}\b", PAGE, re.MULTILINE), name
 
 
-def test_the_page_shows_the_header_of_the_table():
+def test_the_page_shows_the_header_of_the_table() -> None:
     assert f"`{HEADER}`" in PAGE

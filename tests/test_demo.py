@@ -16,7 +16,7 @@ import crane_fmu.demo
 import servocore as sc
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
-from crane_fmu.demo import demo, example_cycle, examples_folder
+from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
 from crane_fmu.files import filled_folder
 from crane_fmu.report.study import LoadRun
 from crane_fmu.run import input_rows, run_fmu
@@ -28,12 +28,12 @@ FIGURES = ("crane", "reference_function", "motion", "inputs", "inputs_paper", "i
 
 
 @pytest.fixture(scope="module")
-def fmu():
+def fmu() -> Path:
     return fmu_file()
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory):
+def done(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     said = []
     result = demo(tmp_path_factory.mktemp("demo") / "deep" / "out", said.append, STEPS)
     assert said
@@ -41,7 +41,7 @@ def done(tmp_path_factory):
 
 
 class TestDemo:
-    def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done):
+    def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done) -> None:
         expected = {"RotaryCrane.fmu", "inputs.csv", "report.html", "system/Crane.ssp", "system/CranePlant_in.csv"}
         expected |= {f"system/{name}{end}" for name in KINDS for end in (".fmu", "_ref.csv", "_ref.opt")}
         expected |= {"system/RotaryCrane_in.csv"}
@@ -51,7 +51,7 @@ class TestDemo:
         assert [each.name for each in done.folder.parent.iterdir()] == ["out"]
         assert done.notes == ()
 
-    def test_the_table_of_inputs_is_the_closed_form_to_1e_9_of_the_peaks(self, done):
+    def test_the_table_of_inputs_is_the_closed_form_to_1e_9_of_the_peaks(self, done) -> None:
         lines = (done.folder / "inputs.csv").read_text().splitlines()
         names = lines[0].split(",")
         assert names == ["time", "M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension"]
@@ -61,7 +61,7 @@ class TestDemo:
             off = np.abs(values[:, k] - exact[name]).max()
             assert off <= 1e-9 * np.abs(exact[name]).max(), name
 
-    def test_the_default_is_told_first_and_the_scheme_of_the_paper_by_that_name_after_it(self, done):
+    def test_the_default_is_told_first_and_the_scheme_of_the_paper_by_that_name_after_it(self, done) -> None:
         default, paper = done.summary
         assert "exact inversion" in default
         assert "paper" not in default
@@ -72,7 +72,7 @@ class TestDemo:
         assert sorted(text.index(each) for each in said) == [text.index(each) for each in said]
         assert text.index(said[0]) < text.index("scheme of the paper")
 
-    def test_the_report_computes_in_a_browser_what_it_says(self, done, tmp_path):
+    def test_the_report_computes_in_a_browser_what_it_says(self, done, tmp_path: Path) -> None:
         require_browser()
         file = done.folder / "report.html"
         assert file.stat().st_size <= 6_000_000
@@ -81,27 +81,29 @@ class TestDemo:
             assert page.run("servocore.run.t.length") == 2001
             assert page.errors == []
 
-    def test_every_table_says_its_form_and_method(self, done):
+    def test_every_table_says_its_form_and_method(self, done) -> None:
         for each in done.tables:
             assert "form reduced, exact inversion" in each.by or "form projected, method backward Euler" in each.by
         assert "form reduced" in done.tables[0].by
 
-    def test_the_fmu_is_shown_with_its_default_formulation(self, done):
+    def test_the_fmu_is_shown_with_its_default_formulation(self, done) -> None:
         fmu = next(each for each in done.tables if "FMU's outputs" in each.title)
         assert "form reduced" in fmu.by
         (torque,) = (row for row in fmu.rows if row[0] == "M_b")
         assert 0.0 < float(torque[1].removesuffix(" N m")) < 5.0  # with the projected form it is 66 N m at this step
 
-    def test_the_report_says_that_the_fmu_ran_to_its_end(self, done):
+    def test_the_report_says_that_the_fmu_ran_to_its_end(self, done) -> None:
         assert "101 rows up to t = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
 
-    def test_the_tables_name_every_model_and_step(self, done):
+    def test_the_tables_name_every_model_and_step(self, done) -> None:
         assert [row[0] for row in done.tables[0].rows] == ["points", "generalized", "bodies"]
         paper = next(each for each in done.tables if each.title.startswith("The scheme of the paper: largest errors"))
         assert {row[0] for row in paper.rows} == {"points", "generalized", "bodies"}
         assert {row[1] for row in paper.rows} == {"0.2", "0.1"}
 
-    def test_a_second_run_replaces_what_is_there_and_keeps_the_rest(self, done, monkeypatch):
+    def test_a_second_run_replaces_what_is_there_and_keeps_the_rest(
+        self, done, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         (done.folder / "notes.txt").write_text("mine")
         (done.folder / "report.html").write_text("old")
         _make_light(monkeypatch, done)
@@ -110,7 +112,9 @@ class TestDemo:
         assert (done.folder / "report.html").read_text() == "11 sections"
         (done.folder / "notes.txt").unlink()
 
-    def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(self, done, tmp_path, monkeypatch):
+    def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(
+        self, done, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         _make_light(monkeypatch, done)
         monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
         result = demo(tmp_path / "out", steps=STEPS)
@@ -118,14 +122,14 @@ class TestDemo:
         assert (result.folder / "report.html").read_text() == "10 sections"
 
 
-def _make_light(monkeypatch, done):
+def _make_light(monkeypatch: pytest.MonkeyPatch, done) -> None:
     """Take the FMU of an earlier demo, and write how many sections the report would have."""
 
     def copied(folder, _):
         (folder / "RotaryCrane.fmu").write_bytes((done.folder / "RotaryCrane.fmu").read_bytes())
         return done.folder / "system" / "Crane.ssp"
 
-    def counted(folder, _, sections):
+    def counted(folder, _, sections) -> None:
         (folder / "report.html").write_text(f"{len(sections)} sections")
 
     monkeypatch.setattr(crane_fmu.demo, "build_system", copied)
@@ -135,7 +139,9 @@ def _make_light(monkeypatch, done):
     monkeypatch.setattr(crane_fmu.demo, "write_report", counted)
 
 
-def test_the_command_prints_tables_and_where_the_report_is(done, tmp_path, monkeypatch):
+def test_the_command_prints_tables_and_where_the_report_is(
+    done: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(crane_fmu.demo, "demo", lambda *_: done)
     result = CliRunner().invoke(app, ["demo"])
@@ -148,7 +154,9 @@ def test_the_command_prints_tables_and_where_the_report_is(done, tmp_path, monke
 
 
 @pytest.mark.parametrize("command", ["demo", "build"])
-def test_a_folder_that_cannot_be_made_is_one_sentence(command, tmp_path, monkeypatch):
+def test_a_folder_that_cannot_be_made_is_one_sentence(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
     for place in ("file", "file/deeper"):
@@ -159,7 +167,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(command, tmp_path, monkeyp
     assert os.listdir() == ["file"]
 
 
-def test_build_is_the_same_as_build_fmu(fmu, tmp_path):
+def test_build_is_the_same_as_build_fmu(fmu: Path, tmp_path: Path) -> None:
     built = tmp_path / "deep" / "folder" / "RotaryCrane.fmu"
     command = [sys.executable, "-m", "crane_fmu", "build", "-o", str(built.parent)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
@@ -169,7 +177,7 @@ def test_build_is_the_same_as_build_fmu(fmu, tmp_path):
 
 
 class TestRunFmu:
-    def test_it_follows_the_library_at_every_row(self, fmu):
+    def test_it_follows_the_library_at_every_row(self, fmu) -> None:
         crane = sc.scenes.rotary_crane()
         outputs = run_fmu(fmu, crane.reference, 0.1, formulation="projected")
         library = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.1)
@@ -177,23 +185,23 @@ class TestRunFmu:
         for name, tolerance in (("M_b", 0.05), ("F", 0.01), ("M_w", 1e-4), ("phi", 1e-6), ("s", 1e-5), ("l", 1e-6)):
             np.testing.assert_allclose(outputs[name], library[name], atol=tolerance, err_msg=name)
 
-    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu):
+    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu) -> None:
         over_the_axis = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
         with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = .* of 10 s .*slewing axis"):
             run_fmu(fmu, over_the_axis, 0.1)
 
-    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu):
+    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu) -> None:
         before = set(sys.modules), list(sys.path)
         run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.5)
         stayed = [name for name in set(sys.modules) - before[0] if name.startswith("rotary_crane")]
         assert stayed == []
         assert sys.path == before[1]
 
-    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu):
+    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu) -> None:
         with pytest.raises(sc.IntegrationFailed, match="load_mass"):
             run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
 
-    def test_inputs_are_the_path_and_its_four_derivatives(self):
+    def test_inputs_are_the_path_and_its_four_derivatives(self) -> None:
         reference = sc.scenes.rotary_crane().reference
         rows = input_rows(reference, 0.5)
         assert rows["time"][-1] == 20.0
@@ -204,29 +212,29 @@ class TestRunFmu:
 
 
 class TestExamples:
-    def test_they_are_beside_the_package_in_a_clone(self):
+    def test_they_are_beside_the_package_in_a_clone(self) -> None:
         assert (examples_folder() / "working_cycle_sampled.csv").is_file()
 
-    def test_waypoints_and_samples_are_one_path(self):
+    def test_waypoints_and_samples_are_one_path(self) -> None:
         cycle = example_cycle(sc.scenes.rotary_crane(), examples_folder())
         assert cycle.apart < 1e-9
         assert max(cycle.errors[name] for name in ("M_b", "F", "M_w")) < 1e-12
         assert 1e-3 < cycle.paper["M_b"] < 0.05
 
 
-def _half_done(folder, failure):
+def _half_done(folder: Path, failure: type[KeyboardInterrupt] | type[RuntimeError]) -> None:
     with filled_folder(folder) as draft:
         (draft / "report.html").write_text("new")
         raise failure
 
 
 class TestWriting:
-    def test_a_folder_that_is_not_finished_never_appears(self, tmp_path):
+    def test_a_folder_that_is_not_finished_never_appears(self, tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
             _half_done(tmp_path / "deep" / "out", KeyboardInterrupt)
         assert list(tmp_path.iterdir()) == []
 
-    def test_an_existing_folder_is_left_alone_by_a_failure(self, tmp_path):
+    def test_an_existing_folder_is_left_alone_by_a_failure(self, tmp_path: Path) -> None:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "report.html").write_text("old")
         with pytest.raises(RuntimeError):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from fmu_host import fmu_file, scratch
 from pythonfmu.builder import FmuBuilder
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from crane_fmu.cli import app
 
@@ -74,7 +74,7 @@ class Foreign(Fmi2Slave):
 """
 
 
-def driven(*arguments):
+def driven(*arguments: Path | str) -> Result:
     return CliRunner().invoke(app, ["drive", *map(str, arguments)])
 
 
@@ -95,7 +95,7 @@ def farthest(said: str) -> float:
     return float(said.split(" by ")[1].split(" mm", maxsplit=1)[0])
 
 
-def test_our_own_plant_under_other_names_follows_the_path(tmp_path):
+def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path) -> None:
     maps = [part for ours, theirs in NAMES.items() for part in ("--map", f"{ours}={theirs}")]
     result = driven(renamed(), *maps, *LINE, "--output", tmp_path / "motion.csv")
     assert result.exit_code == 0, result.output
@@ -105,14 +105,14 @@ def test_our_own_plant_under_other_names_follows_the_path(tmp_path):
     assert 1e3 * table["distance"].max() == pytest.approx(farthest(result.stdout), rel=1e-2)
 
 
-def test_a_file_may_hold_the_names(tmp_path):
+def test_a_file_may_hold_the_names(tmp_path: Path) -> None:
     (tmp_path / "names.toml").write_text("".join(f'{ours} = "{theirs}"\n' for ours, theirs in NAMES.items()))
     result = driven(renamed(), "--map", tmp_path / "names.toml", *LINE)
     assert result.exit_code == 0, result.output
     assert farthest(result.stdout) < 2.0
 
 
-def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path):
+def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path: Path) -> None:
     (tmp_path / "foreign.py").write_text(FOREIGN)
     file = FmuBuilder.build_FMU(tmp_path / "foreign.py", dest=tmp_path)
     names = {"M_b": "tau", "F": "f", "M_w": "hoist", "x": "px", "y": "py", "z": "pz"}
@@ -137,13 +137,13 @@ def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path):
         (["--set", "a"], "--set a: it must be NAME=NUMBER"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(arguments, sentence):
+def test_what_is_wrong_is_one_sentence(arguments: list[str], sentence: str) -> None:
     result = driven(renamed(), *arguments, *LINE)
     assert result.exit_code == 2
     assert sentence in " ".join(result.stderr.split())
 
 
-def test_a_load_that_starts_elsewhere_is_told():
+def test_a_load_that_starts_elsewhere_is_told() -> None:
     maps = [part for ours, theirs in NAMES.items() for part in ("--map", f"{ours}={theirs}")]
     result = driven(renamed(), *maps, "--set", "start.position[1]=5.1", *LINE)
     assert "It starts 0.1 m off its path: set the plant's start so that the load is at (5, 0, -5) m." in result.stdout

@@ -34,7 +34,7 @@ def without_extras(code: str, *arguments: str, folder: Path) -> subprocess.Compl
         (f"{LIBRARY}; main()", "scenes"),
     ],
 )
-def test_solving_needs_no_extra(code, arguments, tmp_path):
+def test_solving_needs_no_extra(code: str, arguments: str, tmp_path: Path) -> None:
     run = without_extras(code, *arguments.split(), folder=tmp_path)
     assert (run.returncode, run.stderr) == (0, "")
 
@@ -50,7 +50,9 @@ def test_solving_needs_no_extra(code, arguments, tmp_path):
         (LIBRARY, "sweep cars --vary duration=5:9:3 -o study", "sweep"),
     ],
 )
-def test_what_needs_an_extra_says_which_and_leaves_nothing(code, arguments, extra, tmp_path):
+def test_what_needs_an_extra_says_which_and_leaves_nothing(
+    code: str, arguments: str, extra: str, tmp_path: Path
+) -> None:
     run = without_extras(f"{code}; main()", *arguments.split(), folder=tmp_path)
     assert run.returncode == 2
     assert run.stderr.count("\n") == 1
@@ -58,7 +60,7 @@ def test_what_needs_an_extra_says_which_and_leaves_nothing(code, arguments, extr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_script_that_builds_names_its_extra(tmp_path):
+def test_the_script_that_builds_names_its_extra(tmp_path: Path) -> None:
     run = without_extras(f"import runpy; runpy.run_path({str(ROOT / 'build_fmu.py')!r})", folder=tmp_path)
     assert run.returncode == 1
     assert "pip install '.[fmu]'" in run.stderr
@@ -66,7 +68,7 @@ def test_the_script_that_builds_names_its_extra(tmp_path):
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_the_extra_that_is_named_brings_the_package(package):
+def test_the_extra_that_is_named_brings_the_package(package: str) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     said = str(missing_package(ImportError(name=package)))
     named = said.partition("servocore[")[2].partition("]")[0]
@@ -75,12 +77,12 @@ def test_the_extra_that_is_named_brings_the_package(package):
     assert named in extras["all"][0]
 
 
-def test_other_imports_that_fail_are_no_refusals():
+def test_other_imports_that_fail_are_no_refusals() -> None:
     assert missing_package(ImportError(name="numpy")) is None
 
 
 @pytest.mark.parametrize("module", [CRANE, LIBRARY])
 @pytest.mark.parametrize("option", ["--version", "-v"])
-def test_command_lines_tell_their_version(module, option, tmp_path):
+def test_command_lines_tell_their_version(module: str, option: str, tmp_path: Path) -> None:
     run = without_extras(f"{module}; main()", option, folder=tmp_path)
     assert (run.returncode, run.stdout) == (0, f"servocore {servocore.__version__}\n")

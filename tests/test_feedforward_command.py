@@ -23,7 +23,7 @@ def table(text: str) -> tuple[list[str], np.ndarray]:
 
 
 @pytest.mark.parametrize("name", REGISTRY)
-def test_every_scene_has_its_inputs_along_a_file_of_its_own(name, tmp_path):
+def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path: Path) -> None:
     scene = REGISTRY[name]()
     outputs = [each.name for each in scene.model().outputs]
     file = tmp_path / "path.csv"
@@ -40,14 +40,14 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name, tmp_path):
     assert "largest" in done.stderr
 
 
-def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene():
+def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene() -> None:
     done = servocore_command("feedforward", "cars", "--from", "0", "--to", "2", "--duration", "5", "--step", "0.5")
     names, values = table(done.stdout)
     scene = REGISTRY["cars"]().with_reference(sc.rest_to_rest((0.0,), (2.0,), 5.0))
     np.testing.assert_allclose(values[:, names.index("u")], sc.solve(scene, step=0.5)["u"], rtol=0, atol=1e-12)
 
 
-def test_few_rows_are_waypoints_and_that_is_said():
+def test_few_rows_are_waypoints_and_that_is_said() -> None:
     file = EXAMPLES / "working_cycle_waypoints.csv"
     done = servocore_command("feedforward", "rotary_crane", "--reference", file)
     asked = servocore_command("feedforward", "rotary_crane", "--waypoints", file)
@@ -55,7 +55,7 @@ def test_few_rows_are_waypoints_and_that_is_said():
     assert done.stdout == asked.stdout
 
 
-def test_few_rows_with_derivatives_are_a_path(tmp_path):
+def test_few_rows_with_derivatives_are_a_path(tmp_path: Path) -> None:
     scene = REGISTRY["overhead_crane"]()
     file = tmp_path / "path.csv"
     file.write_text(sc.csv_of(scene.reference, ["x", "z"]), encoding="utf-8")
@@ -65,7 +65,7 @@ def test_few_rows_with_derivatives_are_a_path(tmp_path):
     np.testing.assert_allclose(values[:, names.index("F")], sc.solve(scene)["F"], rtol=0, atol=1e-9)
 
 
-def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path):
+def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: Path) -> None:
     bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
     outputs = [each.name for each in bar.model().outputs]
     file.write_text(sc.csv_of(bar.reference, outputs, each=40), encoding="utf-8")
@@ -74,12 +74,12 @@ def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path):
     assert sensitivities.exit_code == 0, sensitivities.stderr
 
 
-def test_columns_are_chosen_by_name():
+def test_columns_are_chosen_by_name() -> None:
     done = servocore_command("feedforward", "overhead_crane", "--columns", "F,swing")
     assert done.stdout.startswith("time,F,swing\n")
 
 
-def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path):
+def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path: Path) -> None:
     options = ("--from", "0", "-4", "--to", "5", "-4", "--limit", "F=100")
     refused = servocore_command(
         "feedforward", "overhead_crane", *options, "--duration", "3", "-o", tmp_path / "inputs.csv"
@@ -105,5 +105,5 @@ def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path):
         (("--reference", "missing.csv"), "missing.csv cannot be read"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_sentence(options, sentence):
+def test_what_makes_no_sense_is_refused_in_one_sentence(options: tuple[str, ...], sentence: str) -> None:
     servocore_command.assert_refused(servocore_command("feedforward", "mass_on_car", *options), sentence)

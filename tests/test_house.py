@@ -44,20 +44,20 @@ def longest_chain(module: str) -> tuple[str, ...]:
 
 
 @pytest.mark.parametrize("package", MOST_ENTRIES)
-def test_a_package_has_few_entries_to_choose_from(package):
+def test_a_package_has_few_entries_to_choose_from(package: str) -> None:
     entries = [each.name for each in (ROOT / package).iterdir() if not each.name.startswith((".", "__pycache__"))]
     assert len([each for each in entries if each != "py.typed"]) <= MOST_ENTRIES[package]
 
 
 @pytest.mark.parametrize("package", MOST_ENTRIES)
-def test_the_longest_chain_of_imports_is_short(package):
+def test_the_longest_chain_of_imports_is_short(package: str) -> None:
     modules = [name for name in MODULES if name.startswith(f"{package}.") and not name.endswith("__main__")]
     chain = max((longest_chain(each) for each in modules), key=len)
     within = [each for each in chain if each.startswith(package)]
     assert len(within) <= LONGEST_CHAIN, " > ".join(within)
 
 
-def test_names_with_an_underscore_stay_in_their_file():
+def test_names_with_an_underscore_stay_in_their_file() -> None:
     strangers = [
         f"{path.relative_to(ROOT)} imports {name} from {module}"
         for path in SOURCES
@@ -67,7 +67,7 @@ def test_names_with_an_underscore_stay_in_their_file():
     assert strangers == []
 
 
-def test_few_memos_stand_in_for_values_and_each_says_why():
+def test_few_memos_stand_in_for_values_and_each_says_why() -> None:
     found, silent = [], []
     for path in SOURCES:
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -81,7 +81,7 @@ def test_few_memos_stand_in_for_values_and_each_says_why():
     assert silent == []
 
 
-def test_the_map_of_the_documentation_shows_every_room():
+def test_the_map_of_the_documentation_shows_every_room() -> None:
     page = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     house = page.split("## The house")[1]
     for package in MOST_ENTRIES:

@@ -19,17 +19,17 @@ LEVEL = ["--from", 0, -4, "--to", 5, -4]
 
 
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def read(file):
+def read(file: str):
     with Path(file).open(encoding="utf-8") as stream:
         rows = list(csv.reader(stream))
     return dict(zip(rows[0], np.array(rows[1:], dtype=float).T, strict=True))
 
 
-def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
+def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture() -> None:
     result = run(
         "plan",
         "overhead_crane",
@@ -62,7 +62,7 @@ def test_a_plan_of_any_scene_is_a_table_within_the_limits_and_a_picture():
     )  # of 200 N: round-off by the fourth power of the step
 
 
-def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing_and_a_path_for_the_others():
+def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_swing_and_a_path_for_the_others() -> None:
     limits = [each for limit in ("M_b=1000", "F=60", "swing=5deg") for each in ("--limit", limit)]
     result = crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *limits, "--path", "way.csv")
     assert result.exit_code == 0
@@ -75,7 +75,7 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
     assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
 
 
-def test_a_file_that_would_lack_derivatives_is_refused_before_the_work():
+def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None:
     run.assert_refused(
         run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--path", "way.csv"),
         "--path: a file holds 4 derivatives of a path, but elastic_bar needs 6",
@@ -92,7 +92,7 @@ def test_a_file_that_would_lack_derivatives_is_refused_before_the_work():
         (["--limit", "F=60", "-o", "way.csv", "--path", "way.csv"], "both name way.csv"),
     ],
 )
-def test_what_the_short_form_cannot_plan_is_refused(options, sentence):
+def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence: str) -> None:
     crane.assert_refused(crane("plan", "--from", 5, 0, -5, "--to", -2, 2, -2, *options), sentence)
     assert os.listdir() == []
 
@@ -113,12 +113,12 @@ def test_what_the_short_form_cannot_plan_is_refused(options, sentence):
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
     ],
 )
-def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence):
+def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence: str) -> None:
     run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
     assert os.listdir() == []
 
 
-def test_sensitivities_are_a_table_a_file_and_a_picture():
+def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:
     result = run("sensitivities", "overhead_crane", "--wrt", "load_mass", "-o", "s.csv", "--plot", "s.svg")
     assert result.exit_code == 0
     assert "by load_mass" in result.stdout

@@ -49,12 +49,12 @@ def tracked_texts() -> Iterator[tuple[str, str]]:
 # Code ----------------------------------------------------------------------------------------------------------------
 
 
-def test_files_are_short():
+def test_files_are_short() -> None:
     lengths = {short(path): len(path.read_text(encoding="utf-8").splitlines()) for path in SOURCES}
     assert {name: length for name, length in lengths.items() if length >= LONGEST_FILE} == {}
 
 
-def test_functions_are_short():
+def test_functions_are_short() -> None:
     lengths = {
         f"{short(path)}:{node.lineno} {node.name}": lines_without_docstring(node)
         for path in SOURCES
@@ -73,7 +73,7 @@ def lines_without_docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int
 
 
 @pytest.mark.parametrize("room", NUMERICAL_ROOMS)
-def test_a_numerical_room_is_commented(room):
+def test_a_numerical_room_is_commented(room: str) -> None:
     comments = lines = 0
     for path in (ROOT / "servocore" / room).glob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -87,7 +87,7 @@ def is_comment(token: tokenize.TokenInfo) -> bool:
     return token.type == tokenize.COMMENT and not re.match(r"# *(noqa|type:|fmt:|-{3})", token.string)
 
 
-def test_crane_fmu_uses_public_names_of_servocore_only():
+def test_crane_fmu_uses_public_names_of_servocore_only() -> None:
     strangers = [
         f"{short(path)}:{node.lineno} {name}"
         for path in (ROOT / "crane_fmu").rglob("*.py")
@@ -150,13 +150,13 @@ def taken_by(value: object) -> list[str]:
 @pytest.mark.parametrize(
     "name", [name for name, value in PUBLIC if inspect.isclass(value) or inspect.isfunction(value)]
 )
-def test_a_public_name_says_what_it_is(name):
+def test_a_public_name_says_what_it_is(name) -> None:
     text = inspect.getdoc(getattr(sc, name)) or ""
     assert text.splitlines()[0].endswith((".", ":")), f"{name} has no summary sentence"
 
 
 @pytest.mark.parametrize("name", [name for name, value in PUBLIC if len(taken_by(value)) > 1])
-def test_a_public_name_says_what_it_takes(name):
+def test_a_public_name_says_what_it_takes(name) -> None:
     value, text = getattr(sc, name), inspect.getdoc(getattr(sc, name)) or ""
     section = re.search(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.DOTALL | re.MULTILINE)
     assert section, f"{name} takes {', '.join(taken_by(value))}, but its docstring has no such section"
@@ -175,12 +175,12 @@ def exported_by(attribute: str, argument: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", [*exported_by("dae", "system"), *exported_by("discretise", "dae")])
-def test_a_formulation_or_method_is_explained(name):
+def test_a_formulation_or_method_is_explained(name: str) -> None:
     assert f"`{name}`" in (DOCS / "theory.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
-def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name):
+def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name: str) -> None:
     factory = sc.scenes.REGISTRY[name]
     text = inspect.getmodule(factory).__doc__
     drawn = [line for line in text.splitlines() if line.startswith("    ") and re.search(r"[|/\\=\[]", line)]
@@ -189,14 +189,14 @@ def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name):
     assert f"`{name}`" in (DOCS / "scenes.md").read_text(encoding="utf-8")
 
 
-def test_every_public_name_has_its_place_in_the_api_reference():
+def test_every_public_name_has_its_place_in_the_api_reference() -> None:
     pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "api").glob("*.rst"))
     listed = re.findall(r"^(?:   |\.\. autodata:: )(?:servocore\.)?(?:scenes\.)?(\w+)$", pages, re.MULTILINE)
     assert set(sc.__all__).union(sc.scenes.REGISTRY, {"REGISTRY"}) ^ set(listed) == {"scenes"}
     assert [name for name in set(listed) if listed.count(name) > 1] == []
 
 
-def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site():
+def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> None:
     stories = sorted((ROOT / "examples").glob("story_*.py"))
     assert len(stories) >= 8
     for story in stories:
@@ -208,7 +208,7 @@ def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site():
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if CODE_BLOCK.search(p.read_text(encoding="utf-8"))], ids=short)
-def test_python_blocks_of_a_page_run_one_after_another(page, tmp_path, monkeypatch):
+def test_python_blocks_of_a_page_run_one_after_another(page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     text = page.read_text(encoding="utf-8")
@@ -221,7 +221,9 @@ def run(block: str, page: Path, line: int, names: dict[str, object]) -> None:
     exec(compile("\n" * line + block, str(page), "exec", dont_inherit=True), names)
 
 
-def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(tmp_path, monkeypatch, capsys):
+def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = CODE_BLOCK.findall(text)
@@ -232,20 +234,20 @@ def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(tmp_pa
 
 
 @pytest.mark.parametrize("page", PAGES, ids=short)
-def test_links_of_a_page_lead_somewhere(page):
+def test_links_of_a_page_lead_somewhere(page: Path) -> None:
     text = CODE_BLOCK.sub("", page.read_text(encoding="utf-8"))
     targets = re.findall(r"\]\((?!https?://)([^)#]+)", text)
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
-def test_the_index_names_every_page():
+def test_the_index_names_every_page() -> None:
     index = (DOCS / "index.md").read_text(encoding="utf-8")
     pages = [path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md") if path.name != "index.md"]
     pages = [page for page in pages if not page.startswith("site/")]  # nothing of their own: what only the site shows
     assert [page for page in pages if f"({page})" not in index] == []
 
 
-def test_sections_of_the_theory_that_are_referred_to_exist():
+def test_sections_of_the_theory_that_are_referred_to_exist() -> None:
     sections = set(re.findall(r"^## (\d+)\.", (DOCS / "theory.md").read_text(encoding="utf-8"), re.MULTILINE))
     wanted = {
         (name, number)
@@ -258,7 +260,7 @@ def test_sections_of_the_theory_that_are_referred_to_exist():
 # Versions ------------------------------------------------------------------------------------------------------------
 
 
-def test_all_say_the_same_version_and_the_changelog_has_an_entry_for_it():
+def test_all_say_the_same_version_and_the_changelog_has_an_entry_for_it() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert sc.__version__ == project["version"]
     assert f"\nversion: {sc.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
@@ -267,7 +269,7 @@ def test_all_say_the_same_version_and_the_changelog_has_an_entry_for_it():
     assert re.search(r"^\* \w", entry[1], re.MULTILINE)
 
 
-def test_every_target_of_the_makefile_explains_itself():
+def test_every_target_of_the_makefile_explains_itself() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
     targets = re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE)[1].split()
     assert [each for each in targets if not re.search(rf"^{each}:.*## \w", text, re.MULTILINE)] == []

@@ -5,28 +5,29 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import servocore as sc
 from crane_fmu.report import contents, convergence, postures, trajectories
-from crane_fmu.report.page import Illustration, formula, number, page, parameter_table
-from crane_fmu.report.study import INPUTS, MOTION, LoadRun, apart, study, working_cycle
+from crane_fmu.report.page import Illustration, Table, formula, number, page, parameter_table
+from crane_fmu.report.study import INPUTS, MOTION, Cycle, LoadRun, Study, apart, study, working_cycle
 from crane_fmu.report.style import LABELS, picture
 
 STEPS = (0.2, 0.1)
 
 
 @pytest.fixture(scope="module")
-def crane():
+def crane() -> sc.Scene:
     return sc.scenes.rotary_crane()
 
 
 @pytest.fixture(scope="module")
-def found(crane):
+def found(crane: sc.Scene) -> Study:
     return study(crane, lambda _: None, STEPS)
 
 
 @pytest.fixture(scope="module")
-def cycle(crane):
+def cycle(crane: sc.Scene) -> Cycle:
     waypoints = np.array([[0.0, 5.0, 0.0, -5.0], [6.0, 4.0, 3.0, -3.0], [12.0, 0.0, 5.0, -5.0]])
     through = sc.through(waypoints[:, 1:], waypoints[:, 0])
     t = np.linspace(0.0, 12.0, 121)
@@ -34,64 +35,64 @@ def cycle(crane):
 
 
 @pytest.fixture(scope="module")
-def written(crane, found, cycle):
+def written(crane: sc.Scene, found: Study, cycle: Cycle) -> dict[str, list[str | Table | Illustration]]:
     outputs = {"time": found.base.t, **{name: found.base[name] for name in found.base.names}}
     return contents.sections(found, outputs, loop(crane), cycle)
 
 
-def loop(crane):
+def loop(crane: sc.Scene):
     t = np.linspace(0.0, 20.0, 201)
     wanted = crane.reference.jet(t, 0)[:, 0]
     return [LoadRun(label, t, wanted, wanted + size * np.sin(t)[:, None]) for label, size in (("a", 1e-3), ("b", 1e-6))]
 
 
 @pytest.fixture(scope="module")
-def drawings(written):
+def drawings(written: dict[str, list[str | Table | Illustration]]):
     shown = [part for parts in written.values() for part in parts if isinstance(part, Illustration)]
     return {name: data for each in shown for name, data in each.files().items()}
 
 
 @pytest.fixture(scope="module")
-def html(found, written, drawings):
+def html(found: Study, written: dict[str, list[str | Table | Illustration]], drawings) -> str:
     return page(contents.TITLE, contents.facts(found), sc.live_part(found.base), written, drawings)
 
 
-def labels(figure):
+def labels(figure: Figure):
     return [axes.get_ylabel() for axes in figure.axes]
 
 
-def legend(figure):
+def legend(figure: Figure):
     holders = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
     return [text.get_text() for each in holders for text in each.get_texts()]
 
 
 class TestNumbers:
-    def test_errors_of_the_scheme_of_the_paper_halve_with_the_step_in_every_model(self, found):
+    def test_errors_of_the_scheme_of_the_paper_halve_with_the_step_in_every_model(self, found) -> None:
         for model in found.models:
             for name in INPUTS:
                 ratio = found.paper_errors[model, STEPS[0]][name] / found.paper_errors[model, STEPS[1]][name]
                 assert ratio == pytest.approx(2.0, rel=0.15), (model, name)
 
-    def test_the_motion_is_exact(self, found):
+    def test_the_motion_is_exact(self, found) -> None:
         both = [*found.errors.values(), *found.paper_errors.values()]
         assert max(errors[name] for errors in both for name in MOTION) < 1e-9
 
-    def test_the_models_approach_one_another(self, found):
+    def test_the_models_approach_one_another(self, found) -> None:
         assert len(found.differences) == 3 * len(STEPS)
         for pair in {pair for pair, _ in found.differences}:
             assert found.differences[pair, STEPS[1]]["M_b"] < 0.6 * found.differences[pair, STEPS[0]]["M_b"]
 
-    def test_by_default_there_is_no_error_in_any_model(self, found):
+    def test_by_default_there_is_no_error_in_any_model(self, found) -> None:
         assert set(found.errors) == set(found.models)
         assert max(errors[name] for errors in found.errors.values() for name in INPUTS) < 1e-12
 
-    def test_the_load_strays_less_with_better_inputs(self, found):
+    def test_the_load_strays_less_with_better_inputs(self, found) -> None:
         exact, rows, coarse, fine = (each.largest for each in found.tracking)
         assert exact < 1e-8
         assert exact < rows < 1e-3 * fine
         assert fine < coarse
 
-    def test_an_error_is_relative_for_inputs_and_absolute_for_the_motion(self, crane):
+    def test_an_error_is_relative_for_inputs_and_absolute_for_the_motion(self, crane) -> None:
         solution = sc.solve(crane, sc.Reduced(), step=0.5)
         solution.values[3, solution.names.index("M_b")] += 1.0
         solution.values[3, solution.names.index("s")] += 0.25
@@ -99,12 +100,12 @@ class TestNumbers:
         assert errors["M_b"] == pytest.approx(1.0 / np.abs(crane.exact(solution.t)["M_b"]).max())
         assert errors["s"] == pytest.approx(0.25)
 
-    def test_samples_and_waypoints_give_one_path(self, cycle):
+    def test_samples_and_waypoints_give_one_path(self, cycle) -> None:
         assert cycle.apart < 1e-8
 
 
 class TestFigures:
-    def test_the_reference_function_rises_from_zero_to_one(self, crane):
+    def test_the_reference_function_rises_from_zero_to_one(self, crane) -> None:
         figure = trajectories.reference_function(crane.reference)
         above, below = figure.axes
         s = above.lines[0].get_ydata()
@@ -115,7 +116,7 @@ class TestFigures:
         assert labels(figure) == ["share of the line", "its second derivative (1/s²)"]
         assert below.get_xlabel() == "time (s)"
 
-    def test_the_motion_is_drawn_in_degrees_and_metres(self, found, crane):
+    def test_the_motion_is_drawn_in_degrees_and_metres(self, found, crane) -> None:
         figure = trajectories.beside_closed_form(MOTION, found.base, crane)
         assert labels(figure) == [LABELS[name] for name in ("phi", "s", "l")]
         assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(135.0)
@@ -133,13 +134,13 @@ class TestFigures:
         for values, run in zip(drawn, (found.base, generalized, redundant), strict=True):
             np.testing.assert_array_equal(values, run["M_w"])
 
-    def test_what_plot_draws_has_six_panels_with_units(self, found):
+    def test_what_plot_draws_has_six_panels_with_units(self, found) -> None:
         figure = trajectories.inputs_and_motion(found.base)
         assert sorted(labels(figure)) == sorted(LABELS.values())
         assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
 
     @pytest.mark.parametrize("index", [0, -1])
-    def test_a_posture_shows_the_crane_where_it_is(self, found, index):
+    def test_a_posture_shows_the_crane_where_it_is(self, found, index: int) -> None:
         figure = postures.posture(found.base, index)
         (axes,) = figure.axes
         drawn = {line.get_label(): np.array(line.get_data_3d()) for line in axes.lines}
@@ -159,7 +160,7 @@ class TestFigures:
         manoeuvre = crane.reference
         np.testing.assert_allclose(path[[0, -1]], [manoeuvre.start, manoeuvre.end], atol=1e-12)
 
-    def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found):
+    def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found) -> None:
         figure = convergence.error_against_step(found.paper_errors)
         (axes,) = figure.axes
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
@@ -169,13 +170,13 @@ class TestFigures:
         slope = np.polyfit(np.log(guide.get_xdata()), np.log(guide.get_ydata()), 1)[0]
         assert slope == pytest.approx(1.0)
 
-    def test_a_load_that_strays_is_shown_with_its_path_and_its_distance(self, found):
+    def test_a_load_that_strays_is_shown_with_its_path_and_its_distance(self, found) -> None:
         figure = trajectories.strayed(found.tracking, found.tracking)
         assert labels(figure) == ["position of the load (m)", "distance from the path (mm)"]
         assert figure.axes[1].get_yscale() == "log"
         assert len(legend(figure)) == 1 + len(found.tracking)
 
-    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane):
+    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane) -> None:
         radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
         figure = trajectories.inputs_and_motion(sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1))
         for axes in figure.axes:
@@ -183,13 +184,13 @@ class TestFigures:
             assert high - low > 1e-3
 
     @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-    def test_a_picture_is_the_same_every_time(self, crane, suffix):
+    def test_a_picture_is_the_same_every_time(self, crane, suffix: str) -> None:
         one, other = (picture(trajectories.reference_function(crane.reference), suffix, "by hand") for _ in range(2))
         assert one == other
 
 
 class TestPage:
-    def test_it_needs_nothing_else(self, html):
+    def test_it_needs_nothing_else(self, html) -> None:
         assert "http" not in html
         assert "<link" not in html
         assert "@import" not in html
@@ -197,30 +198,32 @@ class TestPage:
         assert sources
         assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
 
-    def test_its_pictures_are_those_of_the_files(self, html, drawings):
+    def test_its_pictures_are_those_of_the_files(self, html, drawings) -> None:
         inside = [b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', html)]
         assert inside == [data for name, data in drawings.items() if name.endswith(".svg")]
 
-    def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html):
+    def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html) -> None:
         assert re.findall(r"<b>Figure (\d+)\.</b>", html) == [str(k) for k in range(1, 13)]
         assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 9)]
         assert all(re.findall(r'alt="([^"]*)"', html))
 
-    def test_every_table_and_every_figure_says_its_form_and_method_or_that_it_has_none(self, written, html):
+    def test_every_table_and_every_figure_says_its_form_and_method_or_that_it_has_none(self, written, html) -> None:
         shown = [part for parts in written.values() for part in parts if not isinstance(part, str)]
         assert html.count('<span class="by">') == len(shown) == 20
         for each in shown:
             computed = "form reduced, exact inversion" in each.by or "form projected, method backward Euler" in each.by
             assert computed or "nothing is" in each.by, each.title
 
-    def test_a_figure_carries_its_form_and_method_where_it_goes_without_its_caption(self, written):
+    def test_a_figure_carries_its_form_and_method_where_it_goes_without_its_caption(self, written) -> None:
         (inputs,) = (part for part in written["The inputs"] if isinstance(part, Illustration))
         assert inputs.files()
         assert (
             inputs.figure.get_supxlabel() == inputs.by == "form reduced, exact inversion at every instant, model points"
         )
 
-    def test_projected_backward_euler_is_called_the_scheme_of_the_paper_and_comes_after_the_default(self, written):
+    def test_projected_backward_euler_is_called_the_scheme_of_the_paper_and_comes_after_the_default(
+        self, written
+    ) -> None:
         headings = list(written)
         assert headings[-1] == "The scheme of the paper"
         for parts in written.values():
@@ -232,22 +235,22 @@ class TestPage:
         assert "scheme of the paper" in texts[first + 1]
         assert "scheme of the paper" not in "".join(texts[: first + 1])
 
-    def test_it_declares_its_data_an_assumption(self, html):
+    def test_it_declares_its_data_an_assumption(self, html) -> None:
         assert "declared assumption" in " ".join(html.split())
 
-    def test_it_names_no_machine_and_no_day(self, html):
+    def test_it_names_no_machine_and_no_day(self, html) -> None:
         assert not re.search(r"/(home|root|tmp|usr|work)/|\b20[12]\d-\d\d", html)
         assert "@media print" in html
 
-    def test_the_reference_of_the_paper_is_the_only_year(self, html):
+    def test_the_reference_of_the_paper_is_the_only_year(self, html) -> None:
         text = re.sub(r"<script.*?</script>|base64,[^\"]*", "", html, flags=re.DOTALL)
         assert set(re.findall(r"\b(?:19|20)\d\d\b", text)) == {"2009"}
 
-    def test_texts_are_escaped_and_symbols_set(self):
+    def test_texts_are_escaped_and_symbols_set(self) -> None:
         assert formula("a < b & M_b") == "a &lt; b &amp; <i>M</i><sub>b</sub>"
         assert formula("bridge_inertia") == "bridge_inertia"
 
-    def test_the_data_of_the_crane_are_all_there(self, crane):
+    def test_the_data_of_the_crane_are_all_there(self, crane) -> None:
         table = parameter_table(crane.with_parameters(load_mass=80.0))
         assert {row[2]: row[1] for row in table.rows} == {
             "bridge_inertia": "480 kg m²", "trolley_mass": "10 kg", "load_mass": "80 kg",
@@ -259,11 +262,11 @@ class TestPage:
     ("value", "text"),
     [(0.0, "0"), (23.398, "23.4"), (0.00298, "0.00298"), (7.45e-4, "7.5·10⁻⁴"), (1.94e-13, "2·10⁻¹³")],
 )  # fmt: skip
-def test_numbers_are_short(value, text):
+def test_numbers_are_short(value: float | str, text) -> None:
     assert number(value) == text
 
 
-def test_the_error_table_shows_the_factor_between_two_steps(found):
+def test_the_error_table_shows_the_factor_between_two_steps(found: Study) -> None:
     table = contents.paper_table(found)
     assert [row[0] for row in table.rows] == [m for m in found.models for _ in STEPS]
     first, second = table.rows[:2]
@@ -272,6 +275,6 @@ def test_the_error_table_shows_the_factor_between_two_steps(found):
     assert "÷" not in "".join("".join(row) for row in contents.paper_table(found, factors=False).rows)
 
 
-def test_runs_are_values(found):
+def test_runs_are_values(found: Study) -> None:
     with pytest.raises(AttributeError):
         found.tracking[0].label = "another"

@@ -22,12 +22,12 @@ assert_refused = run.assert_refused
 
 
 @pytest.fixture(autouse=True)
-def _empty_folder(tmp_path, monkeypatch):
+def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
 class TestScenes:
-    def test_every_scene_is_listed_with_models_inputs_and_outputs(self):
+    def test_every_scene_is_listed_with_models_inputs_and_outputs(self) -> None:
         result = run("scenes")
         assert result.exit_code == 0
         assert result.stderr == ""
@@ -39,12 +39,12 @@ class TestScenes:
             for model in scene.models:
                 assert model in result.stdout
 
-    def test_models_stand_smallest_first(self):
+    def test_models_stand_smallest_first(self) -> None:
         text = run("scenes").stdout.split("overhead_crane")[0]
         assert text.index("points") < text.index("generalized") < text.index("bodies")
 
     @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
-    def test_a_scene_says_in_one_line_what_it_is_and_in_one_sentence_what_it_needs(self, name):
+    def test_a_scene_says_in_one_line_what_it_is_and_in_one_sentence_what_it_needs(self, name: str) -> None:
         summary, needs = described(sc.scenes.REGISTRY[name])
         assert summary.endswith(".")
         assert needs.startswith("needs: ")
@@ -52,7 +52,7 @@ class TestScenes:
         assert "``" not in needs
         assert len(needs) > 40
 
-    def test_without_docstrings_the_table_is_still_there(self):
+    def test_without_docstrings_the_table_is_still_there(self) -> None:
         code = "from servocore.cli.commands import app; app(['scenes'])"
         command = [sys.executable, "-OO", "-c", code]
         found = subprocess.run(
@@ -64,31 +64,31 @@ class TestScenes:
 
 class TestAnalyse:
     @pytest.mark.parametrize(("scene", "model"), [("rotary_crane", "bodies"), ("cars", None), ("mass_on_car", None)])
-    def test_it_prints_what_analyse_returns(self, scene, model):
+    def test_it_prints_what_analyse_returns(self, scene: str, model: str | None) -> None:
         result = run("analyse", scene, *(("--model", model) if model else ()))
         assert result.exit_code == 0
         assert result.stderr == ""
         assert result.stdout == f"{sc.analyse(sc.scenes.REGISTRY[scene](), model=model)}\n"
 
-    def test_parameters_from_a_file_change_the_answer(self):
+    def test_parameters_from_a_file_change_the_answer(self) -> None:
         result = run("analyse", "mass_on_car", "--parameters", write("flat.toml", "inclination = 0\ndamping = 0.0\n"))
         assert result.exit_code == 0
         assert "  index               5\n" in result.stdout
         assert "classification      flat" in result.stdout
 
-    def test_a_singular_problem_is_an_answer_with_reason_and_time(self):
+    def test_a_singular_problem_is_an_answer_with_reason_and_time(self) -> None:
         result = run("analyse", "overhead_crane", "--parameters", write("moon.toml", "gravity = 0.1"))
         assert result.exit_code == 0
         assert "classification      singular here" in result.stdout
         assert "reason              at t = " in result.stdout
         assert "the rope goes slack" in result.stdout
 
-    def test_an_unstable_problem_is_an_answer_too(self):
+    def test_an_unstable_problem_is_an_answer_too(self) -> None:
         result = run("analyse", "mass_on_car", "--parameters", write("pushed.toml", "stiffness = -5"))
         assert result.exit_code == 0
         assert "non-minimum phase" in result.stdout
 
-    def test_on_a_terminal_long_lines_are_broken_behind_their_label(self):
+    def test_on_a_terminal_long_lines_are_broken_behind_their_label(self) -> None:
         report = str(sc.analyse(sc.scenes.rotary_crane()))
         lines = [part for line in report.splitlines() for part in commands.hanging(line, 80).splitlines()]
         assert max(map(len, lines)) <= 80
@@ -107,10 +107,10 @@ class TestAnalyse:
             ("[mass_1]\nkg = 1", ("mass_1 must be a number, not a table",)),
         ],
     )
-    def test_a_bad_file_is_refused_with_its_name(self, text, words):
+    def test_a_bad_file_is_refused_with_its_name(self, text: str, words: tuple[str, ...]) -> None:
         assert_refused(run("analyse", "cars", "--parameters", write("bad.toml", text)), "bad.toml", *words)
 
-    def test_files_that_cannot_be_read_scenes_and_models_that_do_not_exist_are_refused(self):
+    def test_files_that_cannot_be_read_scenes_and_models_that_do_not_exist_are_refused(self) -> None:
         Path("binary.toml").write_bytes(b"\xff\xfe\x00")
         assert_refused(run("analyse", "cars", "--parameters", "none.toml"), "none.toml cannot be read")
         assert_refused(run("analyse", "cars", "--parameters", "binary.toml"), "not UTF-8 text")
@@ -120,7 +120,7 @@ class TestAnalyse:
 
 
 class TestLevels:
-    def test_it_prints_a_table_and_writes_the_same_figures_for_machines(self):
+    def test_it_prints_a_table_and_writes_the_same_figures_for_machines(self) -> None:
         result = run("levels", "cars", "--instants", 20, "--csv", "levels.csv", "--markdown", "levels.md")
         assert result.exit_code == 0
         assert re.fullmatch(r"servocore: note: .* u is off by \d+ % of its peak.*\n", result.stderr)
@@ -133,27 +133,27 @@ class TestLevels:
         assert "    servocore levels cars --instants 20 --markdown levels.md\n" in page
         assert sorted(os.listdir()) == ["levels.csv", "levels.md"]
 
-    def test_parameters_from_a_file_count(self):
+    def test_parameters_from_a_file_count(self) -> None:
         write("flat.toml", "inclination = 0.0\ndamping = 0.0")
         result = run("levels", "mass_on_car", "--instants", 20, "--parameters", "flat.toml", "--csv", "levels.csv")
         assert result.exit_code == 0
         lines = list(csv.DictReader(Path("levels.csv").read_text(encoding="utf-8").splitlines()))
         assert {(each["index"], each["internal_degrees_of_freedom"]) for each in lines} == {("5", "0")}
 
-    def test_all_scenes_can_be_asked_for(self, monkeypatch):
+    def test_all_scenes_can_be_asked_for(self, monkeypatch: pytest.MonkeyPatch) -> None:
         names = ("cars", "mass_on_car")
         monkeypatch.setattr(commands, "REGISTRY", {name: sc.scenes.REGISTRY[name] for name in names})
         result = run("levels", "--all", "--instants", 10)
         assert result.exit_code == 0
         assert all(name in result.stdout for name in names)
 
-    def test_a_singular_path_is_refused_with_the_time_and_nothing_is_written(self):
+    def test_a_singular_path_is_refused_with_the_time_and_nothing_is_written(self) -> None:
         write("moon.toml", "gravity = 0.1")
         result = run("levels", "overhead_crane", "--parameters", "moon.toml", "--csv", "levels.csv")
         assert_refused(result, "at t = ", "the rope goes slack")
         assert os.listdir() == ["moon.toml"]
 
-    def test_requests_that_cannot_be_met_are_refused(self):
+    def test_requests_that_cannot_be_met_are_refused(self) -> None:
         write("data.toml", "mass_1 = 2.0")
         assert_refused(run("levels"), "name one scene, or use --all")
         assert_refused(run("levels", "cars", "--all"), "name one scene, or use --all")
@@ -162,7 +162,7 @@ class TestLevels:
         assert_refused(run("levels", "cars", "--instants", 0), "at least one instant")
         assert_refused(run("levels", "cars", "--instants", "many"), "instants")
 
-    def test_places_that_cannot_be_written_are_refused_before_the_work(self):
+    def test_places_that_cannot_be_written_are_refused_before_the_work(self) -> None:
         write("data.toml", "mass_1 = 2.0")
         assert_refused(run("levels", "cars", "--csv", "none/levels.csv"), "there is no folder none")
         assert_refused(run("levels", "cars", "--csv", "."), "it is a folder")
@@ -171,19 +171,19 @@ class TestLevels:
         assert Path("data.toml").read_text(encoding="utf-8") == "mass_1 = 2.0"
 
 
-def test_an_unknown_command_is_refused_with_a_pointer_to_the_help():
+def test_an_unknown_command_is_refused_with_a_pointer_to_the_help() -> None:
     assert_refused(run("solve"), "no such command 'solve'; see servocore --help")
 
 
 @pytest.mark.parametrize("command", ["scenes", "analyse", "levels"])
-def test_every_command_has_a_help_that_says_more_than_its_name(command):
+def test_every_command_has_a_help_that_says_more_than_its_name(command: str) -> None:
     result = run(command, "--help")
     assert result.exit_code == 0
     assert len(result.stdout.split()) > 20
     assert command in run("--help").stdout
 
 
-def test_the_module_runs_as_the_command():
+def test_the_module_runs_as_the_command() -> None:
     command = [sys.executable, "-m", "servocore", "analyse", "train"]
     found = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
     assert found.returncode == 2

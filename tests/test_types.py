@@ -26,11 +26,11 @@ def names(body: list[ast.stmt]) -> set[str]:
     return {name for name in found if not PRIVATE.match(name)}
 
 
-def test_no_value_of_casadi_is_any():
+def test_no_value_of_casadi_is_any() -> None:
     assert not [node.lineno for node in ast.walk(STUB) if isinstance(node, ast.Name) and node.id == "Any"]
 
 
-def test_all_arguments_and_results_of_casadi_have_types():
+def test_all_arguments_and_results_of_casadi_have_types() -> None:
     open_ones = [
         f"{node.name}, line {node.lineno}"
         for node in functions()
@@ -44,7 +44,7 @@ def test_all_arguments_and_results_of_casadi_have_types():
     assert open_ones == []
 
 
-def test_whatever_has_types_is_there():
+def test_whatever_has_types_is_there() -> None:
     missing = [name for name in names(STUB.body) if not hasattr(ca, name)]
     for node in STUB.body:
         if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
@@ -54,14 +54,14 @@ def test_whatever_has_types_is_there():
 
 
 @pytest.mark.parametrize("kind", [ca.DM, ca.SX])
-def test_numbers_beside_expressions_become_what_the_types_say(kind: type[ca.DM | ca.SX]):
+def test_numbers_beside_expressions_become_what_the_types_say(kind: type[ca.DM | ca.SX]) -> None:
     beside = kind(2.0)
     found = (ca.vertcat(1.0, beside), ca.dot(beside, 1.0), ca.if_else(beside > 1.0, 1.0, beside), 1.0 + beside)
     assert {type(each) for each in found} == {kind}
     assert {type(ca.vertcat(each, ca.SX.sym("x"))) for each in found} == {ca.SX}
 
 
-def test_every_type_that_is_ignored_has_a_reason():
+def test_every_type_that_is_ignored_has_a_reason() -> None:
     silent = [
         f"{path.relative_to(ROOT)}:{number}"
         for path in CHECKED

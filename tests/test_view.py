@@ -8,6 +8,8 @@ import json
 import re
 import shutil
 import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -30,11 +32,11 @@ LARGEST_PAGE = 6_000_000
 
 
 @pytest.fixture(scope="module")
-def page_of(tmp_path_factory):
+def page_of(tmp_path_factory: pytest.TempPathFactory):
     """Return what writes the page of a scene, once."""
     folder, made = tmp_path_factory.mktemp("pages"), {}
 
-    def write(name, scene=None):
+    def write(name, scene=None) -> Path:
         if name not in made:
             scene = scene or sc.scenes.REGISTRY[name]()
             made[name] = sc.view(sc.solve(scene, step=scene.reference.duration / 200), folder / f"{name}.html")
@@ -44,7 +46,7 @@ def page_of(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def opened(page_of, tmp_path_factory):
+def opened(page_of: Callable[..., Path], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     """Return the page of the rotary crane in a browser."""
     require_browser()
     with Page(page_of("rotary_crane"), tmp_path_factory.mktemp("profile")) as page:
@@ -83,7 +85,7 @@ def own_crane() -> sc.Scene:
 OWN_QUANTITIES = [sc.Quantity(name, "m") for name in ("trolley.x", "load.x", "load.z", "rope")]
 
 
-def told(file) -> dict:
+def told(file: Path) -> dict:
     return json.loads(re.search(r'id="live-data">(.*?)</script>', file.read_text(encoding="utf-8"), re.DOTALL)[1])
 
 
@@ -91,7 +93,7 @@ def told(file) -> dict:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_every_scene_becomes_one_file_that_needs_nothing_else(page_of, name):
+def test_every_scene_becomes_one_file_that_needs_nothing_else(page_of: Callable[..., Path], name: str) -> None:
     html = page_of(name).read_text(encoding="utf-8")
     assert "http" not in html
     assert not re.search(r'<link|@import|\bsrc=|\bimport\(|fetch\(|"use module"', html)
@@ -101,7 +103,7 @@ def test_every_scene_becomes_one_file_that_needs_nothing_else(page_of, name):
 
 
 @pytest.mark.parametrize("name", LIVE)
-def test_what_a_page_computes_is_what_the_library_computes(name):
+def test_what_a_page_computes_is_what_the_library_computes(name: str) -> None:
     scene = sc.scenes.REGISTRY[name]()
     solution = sc.solve(scene, step=scene.reference.duration / 50)
     problem = Problem.of(scene)
@@ -109,12 +111,14 @@ def test_what_a_page_computes_is_what_the_library_computes(name):
     np.testing.assert_allclose(found, solution.values, rtol=0.0, atol=1e-12 * np.abs(solution.values).max())
 
 
-def test_scenes_with_internal_dynamics_are_shown_with_the_reason_why_they_are_not_computed(page_of):
+def test_scenes_with_internal_dynamics_are_shown_with_the_reason_why_they_are_not_computed(
+    page_of: Callable[..., Path],
+) -> None:
     html = " ".join(page_of("mass_on_car").read_text(encoding="utf-8").split())
     assert "mass on car is not computed again here, for its inputs depend on internal dynamics" in html
 
 
-def test_every_operation_is_that_of_casadi():
+def test_every_operation_is_that_of_casadi() -> None:
     if shutil.which("node") is None:
         pytest.skip("needs Node")
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
@@ -143,7 +147,7 @@ def test_every_operation_is_that_of_casadi():
         np.testing.assert_allclose([float(each.replace("Infinity", "inf")) for each in found], expected, rtol=1e-14)
 
 
-def test_a_function_that_calls_others_is_refused_with_a_sentence():
+def test_a_function_that_calls_others_is_refused_with_a_sentence() -> None:
     x = ca.MX.sym("x")
     with pytest.raises(sc.InvalidModel, match="cannot be written as JavaScript"):
         javascript(ca.Function("f", [x], [x]))
@@ -152,14 +156,14 @@ def test_a_function_that_calls_others_is_refused_with_a_sentence():
 @pytest.mark.parametrize(
     ("name", "sentence"), [("crane.htm.txt", "ends with .html"), ("none/crane.html", "there is no folder")]
 )
-def test_a_page_that_cannot_be_written_is_refused_with_a_sentence(tmp_path, name, sentence):
+def test_a_page_that_cannot_be_written_is_refused_with_a_sentence(tmp_path: Path, name: str, sentence: str) -> None:
     scene = sc.scenes.cars()
     with pytest.raises(sc.InvalidSetting, match=re.escape(sentence)):
         sc.view(sc.solve(scene), tmp_path / name)
     assert not any(tmp_path.iterdir())
 
 
-def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path):
+def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: Path) -> None:
     scene = sc.scenes.cars()
     solution = sc.solve(scene)
     lost = sc.Solution(solution.t, solution.channels, solution.values, solution.route)
@@ -168,7 +172,7 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path):
     assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
 
 
-def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn():
+def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn() -> None:
     found = drawn(own_crane().model(), OWN_QUANTITIES, None)
     assert [(part["kind"], part["name"]) for part in found.parts] == [
         ("bar", ""),
@@ -183,7 +187,7 @@ def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn
     ("name", "effect"),
     [("rotary_crane", "flexible bridge"), ("overhead_crane", "hook"), ("gantry_crane", "flexible bridge")],
 )
-def test_cranes_with_more_physics_are_drawn_as_well(name, effect):
+def test_cranes_with_more_physics_are_drawn_as_well(name: str, effect: str) -> None:
     scene = sc.scenes.REGISTRY[name]().with_effects(effect)
     found = drawn(scene.model(), [each for each, _ in observed(scene.model())], scene.drawing)
     assert {"trolley", "load"} <= {part["name"] for part in found.parts}
@@ -197,19 +201,21 @@ def test_cranes_with_more_physics_are_drawn_as_well(name, effect):
         (lambda _: ["body"], "must be a sequence of Part"),
     ],
 )
-def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(drawing, sentence):
+def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(drawing, sentence: str) -> None:
     with pytest.raises(sc.InvalidModel, match=re.escape(sentence)):
         drawn(own_crane().model(), OWN_QUANTITIES, drawing)
 
 
-def test_a_part_that_is_none_is_refused_with_a_sentence():
+def test_a_part_that_is_none_is_refused_with_a_sentence() -> None:
     with pytest.raises(sc.InvalidSetting, match="no part of kind wheel"):
         sc.Part("wheel", ((0, 0, 0),))
     with pytest.raises(sc.InvalidSetting, match="a rope is drawn at 2 points"):
         sc.Part("rope", ((0, 0, 0),))
 
 
-def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded(tmp_path, monkeypatch):
+def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert run("view", "cars", "--limit", "u=0.5").stdout == "cars.html: cars, live\n"
     assert told(tmp_path / "cars.html")["limits"] == [{"output": 0, "low": -0.5, "high": 0.5, "rate": False}]
@@ -221,7 +227,7 @@ def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded
 # In a browser ---------------------------------------------------------------------------------------------------------
 
 
-def settled(page, script: str):
+def settled(page: Page, script: str):
     """Run a script, and wait until what it changed is shown."""
     shown = "await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
     return page.run(f"(async () => {{ {script}; {shown}; }})()")
@@ -231,16 +237,16 @@ SET = """const row = [...document.querySelectorAll(".control")].find((each) => e
 const field = row.querySelector("input[type=number]"); field.value = %r; field.dispatchEvent(new Event("input"))"""
 
 
-def outline(page, number: int) -> str:
+def outline(page: Page, number: int) -> str:
     return page.run(f'document.querySelectorAll(".plot .curve.exact")[{number}].getAttribute("d")')
 
 
-def test_the_pages_own_numbers_are_those_of_python(opened):
+def test_the_pages_own_numbers_are_those_of_python(opened: Page) -> None:
     assert 0.0 <= float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
     assert opened.errors == []
 
 
-def test_it_moves_and_stops(opened):
+def test_it_moves_and_stops(opened: Page) -> None:
     picture = 'document.querySelector("canvas").toDataURL()'
     before = opened.run(picture)
     settled(opened, 'document.querySelector(".primary").click()')
@@ -253,7 +259,7 @@ def test_it_moves_and_stops(opened):
     assert opened.run(picture) == stopped
 
 
-def test_a_slider_changes_the_curves_to_what_the_library_gives(opened):
+def test_a_slider_changes_the_curves_to_what_the_library_gives(opened: Page) -> None:
     before = outline(opened, 2)
     settled(opened, SET % ("load mass", 137.0))
     assert outline(opened, 2) != before
@@ -272,7 +278,7 @@ def test_a_slider_changes_the_curves_to_what_the_library_gives(opened):
     assert opened.errors == []
 
 
-def test_other_time_laws_and_ends_are_those_of_the_library(opened):
+def test_other_time_laws_and_ends_are_those_of_the_library(opened: Page) -> None:
     settled(opened, "servocore.law.value = 2; servocore.law.dispatchEvent(new Event('change'))")
     settled(opened, "servocore.settings.end[1] = 3; servocore.change()")
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 3.0, -2.0), 20.0, sc.three_phase())
@@ -282,7 +288,7 @@ def test_other_time_laws_and_ends_are_those_of_the_library(opened):
     settled(opened, "servocore.reset()")
 
 
-def test_a_limit_lights_up_where_it_is_exceeded(opened):
+def test_a_limit_lights_up_where_it_is_exceeded(opened: Page) -> None:
     status = 'document.querySelector(".status").textContent'
     assert opened.run(status) == "All limits are kept."
     settled(opened, SET % ("duration", 12.0))
@@ -294,7 +300,7 @@ def test_a_limit_lights_up_where_it_is_exceeded(opened):
     assert opened.run(status) == "All limits are kept."
 
 
-def test_keys_move_the_time_zoom_and_orbit(opened):
+def test_keys_move_the_time_zoom_and_orbit(opened: Page) -> None:
     settled(opened, 'document.querySelector(".plot svg").focus(); servocore.go(5)')
     opened.press("ArrowRight")
     assert opened.run("servocore.now") == pytest.approx(5.2)
@@ -307,7 +313,7 @@ def test_keys_move_the_time_zoom_and_orbit(opened):
     assert opened.run("servocore.stage.look.azimuth") != azimuth
 
 
-def middle_of(page, selector: str) -> tuple[float, float, float]:
+def middle_of(page: Page, selector: str) -> tuple[float, float, float]:
     """Return where the middle of an element is in the window, and a quarter of its width."""
     box = page.run(
         f"(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: 'center' }});"
@@ -316,7 +322,7 @@ def middle_of(page, selector: str) -> tuple[float, float, float]:
     return tuple(box)
 
 
-def test_the_mouse_reads_values_zooms_and_orbits(opened):
+def test_the_mouse_reads_values_zooms_and_orbits(opened: Page) -> None:
     settled(opened, "servocore.go(0)")
     x, y, quarter = middle_of(opened, ".plot svg")
     opened.drag((x, y))
@@ -336,14 +342,14 @@ def test_the_mouse_reads_values_zooms_and_orbits(opened):
 
 
 @pytest.mark.parametrize("width", [375, 1280])
-def test_nothing_is_wider_than_the_window(opened, width):
+def test_nothing_is_wider_than_the_window(opened: Page, width: int) -> None:
     opened.size(width, 800)
     settled(opened, "")
     assert opened.run("document.documentElement.scrollWidth") <= width
     opened.size(1280, 900)
 
 
-def test_it_follows_the_dark_mode_and_prints_on_white(opened):
+def test_it_follows_the_dark_mode_and_prints_on_white(opened: Page) -> None:
     ground = "getComputedStyle(document.documentElement).backgroundColor"
     opened.media(dark=True)
     assert opened.run(ground) == "rgb(21, 24, 28)"
@@ -354,7 +360,7 @@ def test_it_follows_the_dark_mode_and_prints_on_white(opened):
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "rotary_crane"])
-def test_the_page_of_every_scene_runs(opened, page_of, name):
+def test_the_page_of_every_scene_runs(opened: Page, page_of: Callable[..., Path], name) -> None:
     opened.errors.clear()
     opened.open(page_of(name))
     settled(opened, "servocore.go(servocore.timeOf(0.5))")
@@ -364,7 +370,9 @@ def test_the_page_of_every_scene_runs(opened, page_of, name):
         assert float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
 
 
-def test_the_page_of_a_users_own_system_computes_on_a_path_through_waypoints(opened, page_of):
+def test_the_page_of_a_users_own_system_computes_on_a_path_through_waypoints(
+    opened: Page, page_of: Callable[..., Path]
+) -> None:
     opened.errors.clear()
     opened.open(page_of("own", own_crane()))
     assert float(opened.run('document.getElementById("live-check").textContent')) < 1e-12
@@ -378,7 +386,7 @@ def test_the_page_of_a_users_own_system_computes_on_a_path_through_waypoints(ope
     assert opened.errors == []
 
 
-def test_without_scripts_it_says_what_is_missing(opened, page_of):
+def test_without_scripts_it_says_what_is_missing(opened: Page, page_of: Callable[..., Path]) -> None:
     opened.open(page_of("rotary_crane"), javascript=False)
     opened.ask("DOM.enable")
     html = opened.ask("DOM.getOuterHTML", nodeId=opened.ask("DOM.getDocument")["root"]["nodeId"])["outerHTML"]

@@ -9,21 +9,21 @@ import servocore as sc
 from servocore.files import require_places, write_together
 
 
-def test_text_and_bytes_are_written_whole(tmp_path):
+def test_text_and_bytes_are_written_whole(tmp_path: Path) -> None:
     write_together({tmp_path / "text": "grün\n", tmp_path / "bytes": b"\x00\xff"})
     assert (tmp_path / "text").read_text(encoding="utf-8") == "grün\n"
     assert (tmp_path / "bytes").read_bytes() == b"\x00\xff"
     assert (tmp_path / "text").stat().st_mode & 0o777 == 0o644
 
 
-def test_several_files_appear_together_or_not_at_all(tmp_path):
+def test_several_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(sc.InvalidSetting, match="nowhere"):
         write_together({tmp_path / "one": "1", tmp_path / "nowhere" / "two": "2"})
     assert os.listdir(tmp_path) == []
 
 
-def test_an_interrupted_write_leaves_no_rest(tmp_path, monkeypatch):
-    def interrupted(*_):
+def test_an_interrupted_write_leaves_no_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Path, "replace", interrupted)
@@ -32,7 +32,7 @@ def test_an_interrupted_write_leaves_no_rest(tmp_path, monkeypatch):
     assert os.listdir(tmp_path) == []
 
 
-def test_a_symbolic_link_stays_one(tmp_path):
+def test_a_symbolic_link_stays_one(tmp_path: Path) -> None:
     (tmp_path / "target").write_text("old")
     (tmp_path / "link").symlink_to(tmp_path / "target")
     write_together({tmp_path / "link": "new"})
@@ -40,7 +40,7 @@ def test_a_symbolic_link_stays_one(tmp_path):
     assert (tmp_path / "target").read_text() == "new"
 
 
-def test_a_place_that_can_be_written_is_accepted(tmp_path):
+def test_a_place_that_can_be_written_is_accepted(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("old")
     require_places({"--output": tmp_path / "old", "--plot": tmp_path / "new", "--csv": None}, [tmp_path / "read", None])
 
@@ -56,7 +56,9 @@ def test_a_place_that_can_be_written_is_accepted(tmp_path):
         ("other", "--plot and --output both name other"),
     ],
 )
-def test_a_place_that_cannot_be_written_is_refused_before_the_work(name, sentence, tmp_path, monkeypatch):
+def test_a_place_that_cannot_be_written_is_refused_before_the_work(
+    name: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     Path("folder").mkdir()
     Path("read").touch()
