@@ -48,12 +48,12 @@ def found(name: str) -> Findings:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_row_sees_what_theory_predicts(name):
+def test_a_row_sees_what_theory_predicts(name: str) -> None:
     assert found(name).surprises() == []
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_row_has_a_control_that_fails_and_a_route_that_survives(name):
+def test_a_row_has_a_control_that_fails_and_a_route_that_survives(name: str) -> None:
     verdicts = {record.verdict for record in found(name).records}
     assert verdicts >= {FAILS, SURVIVES}
     assert verdicts <= {FAILS, SURVIVES, REFUSED}
@@ -70,19 +70,19 @@ def observed(name: str, route: str, parameter: str) -> list[float]:
 # What the rows are there to show, said once more in numbers -----------------------------------------------------------
 
 
-def test_the_original_form_loses_its_inputs_like_the_fourth_power_of_the_step():
+def test_the_original_form_loses_its_inputs_like_the_fourth_power_of_the_step() -> None:
     (rate,) = observed("original-form", "original", "exponent")
     assert rate == pytest.approx(-4.0, abs=0.6)
     (exact,) = observed("original-form", "reduced", "relative input error")
     assert exact < 1e-12
 
 
-def test_the_spike_of_backward_euler_is_the_mass_times_delta_over_h_squared_and_lasts_two_steps():
+def test_the_spike_of_backward_euler_is_the_mass_times_delta_over_h_squared_and_lasts_two_steps() -> None:
     assert prediction(sc.BackwardEuler()) == (1.0, 2)
     assert observed("inconsistent-start", "projected, backward-euler", "spike") == [pytest.approx(1.0, rel=0.03)]
 
 
-def test_multistep_spikes_follow_from_the_coefficients():
+def test_multistep_spikes_follow_from_the_coefficients() -> None:
     assert prediction(sc.BDF(2)) == (4.75, 4)
     assert prediction(sc.RadauIIA(2)) == (pytest.approx(14.0), 2)
 
@@ -96,20 +96,20 @@ def test_the_stabilized_control_of_the_drift_row_is_what_simulate_integrates():
     assert final[:2] == pytest.approx([moved["y"][-1], moved["z"][-1]], abs=1e-7)
 
 
-def test_forward_integration_of_unstable_internal_dynamics_grows_at_the_eigenvalue():
+def test_forward_integration_of_unstable_internal_dynamics_grows_at_the_eigenvalue() -> None:
     facts = found("unstable-internal-dynamics").facts
     for key in ("arm", "car"):
         assert facts[f"{key}_rate"] == pytest.approx(facts[f"{key}_eigenvalue"], rel=0.1)
     assert facts["tip"] < 1e-4
 
 
-def test_alternating_steps_cost_half_of_the_differenced_inertia_force():
+def test_alternating_steps_cost_half_of_the_differenced_inertia_force() -> None:
     facts = found("variable-steps").facts
     assert facts["alternating"] == pytest.approx(facts["half"], rel=0.1)
     assert facts["alternating"] > 0.2
 
 
-def test_a_bar_marched_in_space_acts_before_its_path_and_a_chain_does_not():
+def test_a_bar_marched_in_space_acts_before_its_path_and_a_chain_does_not() -> None:
     facts = found("elastic-bar").facts
     assert facts["needed"] > 0.1
     assert facts["marched"] < 1e-12
@@ -119,7 +119,7 @@ def test_a_bar_marched_in_space_acts_before_its_path_and_a_chain_does_not():
 # Expectations as text ------------------------------------------------------------------------------------------------
 
 
-def test_expectations_are_read_as_they_are_written():
+def test_expectations_are_read_as_they_are_written() -> None:
     assert meets(about(-4.0, 0.5), "-4.3")
     assert not meets(about(-4.0, 0.5), "-3.4")
     assert meets(at_most(1e-3), "0.0009")
@@ -131,7 +131,7 @@ def test_expectations_are_read_as_they_are_written():
     assert meets(NO_PREDICTION, "inf")
 
 
-def test_the_committed_table_holds_what_was_expected_of_it():
+def test_the_committed_table_holds_what_was_expected_of_it() -> None:
     with (PAGE / "results.csv").open(newline="", encoding="utf-8") as stream:
         lines = list(csv.DictReader(stream))
     assert list(lines[0]) == ["row", "scene", "route", "parameter", "value", "expected", "observed", "verdict"]

@@ -19,7 +19,7 @@ from benchmarks.atlas.style import drawn, save  # noqa: E402
 PAGE = ROOT / "docs" / "stability"
 
 
-def test_a_run_writes_table_figures_and_page(tmp_path):
+def test_a_run_writes_table_figures_and_page(tmp_path: Path) -> None:
     rows = [named("inconsistent-start"), named("elastic-bar")]
     findings = [row.measure(True) for row in rows]
     records = [record for found in findings for record in found.records]
@@ -34,7 +34,7 @@ def test_a_run_writes_table_figures_and_page(tmp_path):
     assert "All are as expected." in text
 
 
-def test_the_page_that_is_committed_shows_the_table_that_is_committed():
+def test_the_page_that_is_committed_shows_the_table_that_is_committed() -> None:
     text = (PAGE / "index.md").read_text(encoding="utf-8")
     records = read_csv(PAGE / "results.csv")
     for row in ROWS:
@@ -44,7 +44,7 @@ def test_the_page_that_is_committed_shows_the_table_that_is_committed():
 
 
 @pytest.mark.parametrize(("number", "row"), list(enumerate(ROWS, 1)), ids=[row.name for row in ROWS])
-def test_the_page_has_the_fixed_sections_of_a_row(number, row):
+def test_the_page_has_the_fixed_sections_of_a_row(number, row) -> None:
     text = (PAGE / "index.md").read_text(encoding="utf-8")
     start = text.index(f"## {number}. {row.title}\n")
     following = text.find("\n## ", start + 1)
@@ -54,6 +54,6 @@ def test_the_page_has_the_fixed_sections_of_a_row(number, row):
     assert f"({anchor(number, row)})" in text
 
 
-def test_files_and_functions_of_the_atlas_are_short():
+def test_files_and_functions_of_the_atlas_are_short() -> None:
     for path in sorted((ROOT / "benchmarks" / "atlas").glob("*.py")):
         assert len(path.read_text(encoding="utf-8").splitlines()) < 400, path.name

@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import importlib
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from servocore.numerics.compiled_calls import Array
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -39,7 +42,7 @@ SCENES = ["rotary_crane", "overhead_crane", "three_cars", "mass_on_car", "arm"]
 
 
 @pytest.fixture(scope="module")
-def smoke(tmp_path_factory) -> Path:
+def smoke(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a study of two settings a route, without peers."""
     folder = tmp_path_factory.mktemp("chart")
     main(["--smoke", "--quiet", "--out", str(folder), "--peers"])
@@ -56,21 +59,21 @@ def headings(text: str) -> list[str]:
 # A run ---------------------------------------------------------------------------------------------------------------
 
 
-def test_a_run_writes_the_columns_that_are_promised(smoke):
+def test_a_run_writes_the_columns_that_are_promised(smoke: Path) -> None:
     with (smoke / "results.csv").open(newline="") as stream:
         head = next(csv.reader(stream))
     assert ",".join(head) == "scene,solver,model,formulation,method,setting,seconds,error,violation,message"
     assert tuple(head) == COLUMNS
 
 
-def test_a_run_tells_the_exact_routes_from_the_paper_s(smoke):
+def test_a_run_tells_the_exact_routes_from_the_paper_s(smoke: Path) -> None:
     errors = {row.method: row.error for row in read_rows(smoke / "results.csv") if row.scene == "rotary_crane"}
     assert errors["vectorized NumPy"] == 0.0
     assert errors["exact inversion"] < 1e-10
     assert 1e-2 < errors["backward-euler"] < 1.0
 
 
-def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke):
+def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke: Path) -> None:
     text = (smoke / PAGE).read_text(encoding="utf-8")
     assert tuple(headings(text)) == SECTIONS
     assert "<<" not in text
@@ -79,7 +82,7 @@ def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke):
         assert (smoke / f"{name}.png").stat().st_size > 10_000
 
 
-def test_a_run_writes_what_size_costs(smoke):
+def test_a_run_writes_what_size_costs(smoke: Path) -> None:
     assert (smoke / "scale.csv").read_text(encoding="utf-8").splitlines()[0] == "what,size,quantity,value,unit"
     points = scale.read_points(smoke)
     assert {each.what for each in points} == {scale.CRANE, scale.CHAIN, scale.BAR}
@@ -87,7 +90,7 @@ def test_a_run_writes_what_size_costs(smoke):
     assert (smoke / scale.PAGE).read_text(encoding="utf-8") == scale.scale_page(points)
 
 
-def test_exponents_are_slopes_and_limits_are_judged():
+def test_exponents_are_slopes_and_limits_are_judged() -> None:
     points = [scale.Point(scale.CRANE, size, "analyse", 0.01 * size**1.5, "s") for size in (1, 4, 16, 40, 160)]
     assert scale.exponent(points) == pytest.approx(1.5)
     assert scale.exponent(points[:2]) is None
@@ -96,7 +99,7 @@ def test_exponents_are_slopes_and_limits_are_judged():
     assert [line[-1] for line in scale.wanted(points)] == ["yes", "yes"]
 
 
-def test_what_is_read_back_is_what_was_measured(smoke):
+def test_what_is_read_back_is_what_was_measured(smoke: Path) -> None:
     record = read_record(smoke)
     assert record.scenes == ["rotary_crane"]
     lines, _ = record.order_study
@@ -106,7 +109,7 @@ def test_what_is_read_back_is_what_was_measured(smoke):
         assert 0.0 < lower <= row.seconds <= upper
 
 
-def test_what_must_hold_is_judged_by_what_was_measured(smoke):
+def test_what_must_hold_is_judged_by_what_was_measured(smoke: Path) -> None:
     verdicts = {each.what: each.met for each in requirements(read_record(smoke))}
     assert verdicts["error of M_b at a step of 0.1 s, reduced"] is True
     assert verdicts["error of M_b at a step of 0.1 s, projected"] is False  # backward Euler and BDF2 alone
@@ -116,19 +119,19 @@ def test_what_must_hold_is_judged_by_what_was_measured(smoke):
 # The page that is committed ------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_there():
+def test_the_page_is_there() -> None:
     assert (DOCS / PAGE).exists(), "docs/speed-accuracy is missing: make chart"
 
 
 @committed
-def test_the_page_belongs_to_the_results_beside_it():
+def test_the_page_belongs_to_the_results_beside_it() -> None:
     text = (DOCS / PAGE).read_text(encoding="utf-8")
     assert render(read_record(DOCS)) == text, "python -m benchmarks.chart --draw"
     assert tuple(headings(text)) == SECTIONS
 
 
 @committed
-def test_the_committed_results_cover_scenes_models_and_peers():
+def test_the_committed_results_cover_scenes_models_and_peers() -> None:
     record = read_record(DOCS)
     assert record.scenes == SCENES
     names = {importlib.import_module(f"benchmarks.peers.{peer}").NAME for peer in PEERS}
@@ -143,7 +146,7 @@ def test_the_committed_results_cover_scenes_models_and_peers():
 
 
 @committed
-def test_every_figure_of_the_page_is_there():
+def test_every_figure_of_the_page_is_there() -> None:
     text = (DOCS / PAGE).read_text(encoding="utf-8")
     shown = [part.split(")")[0] for part in text.split("](") if part.split(")")[0].endswith(".svg")]
     assert len(shown) == 2 * len(SCENES) + 3
@@ -153,13 +156,13 @@ def test_every_figure_of_the_page_is_there():
 
 
 @committed
-def test_what_must_hold_holds_in_the_committed_study():
+def test_what_must_hold_holds_in_the_committed_study() -> None:
     missed = {each.what for each in requirements(read_record(DOCS)) if each.met is False}
     assert missed == KNOWN_GAPS
 
 
 @committed
-def test_what_takes_longer_than_it_should_beside_c_is_explained():
+def test_what_takes_longer_than_it_should_beside_c_is_explained() -> None:
     text = (DOCS / PAGE).read_text(encoding="utf-8")
     assert "In generalized coordinates that factor is all: some thousands of operations" in text
 
@@ -171,7 +174,7 @@ def row(error: float, seconds: float, solver: str = "servocore", form: str = "re
     return Row("scene", solver, "model", form, "method", f"{error:g}", seconds, error, 0.0)
 
 
-def test_the_fastest_is_looked_for_among_those_accurate_enough():
+def test_the_fastest_is_looked_for_among_those_accurate_enough() -> None:
     rows = [row(1e-4, 1.0), row(1e-7, 3.0), row(1e-7, 2.0), row(1e-2, 0.1)]
     assert selection.fastest(rows, 1e-3).seconds == 1.0
     assert selection.fastest(rows, 1e-6).seconds == 2.0
@@ -179,7 +182,7 @@ def test_the_fastest_is_looked_for_among_those_accurate_enough():
     assert [each.seconds for each in selection.front(rows)] == [0.1, 1.0, 2.0]
 
 
-def test_ratios_are_those_to_the_fastest_peer_of_each_form_and_never_to_the_closed_form():
+def test_ratios_are_those_to_the_fastest_peer_of_each_form_and_never_to_the_closed_form() -> None:
     rows = [row(1e-10, 1.0), row(1e-10, 0.1, "closed-form"), row(1e-10, 7.0, "peer"), row(1e-10, 9.0, "other"),
             row(1e-4, 20.0, "peer", "projected")]  # fmt: skip
     first, _, last = selection.compare(rows, "scene")
@@ -189,7 +192,7 @@ def test_ratios_are_those_to_the_fastest_peer_of_each_form_and_never_to_the_clos
     assert last.ratio(last.projected) is None
 
 
-def test_an_order_is_fitted_above_the_round_off_only():
+def test_an_order_is_fitted_above_the_round_off_only() -> None:
     steps = [0.8 / 2**k for k in range(10)]
     errors = [0.01 * h**4 + 1e-12 / h**2 for h in steps]
     constant = round_off_constant(steps, errors)
@@ -199,10 +202,10 @@ def test_an_order_is_fitted_above_the_round_off_only():
     assert fit_order(steps, [1.0] * 10, 0.0).order is None
 
 
-def test_a_solver_that_fails_dies_or_hangs_has_a_row_with_its_message():
+def test_a_solver_that_fails_dies_or_hangs_has_a_row_with_its_message() -> None:
     problem = problems()[0]
 
-    def candidate(run) -> Candidate:
+    def candidate(run: Callable[[], None] | Callable[[], dict[str, Array]]) -> Candidate:
         prepared = Prepared(run, lambda found: Answer(found, 0.0))
         return Candidate(problem, "peer", "model", "reduced", "method", "setting", lambda: prepared, limit=1.0)
 
@@ -232,7 +235,7 @@ def test_a_solver_that_fails_dies_or_hangs_has_a_row_with_its_message():
     assert not any(each.row.solved for each in timed)
 
 
-def test_a_peer_that_does_not_load_is_listed_with_its_message(monkeypatch):
+def test_a_peer_that_does_not_load_is_listed_with_its_message(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "gekko", None)
     found = peer_candidates("gekko_dynamic", problems()[0], Effort(smoke=True))
     assert found.row.solver == "gekko"
@@ -241,7 +244,7 @@ def test_a_peer_that_does_not_load_is_listed_with_its_message(monkeypatch):
 
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize(("formulation", "variant"), [("projected", ""), ("reduced", DERIVATIVE_ARRAY)])
-def test_the_exact_run_satisfies_the_equations_that_peers_get(scene, formulation, variant):
+def test_the_exact_run_satisfies_the_equations_that_peers_get(scene: str, formulation: str, variant: str) -> None:
     problem = Problem(scene, {each.name: each.scene for each in problems()}[scene])
     form = make_form(problem, problem.scene.default_model, formulation, variant)
     import casadi as ca
@@ -253,7 +256,7 @@ def test_the_exact_run_satisfies_the_equations_that_peers_get(scene, formulation
     assert np.asarray(residual[1]).ravel() == pytest.approx(np.array(exact), abs=1e-8)
 
 
-def test_a_plain_run_of_the_library_is_what_a_row_times():
+def test_a_plain_run_of_the_library_is_what_a_row_times() -> None:
     problem = problems()[1]
     (candidate,) = (
         each

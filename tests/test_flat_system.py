@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from outside.systems import vtol
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 
@@ -36,16 +37,16 @@ every_scene = pytest.mark.parametrize("name", SCENES)
 
 
 @cache
-def flat(name):
+def flat(name: str):
     return sc.to_control(SCENES[name])
 
 
-def at_rest(name, place):
+def at_rest(name: str, place: tuple[float, ...]):
     order = sc.Problem.of(SCENES[name]).array.reference_order
     return flat(name).reverse([[each, *[0.0] * order] for each in place])
 
 
-def planned(name):
+def planned(name: str):
     """A trajectory of python-control from rest to rest, its instants, state and inputs."""
     system = flat(name)
     ends = [each for place in ENDS[name] for each in at_rest(name, place)]
@@ -54,7 +55,7 @@ def planned(name):
     return flatsys.point_to_point(system, [0.0, DURATION], *ends, basis=basis)
 
 
-def as_reference(trajectory, smoothness):
+def as_reference(trajectory, smoothness: int) -> PiecewisePolynomial:
     """The path of a trajectory in powers of t/T, from its coefficients."""
     t, T = np.polynomial.Polynomial([0.5, 1.0]), DURATION
     powers = np.array(list(trajectory.coeffs))
@@ -68,7 +69,7 @@ def as_reference(trajectory, smoothness):
     )  # fmt: skip
 
 
-def assert_inputs_of_the_inversion(name, trajectory):
+def assert_inputs_of_the_inversion(name: str, trajectory) -> None:
     t = np.linspace(0.0, DURATION, 41)
     _, inputs = trajectory.eval(t)
     order = sc.Problem.of(SCENES[name]).array.reference_order
@@ -79,7 +80,7 @@ def assert_inputs_of_the_inversion(name, trajectory):
 @every_scene
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_state_and_inputs_come_back_from_their_flag(name, seed):
+def test_state_and_inputs_come_back_from_their_flag(name, seed: int) -> None:
     system, draw = flat(name), np.random.default_rng(seed)
     x, u = at_rest(name, ENDS[name][0])
     x, u = x + 0.1 * draw.standard_normal(len(x)), u * (1.0 + 0.1 * draw.standard_normal(len(u)))
@@ -89,7 +90,7 @@ def test_state_and_inputs_come_back_from_their_flag(name, seed):
 
 
 @every_scene
-def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name):
+def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name) -> None:
     assert_inputs_of_the_inversion(name, planned(name))
 
 
@@ -99,7 +100,7 @@ class OfBasis(Reference):
 
     trajectory: object
 
-    def _derivatives(self, t, order):
+    def _derivatives(self, t, order) -> Array:
         basis = self.trajectory.basis
         rows = [
             [sum(c * basis.eval_deriv(i, k, t) for i, c in enumerate(coefficients)) for k in range(order + 1)]
@@ -117,7 +118,7 @@ BASES = {
 
 @pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
 @pytest.mark.parametrize("name", ["rotary crane", "overhead crane", "aircraft of somebody else"])
-def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_inversion(name, basis):
+def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_inversion(name: str, basis) -> None:
     order, draw = sc.Problem.of(SCENES[name]).array.reference_order, np.random.default_rng(1)
     flags = [[[each, *(0.2 * draw.standard_normal(order))] for each in place] for place in ENDS[name]]
     ends = [each for flag in flags for each in flat(name).reverse(flag)]
@@ -133,7 +134,7 @@ def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_i
 
 
 @every_scene
-def test_a_simulation_by_python_control_arrives_under_these_inputs(name):
+def test_a_simulation_by_python_control_arrives_under_these_inputs(name) -> None:
     t = np.linspace(0.0, DURATION, 401)
     state, inputs = planned(name).eval(t)
     tight = {"rtol": 1e-9, "atol": 1e-9}
@@ -143,7 +144,7 @@ def test_a_simulation_by_python_control_arrives_under_these_inputs(name):
 
 
 @pytest.mark.parametrize("name", ["rotary crane", "aircraft of somebody else"])
-def test_an_optimal_plan_within_bounds_has_the_inputs_of_the_exact_inversion(name):
+def test_an_optimal_plan_within_bounds_has_the_inputs_of_the_exact_inversion(name: str) -> None:
     system = flat(name)
     (x0, u0), (xf, uf) = (at_rest(name, place) for place in ENDS[name])
     order = sc.Problem.of(SCENES[name]).array.reference_order
@@ -162,14 +163,14 @@ def test_an_optimal_plan_within_bounds_has_the_inputs_of_the_exact_inversion(nam
 
 
 @every_scene
-def test_a_regulator_designed_by_python_control_is_stable(name):
+def test_a_regulator_designed_by_python_control_is_stable(name) -> None:
     system = flat(name)
     linear = control.linearize(system, *at_rest(name, ENDS[name][0]))
     _, _, poles = control.lqr(linear, np.eye(system.nstates), np.eye(system.ninputs))
     assert poles.real.max() < 0.0
 
 
-def test_names_and_parameters_are_those_of_the_scene():
+def test_names_and_parameters_are_those_of_the_scene() -> None:
     system = flat("rotary crane")
     assert system.input_labels == ["M_b", "F", "M_w"]
     assert system.state_labels[:3] == ["phi", "s", "l"]
@@ -185,22 +186,22 @@ def test_names_and_parameters_are_those_of_the_scene():
         (sc.scenes.passive_joint_arm(), "has internal dynamics"),
     ],
 )
-def test_what_is_not_flat_is_refused(scene, said):
+def test_what_is_not_flat_is_refused(scene: sc.Scene, said: str) -> None:
     with pytest.raises(sc.InvalidModel, match=said):
         sc.to_control(scene)
 
 
-def test_a_flag_that_is_too_short_is_refused():
+def test_a_flag_that_is_too_short_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="derivatives up to order 4"):
         flat("rotary crane").reverse([[5.0], [0.0], [-5.0]])
 
 
-def test_a_load_in_free_fall_has_no_state():
+def test_a_load_in_free_fall_has_no_state() -> None:
     with pytest.raises(sc.IntegrationFailed, match="no state belongs"):
         flat("rotary crane").reverse([[5.0, 0, 0, 0, 0], [0.0, 0, 0, 0, 0], [-5.0, 0, -9.81, 0, 0]])
 
 
-def test_the_missing_package_is_named(monkeypatch):
+def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     with pytest.raises(sc.InvalidSetting, match=r"pip install 'servocore\[control\]'"):
         sc.to_control(SCENES["cars"])

@@ -22,7 +22,7 @@ def levels(name: str) -> tuple[Level, ...]:
     return measure_levels(sc.scenes.REGISTRY[name](), instants=INSTANTS, repeats=2)
 
 
-def test_levels_count_coordinates_and_unknowns_of_every_model_of_the_crane():
+def test_levels_count_coordinates_and_unknowns_of_every_model_of_the_crane() -> None:
     found = [
         (each.model, each.needed, each.coordinates, each.costs["exact"].unknowns, each.costs["projected"].unknowns)
         for each in levels("rotary_crane")
@@ -35,31 +35,31 @@ def test_levels_count_coordinates_and_unknowns_of_every_model_of_the_crane():
     assert {(each.index, each.internal_degrees_of_freedom) for each in levels("rotary_crane")} == {(5, 0)}
 
 
-def test_exact_inversion_is_exact_and_the_projected_step_is_not():
+def test_exact_inversion_is_exact_and_the_projected_step_is_not() -> None:
     for level in levels("rotary_crane"):
         assert level.costs["exact"].error < 1e-12
         assert 0.1 < level.costs["projected"].error < 2.0
 
 
-def test_internal_dynamics_are_integrated_and_said_to_be():
+def test_internal_dynamics_are_integrated_and_said_to_be() -> None:
     found = levels("mass_on_car")
     assert [each.internal_degrees_of_freedom for each in found] == [2, 2]
     assert all(each.costs["exact"].error < 1e-4 for each in found)
     assert "It has internal dynamics of 2 states" in " ".join(remarks(found))
 
 
-def test_times_are_positive_and_their_quartiles_in_order():
+def test_times_are_positive_and_their_quartiles_in_order() -> None:
     for level in (*levels("rotary_crane"), *levels("mass_on_car")):
         for cost in level.costs.values():
             assert 0.0 < cost.microseconds.lower <= cost.microseconds.median <= cost.microseconds.upper
 
 
-def test_a_spread_is_median_and_quartiles():
+def test_a_spread_is_median_and_quartiles() -> None:
     assert Spread.of([4.0, 1.0, 2.0, 3.0, 5.0]) == Spread(3.0, 2.0, 4.0)
     assert Spread.of([7.0]) == Spread(7.0, 7.0, 7.0)
 
 
-def test_the_measured_run_is_the_one_that_solve_returns():
+def test_the_measured_run_is_the_one_that_solve_returns() -> None:
     scene = sc.scenes.rotary_crane()
     for method in (sc.BackwardEuler(), sc.RadauIIA(2), sc.BDF(3)):
         states = compiled_run(scene, sc.Projected(), method, "points", INSTANTS)()[0]
@@ -70,14 +70,14 @@ def test_the_measured_run_is_the_one_that_solve_returns():
             assert last[name] == pytest.approx(solution[name][-1], rel=1e-9)
 
 
-def test_runs_are_timed_in_turn_after_a_round_to_warm_up():
+def test_runs_are_timed_in_turn_after_a_round_to_warm_up() -> None:
     order = []
     seconds = timed_in_turn({name: lambda name=name: order.append(name) for name in "ab"}, 2)
     assert "".join(order) == "ababab"
     assert {name: len(each) for name, each in seconds.items()} == {"a": 2, "b": 2}
 
 
-def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measured():
+def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measured() -> None:
     massless = replace(sc.scenes.cars().model(), mass=sc.scenes.cars().model().mass[:, :] * 0)
     scene = replace(sc.scenes.cars(), models={"massless": lambda: massless})
     (level,) = measure_levels(scene, instants=INSTANTS, repeats=1)
@@ -91,33 +91,33 @@ def test_a_route_that_a_model_does_not_offer_says_why_and_the_others_are_measure
     assert "needs inertia" in lines[1]["refusal"]
 
 
-def test_unstable_internal_dynamics_are_not_stepped_forward():
+def test_unstable_internal_dynamics_are_not_stepped_forward() -> None:
     unstable = sc.scenes.mass_on_car().with_parameters(stiffness=-5.0)
     found = measure_levels(unstable, instants=INSTANTS, repeats=1)
     assert {cost.microseconds for level in found for cost in level.costs.values()} == {None}
     assert any("BoundaryValue" in each for each in remarks(found))
 
 
-def test_a_scene_without_an_exact_answer_has_costs_but_no_errors():
+def test_a_scene_without_an_exact_answer_has_costs_but_no_errors() -> None:
     scene = replace(sc.scenes.cars(), closed_form=None)
     (level,) = measure_levels(scene, instants=INSTANTS, repeats=1)
     assert [cost.error for cost in level.costs.values()] == [None, None]
     assert [row[-1] for row in rows(level)] == ["-", "-"]
 
 
-def test_a_path_that_becomes_singular_is_refused_with_the_time():
+def test_a_path_that_becomes_singular_is_refused_with_the_time() -> None:
     slack = sc.scenes.overhead_crane().with_parameters(gravity=0.1)
     with pytest.raises(sc.InvalidReference, match=r"overhead_crane, points: at t = .* the rope goes slack"):
         measure_levels(slack, instants=INSTANTS)
 
 
 @pytest.mark.parametrize(("instants", "repeats"), [(0, 1), (1, 0), (-3, 5)])
-def test_nothing_to_measure_is_refused(instants, repeats):
+def test_nothing_to_measure_is_refused(instants: int, repeats: int) -> None:
     with pytest.raises(sc.InvalidSetting, match="at least one instant and one repeat"):
         measure_levels(sc.scenes.cars(), instants=instants, repeats=repeats)
 
 
-def test_csv_has_one_line_a_model_and_route_in_full_precision():
+def test_csv_has_one_line_a_model_and_route_in_full_precision() -> None:
     found = levels("rotary_crane")
     lines = list(csv.DictReader(io.StringIO(csv_text(found))))
     assert tuple(lines[0]) == COLUMNS
@@ -129,7 +129,7 @@ def test_csv_has_one_line_a_model_and_route_in_full_precision():
     assert [each["needed"] for each in lines] == ["1", "1", "0", "0", "0", "0"]
 
 
-def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about():
+def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about() -> None:
     found = [*levels("rotary_crane"), *levels("mass_on_car")]
     text = markdown_page(found, command="servocore levels --all", instants=INSTANTS, repeats=2)
     assert "## `rotary_crane`" in text
@@ -142,7 +142,7 @@ def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about():
     assert "{" not in text
 
 
-def test_the_ratio_is_that_of_the_medians():
+def test_the_ratio_is_that_of_the_medians() -> None:
     costs = {
         "exact": Cost(9, Spread(3.0, 2.0, 4.0), 1e-15),
         "projected": Cost(5, Spread(1.5, 1.0, 2.0), 1e-2),

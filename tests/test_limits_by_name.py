@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
 
 import casadi as ca
 import numpy as np
@@ -54,7 +56,7 @@ class TestRandomCranes:
     """The closed form on 20,001 instants says whether and when a limit is broken."""
 
     @pytest.mark.parametrize("seed", range(18))
-    def test_a_limit_is_broken_where_the_closed_form_says_so_and_nowhere_else(self, seed):
+    def test_a_limit_is_broken_where_the_closed_form_says_so_and_nowhere_else(self, seed: int) -> None:
         scene, random = random_crane(seed)
         t = np.linspace(0.0, scene.reference.duration, 20_001)
         exact, inputs = scene.exact(t), [each.name for each in scene.model().inputs]
@@ -80,11 +82,11 @@ class TestRandomCranes:
             assert float(found["bound"]) == pytest.approx(lower if found["side"] == "lower" else upper, rel=1e-5)
 
     @pytest.mark.parametrize("model", CRANE.models)
-    def test_every_model_breaks_the_same_limit_at_the_same_time(self, model):
+    def test_every_model_breaks_the_same_limit_at_the_same_time(self, model: str) -> None:
         found = [refusal(CRANE.with_limits(**{name: bound}), model) for name, bound in (("M_b", 120), ("F.rate", 8))]
         assert [float(each["time"]) for each in found] == pytest.approx([11.7962, 11.8304], abs=2e-4)
 
-    def test_a_peak_between_two_instants_of_any_grid_is_found(self):
+    def test_a_peak_between_two_instants_of_any_grid_is_found(self) -> None:
         """Past the axis at 3 mm M_b has a peak of some 3 ms in 20 s, which 200 instants do not see."""
         scene = CRANE.with_reference(sc.rest_to_rest((5.0, 3e-3, -5.0), (-5.0, 3e-3, -5.0), 20.0))
         t = np.linspace(9.97, 10.03, 60_001)
@@ -96,36 +98,36 @@ class TestRandomCranes:
         found = refusal(scene.with_limits(M_b=0.999 * peak))
         assert abs(float(found["value"])) == pytest.approx(peak, rel=1e-4)
 
-    def test_the_first_of_several_broken_limits_is_told(self):
+    def test_the_first_of_several_broken_limits_is_told(self) -> None:
         found = refusal(CRANE.with_limits(M_b=120, F=17, M_w=(-98.5, -97)))
         assert found["name"] == "M_w"
         assert {"name": "F", "unit": "N"}.items() <= refusal(CRANE.with_limits(M_b=120, F=17)).items()
 
 
 class TestWhatALimitIs:
-    def test_the_limits_of_the_planning_example_are_kept_by_the_default_manoeuvre(self):
+    def test_the_limits_of_the_planning_example_are_kept_by_the_default_manoeuvre(self) -> None:
         limits = {"F": 60, "M_w": (-104, -92), "swing": "5 deg", "s.rate": 1.2, "F.rate": 200}
         assert refusal(CRANE.with_limits(**limits)) is None
 
-    def test_one_number_is_symmetric_and_an_upper_bound_for_what_is_never_negative(self):
+    def test_one_number_is_symmetric_and_an_upper_bound_for_what_is_never_negative(self) -> None:
         assert refusal(CRANE.with_limits(F=17))["side"] == "lower"  # F runs from -17.6 to 2 N
         assert refusal(CRANE.with_limits(F=(None, 17))) is None
         limits = {each.quantity: each for each in CRANE.with_limits(swing=0.1, tension=1e3, l=9.0, F=1.0).limits[-4:]}
         assert [limits[name].bound for name in ("swing", "tension", "l", "F")] == [-np.inf, -np.inf, -np.inf, -1.0]
         assert CRANE.with_limits(**{"l.rate": 1.0}).limits[-1].bound == -1.0
 
-    def test_a_limit_that_is_just_reached_is_kept(self):
+    def test_a_limit_that_is_just_reached_is_kept(self) -> None:
         peak = np.abs(CRANE.exact(np.linspace(5.0, 7.0, 200_001))["F"]).max()
         assert refusal(CRANE.with_limits(F=peak * (1 + 1e-9))) is None
         assert refusal(CRANE.with_limits(F=peak * (1 - 1e-6)))["name"] == "F"
 
-    def test_a_new_limit_takes_the_place_of_one_of_the_same_name_and_none_removes_it(self):
+    def test_a_new_limit_takes_the_place_of_one_of_the_same_name_and_none_removes_it(self) -> None:
         tight = CRANE.with_limits(F=10, M_b=1000)
         assert refusal(tight) is not None
         assert refusal(tight.with_limits(F=20)) is None
         assert tight.with_limits(F=None, M_b=None).limits == CRANE.limits
 
-    def test_an_angle_counts_its_turns(self):
+    def test_an_angle_counts_its_turns(self) -> None:
         circle = sc.periodic((0.0, 0.0, -5.0), [[4.0, 0.0, 0.0]], [[0.0, 4.0, 0.0]], period=20.0, cycles=2)
         turning = CRANE.with_reference(circle)
         assert refusal(turning.with_limits(phi="725 deg")) is None
@@ -138,7 +140,7 @@ class TestWhatALimitIs:
          ("0.2 kN", "N", 200.0), ("3 kN.m/s", "N.m/s", 3e3), ("60 rpm", "rad/s", 2 * np.pi), ("1.5", "N", 1.5),
          ("4 J", "N.m", 4.0), ("2 m/s^2", "m/s2", 2.0), ("-90 deg/s", "rad/s", -np.pi / 2)],
     )  # fmt: skip
-    def test_units_are_converted(self, text, unit, value):
+    def test_units_are_converted(self, text: str, unit: str, value) -> None:
         assert in_unit(text, unit, "it") == pytest.approx(value, rel=1e-14)
 
     @pytest.mark.parametrize(
@@ -158,12 +160,14 @@ class TestWhatALimitIs:
             ({"force.rate": 60}, "rotary crane, points reports nothing called force.rate that could have a limit"),
         ],
     )
-    def test_what_is_no_limit_gets_one_sentence(self, limits, sentence):
+    def test_what_is_no_limit_gets_one_sentence(
+        self, limits: dict[str, str | tuple[int | None, ...] | float | ModuleType], sentence: str
+    ) -> None:
         with pytest.raises(sc.InvalidSetting) as refused:
             CRANE.with_limits(**limits)
         assert str(refused.value).startswith(sentence)
 
-    def test_a_rate_for_which_the_path_has_not_enough_derivatives_is_refused_with_both_orders(self):
+    def test_a_rate_for_which_the_path_has_not_enough_derivatives_is_refused_with_both_orders(self) -> None:
         t = np.linspace(0.0, 20.0, 41)
         table = CRANE.reference.jet(t, 4)
         path = replace(CRANE.reference, max_order=4)
@@ -173,7 +177,7 @@ class TestWhatALimitIs:
         with pytest.raises(sc.InvalidReference, match=r"limit of F\.rate needs .* order 5, but .* up to order 4$"):
             sc.solve(short.with_limits(**{"F.rate": 100}))
 
-    def test_the_rate_of_an_input_that_jumps_is_refused_with_the_order_that_jumps(self):
+    def test_the_rate_of_an_input_that_jumps_is_refused_with_the_order_that_jumps(self) -> None:
         rough = CRANE.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0, sc.DEGREE7))
         with pytest.raises(sc.InvalidReference, match=r"F\.rate cannot be kept: .* order 3 only, .* order 4 jumps"):
             sc.ExactInversion(rough.with_limits(**{"F.rate": 100}))
@@ -191,7 +195,7 @@ class TestExpressions:
 
         return replace(CRANE, limits=(*CRANE.limits, sc.Limit("trolley power", "W", lower, "", power, upper=upper)))
 
-    def test_from_above_and_from_below(self):
+    def test_from_above_and_from_below(self) -> None:
         t = np.linspace(0.0, 20.0, 20_001)
         exact = CRANE.exact(t)
         power = exact["F"] * scipy.interpolate.make_interp_spline(t, exact["s"], k=5).derivative()(t)
@@ -202,7 +206,7 @@ class TestExpressions:
             assert float(found["time"]) == pytest.approx(t[first], abs=2e-3)
         assert refusal(self.limited(1.001 * power.min(), 1.001 * power.max())) is None
 
-    def test_multipliers_as_the_tension_that_they_make(self):
+    def test_multipliers_as_the_tension_that_they_make(self) -> None:
         def pull(system: sc.MechanicalSystem) -> ca.SX:
             return 2 * system.lam[3] * system.coordinates["l"]
 
@@ -214,12 +218,12 @@ class TestExpressions:
             sc.solve(replace(CRANE, limits=limits))
         assert f"at t = {by_name['time']} s" in str(said.value)
 
-    def test_symbols_of_another_model_are_refused(self):
+    def test_symbols_of_another_model_are_refused(self) -> None:
         strange = sc.Limit("it", "1", 0.0, "", lambda _: ca.SX.sym("strange"), upper=1.0)
         with pytest.raises(sc.InvalidModel, match=r"a limit holds symbols that are none of this model: \['strange'\]"):
             sc.solve(replace(CRANE, limits=(strange,)))
 
-    def test_bounds_the_wrong_way_round_are_refused(self):
+    def test_bounds_the_wrong_way_round_are_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="must run from a lower to an upper bound, not from 2 to 1 N"):
             sc.Limit("F", "N", 2.0, "", lambda system: system.u[1], upper=1.0)
 
@@ -228,7 +232,9 @@ class TestRuns:
     """Where nothing is inverted at an instant, or a step errs, the run itself is judged."""
 
     @pytest.mark.parametrize(("name", "bound"), [("u", 3.0), ("x", 1.5), ("x.rate", 0.5), ("u.rate", 5.0)])
-    def test_a_system_with_internal_dynamics_keeps_limits_at_the_instants_of_its_run(self, name, bound):
+    def test_a_system_with_internal_dynamics_keeps_limits_at_the_instants_of_its_run(
+        self, name: str, bound: float
+    ) -> None:
         scene = sc.scenes.mass_on_car()
         run = sc.solve(scene)
         values = run[name.removesuffix(".rate")]
@@ -242,20 +248,20 @@ class TestRuns:
         assert kept.names == run.names
         np.testing.assert_allclose(kept.values, run.values, atol=1e-9)
 
-    def test_a_crane_that_follows_its_branch_across_the_axis_keeps_limits_too(self):
+    def test_a_crane_that_follows_its_branch_across_the_axis_keeps_limits_too(self) -> None:
         across = sc.scenes.rotary_crane(across_axis=True)
         across = across.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.1, -5.0), 20.0))
         with pytest.raises(sc.InvalidReference, match=r"F goes beyond its lower limit of -5 N"):
             sc.solve(across.with_limits(F=5))
 
-    def test_a_step_that_errs_beyond_a_limit_which_the_exact_motion_keeps_is_told_apart(self):
+    def test_a_step_that_errs_beyond_a_limit_which_the_exact_motion_keeps_is_told_apart(self) -> None:
         peak = np.abs(sc.solve(CRANE)["M_b"]).max()
         limited = CRANE.with_limits(M_b=1.001 * peak)
         with pytest.raises(sc.InvalidReference, match=r"M_b goes beyond .*; the exact motion keeps that limit$"):
             sc.solve(limited, sc.Projected(), sc.BDF(2), step=0.5)
         sc.solve(limited)
 
-    def test_without_checks_limits_are_left_out(self):
+    def test_without_checks_limits_are_left_out(self) -> None:
         assert np.abs(sc.solve(CRANE.with_limits(F=1), checks=False)["F"]).max() > 17.0
 
 
@@ -286,7 +292,7 @@ def hoist(pushes: bool | None, told: bool, duration: float) -> sc.Scene:
 
 class TestRopes:
     @pytest.mark.parametrize(("told", "name"), [(False, "cable.tension"), (True, "pull")])
-    def test_a_rope_that_would_have_to_push_is_refused_by_the_name_of_its_tension(self, told, name):
+    def test_a_rope_that_would_have_to_push_is_refused_by_the_name_of_its_tension(self, told: bool, name: str) -> None:
         slow, fast = hoist(None, told, 3.0), hoist(None, told, 1.0)
         found = sc.solve(slow)
         np.testing.assert_allclose(found[name], 2.0 * (9.81 + slow.reference.jet(found.t, 2)[:, 2, 0]), rtol=1e-12)
@@ -299,16 +305,16 @@ class TestRopes:
             with pytest.raises(sc.IntegrationFailed, match=said):
                 run(fast)
 
-    def test_a_cylinder_may_push(self):
+    def test_a_cylinder_may_push(self) -> None:
         assert sc.solve(hoist(True, True, 1.0))["pull"].min() < -10.0
 
-    def test_a_rope_of_constant_length_is_one_and_a_link_is_none(self):
+    def test_a_rope_of_constant_length_is_one_and_a_link_is_none(self) -> None:
         assembly = Assembly(parts=(PointMass("load", 1.0),), parameters=sc.Parameters(), gravity=(0, 0, -9.81))
         load, q = assembly.point("load"), assembly.coordinates.q
         assert rope(GROUND.at(), load, 2.0).is_rope(q)
         assert not distance(GROUND.at(), load, 2.0).is_rope(q)
 
-    def test_a_rope_that_pushes_between_two_instants_only_is_refused_too(self):
+    def test_a_rope_that_pushes_between_two_instants_only_is_refused_too(self) -> None:
         """Twenty-one instants; g + z'' is below zero for 28 ms in the middle of one interval."""
         scene = hoist(None, False, 3.0)
         amplitude, speed = 0.3, np.sqrt(9.81 * 1.0002 / 0.3)
@@ -358,7 +364,9 @@ class TestPoles:
 
     @pytest.mark.parametrize("steps", [50, 101, 103, 206])
     @pytest.mark.parametrize("form", [sc.Reduced(), sc.Projected()], ids=str)
-    def test_a_tension_that_grows_to_1e9_between_two_instants_is_told_with_time_and_value(self, steps, form):
+    def test_a_tension_that_grows_to_1e9_between_two_instants_is_told_with_time_and_value(
+        self, steps: int, form: sc.Formulation
+    ) -> None:
         with pytest.warns(sc.ServocoreWarning) as heard:
             found = sc.solve(self.lifted(7.3e-7), form, sc.BackwardEuler(), step=4.0 / steps)
         assert np.abs(found["tension_1"]).max() < 3e7
@@ -368,23 +376,23 @@ class TestPoles:
         assert 0.8e9 < abs(float(numbers[3])) < 1.3e9
         assert "tension_1" in said
 
-    def test_one_that_an_instant_shows_is_told_as_well(self):
+    def test_one_that_an_instant_shows_is_told_as_well(self) -> None:
         with pytest.warns(sc.ServocoreWarning, match="close to a pole"):
             found = sc.solve(self.lifted(1e-8), step=0.04)
         assert np.abs(found["tension_1"]).max() > 1e10
 
     @pytest.mark.parametrize("steps", [50, 200, 201, 206])
-    def test_a_tension_that_is_only_large_is_left_alone(self, steps):
+    def test_a_tension_that_is_only_large_is_left_alone(self, steps: int) -> None:
         found = sc.solve(self.lifted(0.05), step=4.0 / steps)
         assert found["tension_1"].max() > 5e3
 
     @pytest.mark.parametrize("steps", [20, 21, 200, 201])
-    def test_a_tension_that_changes_its_sign_through_a_pole_is_refused(self, steps):
+    def test_a_tension_that_changes_its_sign_through_a_pole_is_refused(self, steps: int) -> None:
         path = sc.rest_to_rest((0.0, -2.0), (0.5, 2.0), 4.0)
         with pytest.raises(sc.IntegrationFailed, match=r"t = (1\.8|1\.98|2) s"):
             sc.solve(sc.Scene("two_ropes", {"points": lambda: self.SYSTEM}, path), step=4.0 / steps)
 
-    def test_a_limit_by_name_refuses_such_a_path_at_the_first_time(self):
+    def test_a_limit_by_name_refuses_such_a_path_at_the_first_time(self) -> None:
         scene = self.lifted(1e-6).with_limits(tension_1=(0.0, 5000.0))
         t = np.linspace(0.0, 1.0, 200_001)
         z = np.sin(np.pi * t / 2) - 1.0 - 1e-6
@@ -396,7 +404,7 @@ class TestPoles:
         assert float(found["worst"]) == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch):
+def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """The price of the survey on runs that are smooth: a few differences."""
     looked = []
     monkeypatch.setattr(within_limits, "look_between", lambda *_: looked.append(1))
@@ -408,7 +416,7 @@ def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch):
 class TestWhatIsLeft:
     """A solution tells how much its limits leave, and how long its law must take at least."""
 
-    def test_margins_are_those_of_the_closed_form(self):
+    def test_margins_are_those_of_the_closed_form(self) -> None:
         scene = CRANE.with_limits(F=60, swing="5 deg", M_w=(-104, None), **{"s.rate": 1.2})
         solution = sc.solve(scene)
         exact = scene.exact(solution.t)
@@ -421,10 +429,10 @@ class TestWhatIsLeft:
         assert (left["F"].time, left["F"].value) == pytest.approx((solution.t[k], exact["F"][k]))
         assert 0.0 < left["s.rate"].left < 1.2
 
-    def test_without_limits_there_are_no_margins(self):
+    def test_without_limits_there_are_no_margins(self) -> None:
         assert sc.solve(CRANE).margins == {}
 
-    def test_the_shortest_duration_keeps_all_and_a_shorter_one_does_not(self):
+    def test_the_shortest_duration_keeps_all_and_a_shorter_one_does_not(self) -> None:
         scene = CRANE.with_limits(M_b=1000, F=60, swing="5 deg")
         shortest = sc.shortest_duration(scene)
         line = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)
@@ -434,14 +442,14 @@ class TestWhatIsLeft:
             sc.ExactInversion(scene.with_reference(sc.rest_to_rest(*line, 0.999 * shortest)))
 
     @pytest.mark.parametrize("text", ["F = true", "F = [1, 2, 3]", "s = 1979-05-27", "F ="])
-    def test_a_file_of_limits_that_holds_something_else_is_refused(self, text, tmp_path):
+    def test_a_file_of_limits_that_holds_something_else_is_refused(self, text: str, tmp_path: Path) -> None:
         file = tmp_path / "limits.toml"
         file.write_text(text)
         with pytest.raises(sc.InvalidModel, match=r"limits\.toml"):
             sc.read_limits(file)
 
     @pytest.mark.parametrize("name", ["swing", "M_b", "phi"])
-    def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name):
+    def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name: str) -> None:
         scene = CRANE.with_limits(**{name: (0, None)})
         if name != "M_b":
             assert sc.solve(scene).margins[name].left == pytest.approx(0.0, abs=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from scipy.optimize import linprog
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import advanced, sampled_law
 from servocore.planning.smoothed_lengths import rounded
 from servocore.planning.tasks import corner_problems, curve_of, task_along
@@ -27,7 +29,7 @@ QUICK, COARSE = 40, 20
 """Intervals: half and a quarter of what is usual; plans are some two and five per cent slower."""
 
 
-def largest_excess(scene, path, limits):
+def largest_excess(scene: sc.Scene, path: sc.Reference, limits):
     """Return by how much the closed form of a crane exceeds symmetric limits, divided by them."""
     t = np.linspace(0.0, path.duration, 20_001)
     exact = scene.with_reference(path).exact(t)
@@ -35,14 +37,14 @@ def largest_excess(scene, path, limits):
 
 
 @pytest.fixture(scope="module")
-def default_plan():
+def default_plan() -> tuple[sc.Reference, sc.PlanReport]:
     return sc.fastest(CRANE, LINE, DEFAULT, intervals=QUICK)
 
 
 class TestDefaultManoeuvre:
     """The crane's line under limits of slewing torque, trolley force and swing."""
 
-    def test_is_as_fast_as_the_best_known_on_such_a_grid(self, default_plan):
+    def test_is_as_fast_as_the_best_known_on_such_a_grid(self, default_plan) -> None:
         _, report = default_plan
         assert report.duration == pytest.approx(7.284, rel=3e-3)
         assert report.degree9 == pytest.approx(10.694, abs=1e-3)
@@ -50,17 +52,17 @@ class TestDefaultManoeuvre:
         assert report.status == "Solve_Succeeded"
         assert 0.0 < report.grid_error < 0.5
 
-    def test_keeps_its_limits_by_the_closed_form(self, default_plan):
+    def test_keeps_its_limits_by_the_closed_form(self, default_plan) -> None:
         path, report = default_plan
         assert largest_excess(CRANE, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
         assert report.violation == 0.0
 
-    def test_touches_every_limit_at_some_time(self, default_plan):
+    def test_touches_every_limit_at_some_time(self, default_plan) -> None:
         _, report = default_plan
         assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
         assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
 
-    def test_is_a_path_that_everything_takes(self, default_plan):
+    def test_is_a_path_that_everything_takes(self, default_plan) -> None:
         path, report = default_plan
         scene = CRANE.with_reference(path).with_limits(**DEFAULT)
         solution = sc.solve(scene, step=report.duration / 100)
@@ -68,7 +70,7 @@ class TestDefaultManoeuvre:
         assert np.abs(inputs[:, 1] - solution["F"]).max() < 1e-7
         np.testing.assert_allclose(inputs[[0, -1]], [[0.0, 0.0, -98.1]] * 2, atol=1e-6)
 
-    def test_has_exact_derivatives(self, default_plan):
+    def test_has_exact_derivatives(self, default_plan) -> None:
         path, _ = default_plan
         t, h = np.linspace(0.3, path.duration - 0.3, 37) + 0.011, 1e-4
         for order in range(5):
@@ -81,18 +83,18 @@ class TestDefaultManoeuvre:
 class TestIndependentAnswers:
     """Momentum, a linear program and other starts say how fast a plan can be."""
 
-    def test_level_overhead_crane_takes_what_a_linear_program_takes(self):
+    def test_level_overhead_crane_takes_what_a_linear_program_takes(self) -> None:
         _, report = sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=QUICK)
         assert report.duration == pytest.approx(linear_optimum(QUICK), rel=1e-3)
         assert report.duration >= 2.0 * math.sqrt(110.0 * 5.0 / 200.0)
 
-    def test_swing_alone_is_not_faster_than_momentum_allows(self):
+    def test_swing_alone_is_not_faster_than_momentum_allows(self) -> None:
         _, report = sc.fastest(CRANE, LINE, {"M_b": 3000, "F": 500, "swing": "3 deg"}, intervals=QUICK)
         level = math.hypot(7.0, 2.0)
         assert report.duration >= 2.0 * math.sqrt(level / (9.81 * math.tan(math.radians(3.0))))
         assert report.duration <= 1.05 * 7.811
 
-    def test_seven_starts_agree(self):
+    def test_seven_starts_agree(self) -> None:
         (problem,) = corner_problems(OVERHEAD.with_limits(F=200), None, {})
         task = task_along(curve_of(LEVEL, 2, "crane"), [problem], 4)
         polynomial = shortest(task, shape_of(sc.DEGREE9))
@@ -106,21 +108,21 @@ class TestIndependentAnswers:
         assert max(durations) <= 1.002 * min(durations)
 
 
-def ramp(parts, order):
+def ramp(parts, order) -> Array:
     """Return s = t/T, which does not even rest."""
     found = np.zeros((len(parts), order + 1))
     found[:, 0], found[:, 1] = parts, 1.0
     return found
 
 
-def skewed(parts, order):
+def skewed(parts, order) -> Array:
     """Return a sum of two laws of which one is over before the other."""
     whole, early = (shape_of(sc.DEGREE9)(np.minimum(parts * factor, 1.0), order) for factor in (1.0, 1.5))
     early[:, 1:] *= (1.5 ** np.arange(1, order + 1)) * (parts < 1 / 1.5)[:, None]
     return 0.5 * whole + 0.5 * early
 
 
-def linear_optimum(intervals):
+def linear_optimum(intervals: int) -> float:
     """Return the shortest time for a level way of 5 m with |F| <= 200 N, F = (m + m_t) x'' + m_t h/g x''''."""
     low, high = 2.0, 6.0
     while high - low > 1e-4 * high:
@@ -129,7 +131,7 @@ def linear_optimum(intervals):
     return high
 
 
-def feasible(intervals, duration):
+def feasible(intervals: int, duration: float) -> bool:
     """Say whether snaps at knots exist; x and its derivatives are linear in them."""
     h, units = duration / intervals, np.eye(intervals + 1)[:, 1:-1]
     here, rows = [np.zeros(intervals - 1) for _ in range(4)], []
@@ -154,36 +156,36 @@ def feasible(intervals, duration):
 class TestRefusals:
     """What no law can keep, or nobody can plan, is said in a sentence."""
 
-    def test_a_limit_that_is_broken_at_rest_is_named_with_the_place(self):
+    def test_a_limit_that_is_broken_at_rest_is_named_with_the_place(self) -> None:
         with pytest.raises(sc.InvalidReference, match=re.escape("(5, 0, -5) it is -98.1 N.m")):
             sc.fastest(CRANE, LINE, {"M_w": 90})
 
-    def test_a_rope_that_is_too_long_on_the_way_is_named(self):
+    def test_a_rope_that_is_too_long_on_the_way_is_named(self) -> None:
         with pytest.raises(sc.InvalidReference, match=r"limit of l: even at rest at .* it is 4\.\d+ m"):
             sc.fastest(CRANE, [(5, 0, -4), (3, 3, -4.6), (-2, 3, -4)], {"l": 4.5, "F": 60})
 
-    def test_without_limits_there_is_no_fastest_law(self):
+    def test_without_limits_there_is_no_fastest_law(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="has no limits"):
             sc.fastest(CRANE, LINE)
 
-    def test_internal_dynamics_cannot_be_planned(self):
+    def test_internal_dynamics_cannot_be_planned(self) -> None:
         with pytest.raises(sc.InvalidModel, match="internal dynamics"):
             sc.fastest(sc.scenes.mass_on_car(), [(0.0,), (1.0,)], {"u": 10})
 
-    def test_waypoints_need_as_many_numbers_as_outputs(self):
+    def test_waypoints_need_as_many_numbers_as_outputs(self) -> None:
         with pytest.raises(sc.InvalidReference, match="3 components, this one has 2"):
             sc.fastest(CRANE, LEVEL, DEFAULT)
 
-    def test_an_odd_grid_is_refused(self):
+    def test_an_odd_grid_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
             sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
 
-    def test_a_progress_that_cannot_be_called_is_refused(self):
+    def test_a_progress_that_cannot_be_called_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="progress must be a function of a text, not 4"):
             sc.fastest(CRANE, LINE, DEFAULT, progress=4)
 
 
-def test_a_bar_of_index_seven_has_six_smooth_derivatives():
+def test_a_bar_of_index_seven_has_six_smooth_derivatives() -> None:
     bar = sc.scenes.elastic_bar()
     (name,) = [each.name for each in bar.model().inputs]
     path, report = sc.fastest(bar, [(0.0,), (1.0,)], {name: 50.0}, intervals=20)
@@ -197,7 +199,9 @@ def test_a_bar_of_index_seven_has_six_smooth_derivatives():
     ]
 
 
-def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(default_plan):
+def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(
+    default_plan: tuple[sc.Reference, sc.PlanReport],
+) -> None:
     nominal = default_plan[1].duration
     path, report = sc.fastest(CRANE, LINE, DEFAULT, robust={"load_mass": (0.9, 1.1)}, intervals=QUICK)
     assert 1.02 * nominal < report.duration < 1.05 * nominal
@@ -206,7 +210,7 @@ def test_a_law_for_a_range_of_masses_keeps_the_limits_of_every_mass(default_plan
         assert largest_excess(crane, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
 
 
-def test_a_curve_through_waypoints_is_followed_to_its_end():
+def test_a_curve_through_waypoints_is_followed_to_its_end() -> None:
     points = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
     path, report = sc.fastest(CRANE, points, DEFAULT, intervals=QUICK)
     t = np.linspace(0.0, path.duration, 4001)
@@ -217,7 +221,7 @@ def test_a_curve_through_waypoints_is_followed_to_its_end():
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 9])
-def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(count):
+def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(count: int) -> None:
     angle = np.linspace(0.0, 1.0, count)
     points = np.column_stack([np.cos(angle), np.sin(angle), 0.1 * angle])
     s = np.linspace(0.0, 1.0, 2001)
@@ -227,14 +231,14 @@ def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(c
     assert length == pytest.approx(np.linalg.norm(np.diff(points, axis=0), axis=1).sum(), rel=0.05)
 
 
-def test_the_way_of_a_reference_counts_and_not_its_times():
+def test_the_way_of_a_reference_counts_and_not_its_times() -> None:
     slow = sc.fastest(OVERHEAD, sc.rest_to_rest(*LEVEL, 50.0), {"F": 200}, intervals=QUICK)[1]
     assert slow.duration == pytest.approx(
         sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=QUICK)[1].duration, rel=1e-6
     )
 
 
-def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner_is_refused():
+def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner_is_refused() -> None:
     points = np.array([(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)])
     given = sc.through(points, duration=20)
     path, report = sc.fastest(CRANE, given, DEFAULT, intervals=COARSE)
@@ -247,7 +251,7 @@ def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner
         sc.fastest(CRANE, cornered, DEFAULT)
 
 
-def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path):
+def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path: Path) -> None:
     points = [(5, 0, -5), (3.5, 1.5, -3.4), (1.5, 2.6, -2.6), (-0.3, 2.6, -2.3), (-2, 2, -2)]
     unit = shape_of(sc.DEGREE9)(np.linspace(0.0, 1.0, 81), 4).T
     law = sampled_law(unit[:, :, None] / 7.5 ** np.arange(5)[:, None, None], 7.5, 4)
@@ -258,7 +262,7 @@ def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path):
     assert np.abs(back - snap).max() < 1e-4 * np.abs(snap).max()
 
 
-def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer():
+def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer() -> None:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     smooth = rounded(ca.atan2(ca.norm_2(ca.vertcat(x, y)), 2.0))
     slope = ca.Function("slope", [x, y], [ca.gradient(smooth, x), smooth])
@@ -271,7 +275,7 @@ class TestFreeWay:
 
     LIMITS = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}  # noqa: RUF012
 
-    def test_is_faster_than_the_line_and_clear_of_a_box_with_load_and_rope(self):
+    def test_is_faster_than_the_line_and_clear_of_a_box_with_load_and_rope(self) -> None:
         box = sc.Box((2.5, -5.0), (0.3, 1.6))
         way = [(0, -4), (5, -4)]
         path, report = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space((box,)), intervals=QUICK)
@@ -285,7 +289,7 @@ class TestFreeWay:
         assert largest_excess(OVERHEAD, path, {"F": 200.0, "swing": math.radians(15.0)}) <= 0.0
         assert report.duration < 1.3 * 3.64  # with the way of the level line, which is not clear
 
-    def test_without_obstacles_is_faster_than_known_laws_on_the_line(self):
+    def test_without_obstacles_is_faster_than_known_laws_on_the_line(self) -> None:
         way = [(0, -4), (5, -1.5)]
         free = sc.fastest(OVERHEAD, way, self.LIMITS, free=sc.Space(), intervals=COARSE)[1]
         assert free.duration < 0.95 * min(free.degree9, free.three_phase)
@@ -298,11 +302,13 @@ class TestFreeWay:
             (LIMITS, sc.Space((sc.Sphere((0.0, 0.0, 0.0), 1.0),)), "2 dimensions"),
         ],
     )
-    def test_needs_limits_of_all_inputs_and_bodies_of_its_dimension(self, limits, space, sentence):
+    def test_needs_limits_of_all_inputs_and_bodies_of_its_dimension(
+        self, limits: dict[str, int], space: sc.Space, sentence: str
+    ) -> None:
         with pytest.raises(sc.InvalidSetting, match=sentence):
             sc.fastest(OVERHEAD, LEVEL, limits, free=space)
 
-    def test_a_smooth_body_around_a_box_contains_it(self):
+    def test_a_smooth_body_around_a_box_contains_it(self) -> None:
         box, place = sc.Box((1.0, 2.0, 3.0), (0.4, 3.0, 1.2)), ca.SX.sym("place", 3)
         row = ca.Function("row", [place], [box.row(place)])
         corners = [(1.0 + 0.4 * i, 2.0 + 3.0 * j, 3.0 + 1.2 * k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]

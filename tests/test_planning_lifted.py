@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -18,11 +19,11 @@ WAY = [(1.2, 0.6), (1.0, 0.9)]
 TORQUES = {"T_1": 0.9, "T_2": 0.25}
 
 
-def exact(path):
+def exact(path: sc.Reference) -> Mapping[str, Array]:
     return replace(ARM, scene=ARM.scene.with_reference(path), order=2).exact(np.linspace(0.0, path.duration, 4001))
 
 
-def test_torques_of_an_arm_keep_their_limits_by_its_closed_form():
+def test_torques_of_an_arm_keep_their_limits_by_its_closed_form() -> None:
     path, report = sc.fastest(ARM.scene, WAY, TORQUES, intervals=20)
     peaks = {name: np.abs(exact(path)[name]).max() for name in TORQUES}
     assert all(peaks[name] <= bound for name, bound in TORQUES.items())
@@ -31,19 +32,19 @@ def test_torques_of_an_arm_keep_their_limits_by_its_closed_form():
     assert report.duration < min(report.degree9, report.three_phase)
 
 
-def test_a_rate_of_what_stands_last_in_the_equations_is_limited():
+def test_a_rate_of_what_stands_last_in_the_equations_is_limited() -> None:
     limits = {"T_1": 9.0, "T_1.rate": 2.0, "T_2": 9.0}
     path, _ = sc.fastest(ARM.scene, WAY, limits, intervals=10, smooth=1)
     steepest = np.abs(np.diff(exact(path)["T_1"]) / (path.duration / 4000)).max()
     assert 1.9 < steepest <= 2.0
 
 
-def test_a_place_out_of_reach_is_named():
+def test_a_place_out_of_reach_is_named() -> None:
     with pytest.raises(sc.InvalidReference, match=r"no motion is found that rests at \(1\.698, 0\.6\)"):
         sc.fastest(ARM.scene, [(1.2, 0.6), (2.4, 0.6)], TORQUES)
 
 
-def hardening_chain():
+def hardening_chain() -> sc.MechanicalSystem:
     """Three masses on springs that grow stiffer, driven at one end and tracked at the other: index 7."""
     coordinates = sc.Coordinates(*named("a b c"))
     a, b, c = ca.vertsplit(coordinates.q)
@@ -64,7 +65,7 @@ def hardening_chain():
     )
 
 
-def test_a_chain_of_index_seven_is_planned_without_a_formula():
+def test_a_chain_of_index_seven_is_planned_without_a_formula() -> None:
     scene = sc.Scene("chain", {"only": hardening_chain}, sc.rest_to_rest((0.0,), (1.0,), 3.0, sc.DEGREE13))
     path, report = sc.fastest(scene, [(0.0,), (1.0,)], {"u": 20.0}, intervals=10)
     peak = np.abs(sc.ExactInversion(scene.with_reference(path))(np.linspace(0.0, path.duration, 2001))).max()

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane()
 STILL = np.zeros(3)
 MODELS = ("points", "generalized")
 
 
-def at_rest(model):
+def at_rest(model: str) -> tuple[sc.Plant, Array, Array]:
     system = CRANE.model(model)
     plant = sc.compile_plant(system)
     p = system.parameters.values()
@@ -26,11 +27,11 @@ def at_rest(model):
     return plant, np.array(state), p
 
 
-def push(time):
+def push(time: float) -> Array:
     return np.array([300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)])
 
 
-def run(plant, state, p, step, until=2.0):
+def run(plant: sc.Plant, state: Array, p: Array, step: float, until: float = 2.0) -> Array:
     for k in range(round(until / step)):
         now, then = push(k * step), push((k + 1) * step)
         state = plant.advance(state, now, (then - now) / step, STILL, p, step)
@@ -38,7 +39,7 @@ def run(plant, state, p, step, until=2.0):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_it_goes_where_simulate_goes(model):
+def test_it_goes_where_simulate_goes(model: str) -> None:
     plant, state, p = at_rest(model)
     found = plant.values(run(plant, state, p, 0.001), push(2.0), STILL, p)
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (5.0 + 1e-9, 0.0, -5.0), 2.0)
@@ -47,17 +48,17 @@ def test_it_goes_where_simulate_goes(model):
         assert found[name] == pytest.approx(wanted[name][-1], abs=2e-7), name
 
 
-def test_all_models_go_the_same_way():
+def test_all_models_go_the_same_way() -> None:
     ends = [plant.values(run(plant, state, p, 0.002), push(2.0), STILL, p) for plant, state, p in map(at_rest, MODELS)]
     for name in ("x", "y", "z", "s", "l", "x_dot", "z_dot", "x_ddot", "energy"):
         assert ends[0][name] == pytest.approx(ends[1][name], abs=1e-6, rel=1e-7), name
 
 
-def test_its_steps_are_of_order_four_while_the_inputs_are_linear():
+def test_its_steps_are_of_order_four_while_the_inputs_are_linear() -> None:
     plant, state, p = at_rest("generalized")
     slope = np.array([100.0, 5.0, 1.0])
 
-    def end(count):
+    def end(count: int) -> Array:
         now, h = state, 1.0 / count
         for k in range(count):
             now = plant.advance(now, np.array([0.0, 0.0, -98.1]) + slope * k * h, slope, STILL, p, h)
@@ -69,7 +70,7 @@ def test_its_steps_are_of_order_four_while_the_inputs_are_linear():
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_brakes_hold_the_crane_while_the_load_swings(model):
+def test_brakes_hold_the_crane_while_the_load_swings(model: str) -> None:
     plant, state, p = at_rest(model)
     wind = np.array([0.0, 50.0, 0.0])
     for _ in range(200):
@@ -80,13 +81,13 @@ def test_brakes_hold_the_crane_while_the_load_swings(model):
     assert found["y"] > 0.1
 
 
-def test_what_brakes_bear_at_rest_is_the_weight():
+def test_what_brakes_bear_at_rest_is_the_weight() -> None:
     plant, state, p = at_rest("generalized")
     found = plant.values(state, None, STILL, p)
     assert (found["M_b"], found["F"], found["M_w"]) == pytest.approx((0.0, 0.0, -98.1), abs=1e-9)
 
 
-def test_energy_is_kept_without_inputs_that_work():
+def test_energy_is_kept_without_inputs_that_work() -> None:
     """Brakes do no work; a swinging load keeps its energy."""
     plant, state, p = at_rest("generalized")
     state[3:5] = 0.3, -0.2
@@ -102,7 +103,7 @@ def test_its_linearization_is_the_difference_of_neighbouring_steps():
     u, h = np.array([10.0, 5.0, -90.0]), 1e-5
     A, B, E, C = plant.linearised(state, u, p)
 
-    def rate(x, force=u, d=STILL):
+    def rate(x: Array, force: Array = u, d=STILL):
         return (plant.advance(x, force, STILL, d, p, h) - plant.advance(x, force, STILL, d, p, -h)) / (2 * h)
 
     for k in range(10):
@@ -115,7 +116,7 @@ def test_its_linearization_is_the_difference_of_neighbouring_steps():
     assert C.shape == (3, 10)
 
 
-def test_a_saved_plant_is_the_same_plant():
+def test_a_saved_plant_is_the_same_plant() -> None:
     plant, state, p = at_rest("generalized")
     again = sc.Plant.from_json(plant.to_json())
     assert again.parameters == plant.parameters
@@ -124,12 +125,12 @@ def test_a_saved_plant_is_the_same_plant():
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"format": "another"}', '{"format": "servocore plant 1"}'])
-def test_another_text_is_no_plant(text):
+def test_another_text_is_no_plant(text: str) -> None:
     with pytest.raises(sc.ServocoreError, match="saved plant"):
         sc.Plant.from_json(text)
 
 
-def test_a_plant_whose_constraint_forces_are_not_determined_is_refused():
+def test_a_plant_whose_constraint_forces_are_not_determined_is_refused() -> None:
     points = sc.scenes.rotary_crane().model("points")
     twice = ca.vertcat(points.constraints, 2 * points.constraints[3])
     doubled = replace(points, constraints=twice, multipliers=ca.vertcat(points.lam, ca.SX.sym("lam_again")))

@@ -17,7 +17,9 @@ from servocore import (
     waypoints_from_csv,
 )
 from servocore.errors import InvalidReference
+from servocore.numerics.compiled_calls import Array
 from servocore.references.hermite import hermite
+from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import polynomial
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -26,22 +28,22 @@ LINE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 CURVE = through([[5, 0, -6], [5, 0, -3], [2, 4, -3], [-3, 4, -3], [-4, 3, -6]], [0, 12, 22, 31, 40])
 
 
-def header(groups, columns="xyz"):
+def header(groups: int, columns: list[str] | str = "xyz") -> str:
     return ",".join(["time", *(prefix + name for prefix in ("", "v", "a", "j", "s")[:groups] for name in columns)])
 
 
-def table(truth, step, groups):
+def table(truth: sc.Reference, step: float, groups: int) -> Array:
     count = round(truth.duration / step) + 1
     t = np.linspace(truth.start_time, truth.end_time, count)
     return np.column_stack([t, truth.jet(t, groups - 1).reshape(count, -1)])
 
 
-def write(path, rows, groups, fmt="%.17g", columns="xyz"):
+def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: list[str] | str = "xyz") -> Path:
     np.savetxt(path, rows, fmt, ",", header=header(groups, columns), comments="")
     return path
 
 
-def relative_errors(path, truth, order):
+def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int):
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
     return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
@@ -49,7 +51,9 @@ def relative_errors(path, truth, order):
 
 @pytest.mark.parametrize("groups", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("truth", [LINE, CURVE], ids=["line", "curve"])
-def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(truth, groups, tmp_path):
+def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
+    truth: sc.Reference, groups: int, tmp_path: Path
+) -> None:
     path = from_csv(write(tmp_path / "path.csv", table(truth, 0.1, groups), groups))
     assert relative_errors(path, truth, 4).max() < 1e-5
     assert path.fit_error < 2e-12 * 6.0
@@ -58,7 +62,7 @@ def test_a_file_gives_the_path_back_that_wrote_it_whatever_derivatives_it_holds(
     assert path.rests_after
 
 
-def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path):
+def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path: Path) -> None:
     path = from_csv(write(tmp_path / "path.csv", table(LINE, 20.0, 5), 5))
     assert relative_errors(path, LINE, 9).max() < 1e-13
     assert path.fit_error is None
@@ -66,7 +70,7 @@ def test_two_rows_with_all_derivatives_determine_the_default_manoeuvre(tmp_path)
 
 @pytest.mark.parametrize("scene", [sc.scenes.overhead_crane(), sc.scenes.cars()], ids=lambda scene: scene.name)
 @pytest.mark.parametrize("groups", [1, 5])
-def test_columns_are_those_of_the_scene(scene, groups, tmp_path):
+def test_columns_are_those_of_the_scene(scene: sc.Scene, groups: int, tmp_path: Path) -> None:
     columns = [each.name for each in scene.model().outputs]
     file = write(tmp_path / "path.csv", table(scene.reference, 0.01, groups), groups, columns=columns)
     path = from_csv(file, columns=columns)
@@ -77,18 +81,18 @@ def test_columns_are_those_of_the_scene(scene, groups, tmp_path):
         from_csv(file)
 
 
-def test_waypoints_have_the_columns_that_are_asked_for(tmp_path):
+def test_waypoints_have_the_columns_that_are_asked_for(tmp_path: Path) -> None:
     file = write(tmp_path / "way.csv", np.array([[0.0, 1.0, 2.0], [3.0, 2.0, 2.0]]), 1, columns=["x", "z"])
     assert waypoints_from_csv(file, ["x", "z"]).jet(3.0, 0)[0] == pytest.approx([2.0, 2.0])
 
 
 @pytest.mark.parametrize("columns", [[], ["x", "x"], ["time"]])
-def test_columns_need_names_of_their_own(columns, tmp_path):
+def test_columns_need_names_of_their_own(columns: list[str], tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match="position columns with names of their own"):
         from_csv(tmp_path / "path.csv", columns=columns)
 
 
-def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path):
+def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 2)
     rows[123, 5] += 0.1
     columns = ["east", "north", "up"]
@@ -98,7 +102,7 @@ def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(("order", "smoothness"), [(1, 1), (2, 2), (4, 4)])
-def test_as_many_derivatives_as_are_asked_for_make_a_hermite_path(order, smoothness, tmp_path):
+def test_as_many_derivatives_as_are_asked_for_make_a_hermite_path(order: int, smoothness: int, tmp_path: Path) -> None:
     truth = rest_to_rest(LINE.start, LINE.end, 20.0, polynomial(2 * order + 1))
     path = from_csv(write(tmp_path / "path.csv", table(truth, 20.0, order + 1), order + 1), rest_order=order)
     assert path.smoothness == smoothness
@@ -107,7 +111,7 @@ def test_as_many_derivatives_as_are_asked_for_make_a_hermite_path(order, smoothn
 
 @pytest.mark.parametrize("step", [2.0, 0.5, 0.1, 0.01, 0.002])
 @pytest.mark.parametrize("profile", [DEGREE13, three_phase(4.0)], ids=lambda p: p.name)
-def test_rows_of_derivatives_keep_their_snap_however_dense_they_are(profile, step):
+def test_rows_of_derivatives_keep_their_snap_however_dense_they_are(profile: sc.Profile, step: float) -> None:
     truth = rest_to_rest(LINE.start, LINE.end, 20.0, profile)
     rows = table(truth, step, 5)
     path, worst = hermite(rows[:, 0], rows[:, 1:].reshape(-1, 5, 3))
@@ -116,7 +120,7 @@ def test_rows_of_derivatives_keep_their_snap_however_dense_they_are(profile, ste
     np.testing.assert_allclose(path.jet(rows[:, 0], 0)[:, 0], rows[:, 1:4], rtol=0.0, atol=1e-12)
 
 
-def test_rows_that_move_at_their_ends_are_continued_by_the_end_polynomials():
+def test_rows_that_move_at_their_ends_are_continued_by_the_end_polynomials() -> None:
     t = np.linspace(0.0, 3.0, 31)
     derivatives = np.stack([np.sin(t + k * np.pi / 2) for k in range(5)], axis=1)[:, :, None]
     path, _ = hermite(t, derivatives)
@@ -125,12 +129,12 @@ def test_rows_that_move_at_their_ends_are_continued_by_the_end_polynomials():
     assert path.smoothness == 4
 
 
-def test_a_path_at_rest_stays_where_it_is():
+def test_a_path_at_rest_stays_where_it_is() -> None:
     path, _ = hermite(np.arange(5.0), np.zeros((5, 5, 3)))
     assert not path.jet([0.0, 2.5, 9.0], 9).any()
 
 
-def test_rounded_positions_need_a_tolerance(tmp_path):
+def test_rounded_positions_need_a_tolerance(tmp_path: Path) -> None:
     for groups in (1, 2):
         file = write(tmp_path / f"{groups}.csv", table(CURVE, 0.05, groups), groups, fmt="%.6f")
         with pytest.raises(InvalidReference, match="need a tolerance"):
@@ -139,27 +143,27 @@ def test_rounded_positions_need_a_tolerance(tmp_path):
 
 
 @pytest.mark.parametrize("tolerance", [None, 1e-6])
-def test_rounded_rows_of_all_derivatives_are_good_enough_as_they_are(tolerance, tmp_path):
+def test_rounded_rows_of_all_derivatives_are_good_enough_as_they_are(tolerance: float | None, tmp_path: Path) -> None:
     file = write(tmp_path / "path.csv", table(CURVE, 0.05, 5), 5, fmt="%.6f")
     assert relative_errors(from_csv(file, tolerance), CURVE, 4).max() < 2e-3
 
 
 @pytest.mark.parametrize("groups", [2, 3, 5])
-def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups, tmp_path):
+def test_a_derivative_of_the_wrong_sign_contradicts_the_positions(groups: int, tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, groups)
     rows[:, -3] *= -1.0
     with pytest.raises(InvalidReference, match=r"bad\.csv, line \d+ \(time .* s\), column [vajs]?x: .* contradict"):
         from_csv(write(tmp_path / "bad.csv", rows, groups))
 
 
-def test_a_single_wrong_velocity_is_named_by_line_and_column(tmp_path):
+def test_a_single_wrong_velocity_is_named_by_line_and_column(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 2)
     rows[123, 5] += 0.1
     with pytest.raises(InvalidReference, match=r"bad\.csv, line 125 \(time 12.3 s\), column vy: "):
         from_csv(write(tmp_path / "bad.csv", rows, 2))
 
 
-def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path):
+def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 1)
     rows[rows[:, 0] > 17.0, 3] += 0.01
     with pytest.raises(InvalidReference, match=r"rough\.csv: the samples are too rough near t = 17"):
@@ -185,14 +189,14 @@ def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path):
         (header(5) + "\n" + ",".join("0" * 16) + "\n", "line 2: the file ends after 1 rows .* at least 2"),
     ],
 )
-def test_a_file_that_is_no_path_is_refused_by_name_line_and_column(text, sentence, tmp_path):
+def test_a_file_that_is_no_path_is_refused_by_name_line_and_column(text: str, sentence: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.csv"
     file.write_text(text)
     with pytest.raises(InvalidReference, match=r"bad\.csv, " + ".*" + sentence):
         from_csv(file)
 
 
-def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path):
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match=r"nowhere\.csv cannot be read .*No such file"):
         from_csv(tmp_path / "nowhere.csv")
     with pytest.raises(InvalidReference, match="cannot be read"):
@@ -202,7 +206,7 @@ def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path):
         waypoints_from_csv(tmp_path / "binary.csv")
 
 
-def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path):
+def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path: Path) -> None:
     file = tmp_path / "path.csv"
     file.write_bytes("\ufefftime, x, y, z\r\n0, 5, 0, -5\r\n20, -2, 2, -2\r\n\r\n".encode())
     assert relative_errors(waypoints_from_csv(file), LINE, 4).max() < 1e-13
@@ -218,14 +222,16 @@ def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path):
 # --- the examples -----------------------------------------------------------------------------------------
 
 
-def test_the_sampled_working_cycle_is_the_one_through_the_waypoints():
+def test_the_sampled_working_cycle_is_the_one_through_the_waypoints() -> None:
     smooth = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
     path = from_csv(EXAMPLES / "working_cycle_sampled.csv")
     assert relative_errors(path, smooth, 4).max() < 1e-5
     assert path.fit_error < 1e-11
 
 
-def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(tmp_path, monkeypatch):
+def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     script = (EXAMPLES / "README.md").read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
     waypoints = (EXAMPLES / "working_cycle_waypoints.csv").read_text()
     (tmp_path / "working_cycle_waypoints.csv").write_text(waypoints)
@@ -236,7 +242,7 @@ def test_the_script_in_the_readme_regenerates_the_sampled_working_cycle(tmp_path
     np.testing.assert_allclose(made, kept, rtol=0.0, atol=1e-14)
 
 
-def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go():
+def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go() -> None:
     path = waypoints_from_csv(EXAMPLES / "working_cycle_waypoints.csv")
     jets = path.jet(np.linspace(0.0, path.duration, 2001), 2)
     position, velocity, acceleration = jets[:, 0], jets[:, 1], jets[:, 2]

@@ -13,7 +13,7 @@ W = 2 * np.pi / PERIOD
 EIGHT = figure_of_eight((4.0, 0.0, -5.0), (0.0, 1.5, 0.0), (0.5, 0.0, 0.2), PERIOD, cycles=3)
 
 
-def test_a_figure_of_eight_is_two_sines_with_all_their_derivatives():
+def test_a_figure_of_eight_is_two_sines_with_all_their_derivatives() -> None:
     t = np.linspace(-2.0, 25.0, 271)
     jets = EIGHT.jet(t, 9)
     for k in range(10):
@@ -23,20 +23,20 @@ def test_a_figure_of_eight_is_two_sines_with_all_their_derivatives():
         np.testing.assert_allclose(jets[:, k, 2], 0.2 * across - 5.0 * (k == 0), atol=1e-11 * (2 * W) ** k)
 
 
-def test_cosines_and_sines_of_any_harmonic_are_allowed():
+def test_cosines_and_sines_of_any_harmonic_are_allowed() -> None:
     path = periodic((1.0,), [[0.5], [0.0], [0.25]], [[0.0], [2.0], [0.0]], PERIOD)
     t = np.linspace(0.0, PERIOD, 50)
     expected = 1.0 + 0.5 * np.cos(W * t) + 0.25 * np.cos(3 * W * t) + 2.0 * np.sin(2 * W * t)
     np.testing.assert_allclose(path.jet(t, 0)[:, 0, 0], expected, atol=1e-14)
 
 
-def test_a_late_cycle_is_as_accurate_as_the_first():
+def test_a_late_cycle_is_as_accurate_as_the_first() -> None:
     t = np.arange(64) / 64 * 8.0
     path = figure_of_eight((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), 8.0, cycles=10**6)
     np.testing.assert_array_equal(path.jet(t, 6), path.jet(t + 8.0 * 10**6, 6))
 
 
-def test_it_starts_and_ends_with_whole_cycles_and_is_smooth_for_ever():
+def test_it_starts_and_ends_with_whole_cycles_and_is_smooth_for_ever() -> None:
     assert (EIGHT.start_time, EIGHT.end_time, EIGHT.dimension) == (0.0, 21.0, 3)
     assert EIGHT.smoothness == EIGHT.max_order > 24
     later = figure_of_eight((0.0,), (1.0,), (1.0,), 2.0, start_time=5.0)
@@ -56,11 +56,13 @@ def test_it_starts_and_ends_with_whole_cycles_and_is_smooth_for_ever():
         (((0.0,), [[float("inf")]], [[1.0]], 1.0), "cosine 0, component 0 is inf"),
     ],
 )
-def test_what_makes_no_sense_is_refused(arguments, sentence):
+def test_what_makes_no_sense_is_refused(
+    arguments: tuple[tuple[float, ...] | list[list[float]] | float, ...], sentence: str
+) -> None:
     with pytest.raises(InvalidReference, match=sentence):
         periodic(*arguments)
 
 
-def test_it_is_divided_into_half_periods_of_the_highest_harmonic():
+def test_it_is_divided_into_half_periods_of_the_highest_harmonic() -> None:
     np.testing.assert_allclose(np.diff(EIGHT.stretches), PERIOD / 4, rtol=1e-12)
     assert EIGHT.stretches[[0, -1]].tolist() == [EIGHT.start_time, EIGHT.end_time]

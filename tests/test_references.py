@@ -24,18 +24,22 @@ from servocore import (
     through,
 )
 from servocore.errors import InvalidReference
-from servocore.references.profiles import polynomial
+from servocore.numerics.compiled_calls import Array
+from servocore.references.base import Reference
+from servocore.references.piecewise import PiecewisePolynomial
+from servocore.references.profiles import PolynomialProfile, Profile, ThreePhaseProfile, polynomial
+from servocore.references.rest_to_rest import RestToRest
 
 START, END, DURATION = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0
 PROFILES = [DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, polynomial(1), three_phase(5.0), three_phase(10.0)]
 EPS = np.finfo(float).eps
 
 
-def unit(profile, duration=DURATION, start_time=0.0):
+def unit(profile: ThreePhaseProfile, duration: float = DURATION, start_time: float = 0.0) -> RestToRest:
     return rest_to_rest((0.0,), (1.0,), duration, profile, start_time)
 
 
-def exact_derivative(coefficients, T, order):
+def exact_derivative(coefficients: list[float] | tuple[int, ...], T: int, order: int) -> Fraction:
     """Derivative by T of a polynomial in rational arithmetic, for a float T taken as the rational it is."""
     for _ in range(order):
         coefficients = [i * c for i, c in enumerate(coefficients)][1:]
@@ -45,7 +49,7 @@ def exact_derivative(coefficients, T, order):
     return value
 
 
-def exact_three_phase(t, tau, tau0, order):
+def exact_three_phase(t, tau: float, tau0: float, order: int):
     """theory.md section 3 in rational arithmetic, order at most 1 outside the ramps."""
     t, tau, tau0 = Fraction(t), Fraction(tau), Fraction(tau0)
     if t > tau / 2:
@@ -60,13 +64,13 @@ def exact_three_phase(t, tau, tau0, order):
 # --- profiles ---------------------------------------------------------------------------------------------
 
 
-def test_degree_nine_and_thirteen_have_the_coefficients_of_the_theory():
+def test_degree_nine_and_thirteen_have_the_coefficients_of_the_theory() -> None:
     assert DEGREE9.coefficients == (0, 0, 0, 0, 0, 126, -420, 540, -315, 70)
     assert DEGREE13.coefficients == (0,) * 7 + (1716, -9009, 20020, -24024, 16380, -6006, 924)
 
 
 @pytest.mark.parametrize("degree", [1, 3, 5, 7, 9, 11, 13, 21])
-def test_a_polynomial_profile_satisfies_its_end_conditions_in_rational_arithmetic(degree):
+def test_a_polynomial_profile_satisfies_its_end_conditions_in_rational_arithmetic(degree: int) -> None:
     profile = polynomial(degree)
     assert exact_derivative(profile.coefficients, 0, 0) == 0
     assert exact_derivative(profile.coefficients, 1, 0) == 1
@@ -77,7 +81,7 @@ def test_a_polynomial_profile_satisfies_its_end_conditions_in_rational_arithmeti
 
 
 @pytest.mark.parametrize("profile", [DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13], ids=lambda p: p.name)
-def test_polynomial_derivatives_of_every_order_equal_rational_arithmetic(profile):
+def test_polynomial_derivatives_of_every_order_equal_rational_arithmetic(profile: PolynomialProfile) -> None:
     T = np.concatenate([np.linspace(0.0, 1.0, 65)[:-1], [1e-9, 1e-3, 1.0 - 1e-3, 1.0 - 2.0**-40]])
     jets = unit(profile, 1.0).jet(T, 15)[:, :, 0]
     for order in range(16):
@@ -86,7 +90,7 @@ def test_polynomial_derivatives_of_every_order_equal_rational_arithmetic(profile
 
 
 @pytest.mark.parametrize("profile", [DEGREE9, DEGREE13], ids=lambda p: p.name)
-def test_slopes_near_the_end_keep_full_relative_accuracy(profile):
+def test_slopes_near_the_end_keep_full_relative_accuracy(profile: PolynomialProfile) -> None:
     T = 1.0 - 2.0 ** -np.arange(1.0, 30.0)
     jets = unit(profile, 1.0).jet(T, 4)[:, :, 0]
     for order in range(1, 5):
@@ -95,7 +99,7 @@ def test_slopes_near_the_end_keep_full_relative_accuracy(profile):
 
 
 @pytest.mark.parametrize("ramp", [1.0, 4.5, 10.0])
-def test_the_three_phase_profile_equals_the_formula_of_the_theory(ramp):
+def test_the_three_phase_profile_equals_the_formula_of_the_theory(ramp: float) -> None:
     t = np.linspace(0.0, DURATION, 97)[:-1]
     jets = unit(three_phase(ramp)).jet(t, 4)[:, :, 0]
     for order in range(5):
@@ -103,14 +107,14 @@ def test_the_three_phase_profile_equals_the_formula_of_the_theory(ramp):
         np.testing.assert_allclose(jets[:, order], exact, rtol=0.0, atol=16 * EPS * np.abs(exact).max())
 
 
-def test_a_three_phase_profile_without_a_ramp_accelerates_for_a_quarter_of_the_duration():
+def test_a_three_phase_profile_without_a_ramp_accelerates_for_a_quarter_of_the_duration() -> None:
     t = np.linspace(0.0, DURATION, 50)
     np.testing.assert_array_equal(unit(three_phase()).jet(t, 4), unit(three_phase(5.0)).jet(t, 4))
 
 
 @pytest.mark.parametrize("profile", PROFILES, ids=str)
 @given(fraction=st.floats(0.0, 1.0), duration=st.floats(0.1, 100.0))
-def test_profiles_are_symmetric_about_the_middle(profile, fraction, duration):
+def test_profiles_are_symmetric_about_the_middle(profile: Profile, fraction: float, duration: float) -> None:
     if duration < profile.shortest_duration:
         duration += profile.shortest_duration
     elapsed = np.array([fraction * duration])
@@ -123,7 +127,7 @@ def test_profiles_are_symmetric_about_the_middle(profile, fraction, duration):
 
 
 @pytest.mark.parametrize("profile", PROFILES, ids=str)
-def test_profiles_start_and_end_with_derivatives_that_are_exactly_zero(profile):
+def test_profiles_start_and_end_with_derivatives_that_are_exactly_zero(profile: Profile) -> None:
     path = unit(profile, start_time=3.7)
     k = path.smoothness
     np.testing.assert_array_equal(path.jet([path.start_time], k)[0, :, 0], np.zeros(k + 1))
@@ -131,7 +135,7 @@ def test_profiles_start_and_end_with_derivatives_that_are_exactly_zero(profile):
     assert path.jet(path.start_time, k + 1)[k + 1, 0] > 0.0  # the next one jumps: C^k and no more
 
 
-def test_a_profile_of_even_degree_or_a_ramp_that_is_not_positive_does_not_exist():
+def test_a_profile_of_even_degree_or_a_ramp_that_is_not_positive_does_not_exist() -> None:
     with pytest.raises(InvalidReference, match="odd degree of 1 or more, not 8"):
         polynomial(8)
     with pytest.raises(InvalidReference, match="positive time, not 0"):
@@ -143,7 +147,7 @@ def test_a_profile_of_even_degree_or_a_ramp_that_is_not_positive_does_not_exist(
 # --- rest to rest -----------------------------------------------------------------------------------------
 
 
-def test_the_default_manoeuvre_runs_along_the_straight_line_of_equation_32():
+def test_the_default_manoeuvre_runs_along_the_straight_line_of_equation_32() -> None:
     path = rest_to_rest(START, END, DURATION)
     t = np.linspace(0.0, DURATION, 41)
     gamma = path.jet(t, 0)[:, 0]
@@ -155,7 +159,7 @@ def test_the_default_manoeuvre_runs_along_the_straight_line_of_equation_32():
     assert path.fit_error is None
 
 
-def test_before_the_start_and_after_the_end_the_path_rests_at_its_end_points():
+def test_before_the_start_and_after_the_end_the_path_rests_at_its_end_points() -> None:
     path = rest_to_rest(START, END, DURATION, DEGREE7, start_time=2.0)
     jets = path.jet([-1e9, 1.999, 22.0, 1e9], 9)
     np.testing.assert_array_equal(jets[:2, 0], [START, START])
@@ -163,7 +167,7 @@ def test_before_the_start_and_after_the_end_the_path_rests_at_its_end_points():
     assert not jets[:, 1:].any()
 
 
-def test_one_time_gives_one_jet_and_it_is_the_one_of_the_row_of_times():
+def test_one_time_gives_one_jet_and_it_is_the_one_of_the_row_of_times() -> None:
     path = rest_to_rest(START, END, DURATION)
     rows = path.jet([3.0, 4.0], 5)
     assert rows.shape == (2, 6, 3)
@@ -173,7 +177,9 @@ def test_one_time_gives_one_jet_and_it_is_the_one_of_the_row_of_times():
 
 @pytest.mark.parametrize("profile", PROFILES[2:5] + PROFILES[6:], ids=str)
 @given(center=st.floats(0.05, 0.95), delta=st.floats(-0.4, 0.4))
-def test_a_taylor_step_from_one_jet_reaches_the_jet_at_another_time(profile, center, delta):
+def test_a_taylor_step_from_one_jet_reaches_the_jet_at_another_time(
+    profile: Profile, center: float, delta: float
+) -> None:
     path = rest_to_rest(START, END, DURATION, profile)
     t0, t1 = center * DURATION, center * DURATION + delta
     ramp = getattr(profile, "ramp", DURATION)
@@ -184,7 +190,7 @@ def test_a_taylor_step_from_one_jet_reaches_the_jet_at_another_time(profile, cen
         np.testing.assert_allclose(expanded, other[order], rtol=0.0, atol=1e-13)
 
 
-def test_paths_are_values_that_compare_and_cannot_be_changed():
+def test_paths_are_values_that_compare_and_cannot_be_changed() -> None:
     path = rest_to_rest(START, END, DURATION)
     assert path == rest_to_rest(list(START), np.array(END), DURATION)
     with pytest.raises(AttributeError):
@@ -205,12 +211,14 @@ def test_paths_are_values_that_compare_and_cannot_be_changed():
         (((), (), 1.0), "shape"),
     ],
 )
-def test_a_path_that_makes_no_sense_is_refused_with_a_sentence(arguments, sentence):
+def test_a_path_that_makes_no_sense_is_refused_with_a_sentence(
+    arguments: tuple[tuple[float, ...] | float | Profile, ...], sentence: str
+) -> None:
     with pytest.raises(InvalidReference, match=sentence):
         rest_to_rest(*arguments)
 
 
-def test_jets_refuse_orders_and_times_they_cannot_answer():
+def test_jets_refuse_orders_and_times_they_cannot_answer() -> None:
     path = rest_to_rest(START, END, DURATION)
     with pytest.raises(InvalidReference, match="order 100 were asked for, but this path has orders 0 to 99"):
         path.jet(0.0, 100)
@@ -231,19 +239,19 @@ TIMES = np.array([0.0, 12.0, 22.0, 31.0, 40.0])
 PATH = through(WAYPOINTS, TIMES)
 
 
-def relative_errors(path, truth, order):
+def relative_errors(path: PiecewisePolynomial, truth: Reference, order: int):
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
     return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
 
 
-def test_a_path_through_two_waypoints_is_the_rest_to_rest_path_of_degree_nine():
+def test_a_path_through_two_waypoints_is_the_rest_to_rest_path_of_degree_nine() -> None:
     path, line = through([START, END], [2.0, 22.0]), rest_to_rest(START, END, 20.0, start_time=2.0)
     assert relative_errors(path, line, 9).max() < 1e-13
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 6, 8])
-def test_paths_rest_in_as_many_derivatives_as_are_asked_for(order):
+def test_paths_rest_in_as_many_derivatives_as_are_asked_for(order: int) -> None:
     line = rest_to_rest(START, END, DURATION, polynomial(2 * order + 1))
     t = np.linspace(0.0, DURATION, 201)
     way = through([START, END], [0.0, DURATION], rest_order=order)
@@ -255,7 +263,7 @@ def test_paths_rest_in_as_many_derivatives_as_are_asked_for(order):
 
 
 @pytest.mark.parametrize("order", [0, -1, 2.5])
-def test_an_end_rests_in_one_or_more_whole_derivatives(order):
+def test_an_end_rests_in_one_or_more_whole_derivatives(order: float) -> None:
     for path in (
         lambda: through([START, END], duration=1.0, rest_order=order),
         lambda: sampled([], [], rest_order=order),
@@ -264,7 +272,7 @@ def test_an_end_rests_in_one_or_more_whole_derivatives(order):
             path()
 
 
-def test_who_doubts_less_gets_rougher_paths():
+def test_who_doubts_less_gets_rougher_paths() -> None:
     t = np.linspace(0.0, 10.0, 401)
     rounded = np.sin(t)[:, None].round(8)
     with pytest.raises(InvalidReference, match="too rough"):
@@ -274,7 +282,7 @@ def test_who_doubts_less_gets_rougher_paths():
         sampled(t, rounded, doubt=0.0)
 
 
-def test_a_path_meets_its_waypoints_and_rests_exactly_at_and_beyond_its_ends():
+def test_a_path_meets_its_waypoints_and_rests_exactly_at_and_beyond_its_ends() -> None:
     np.testing.assert_allclose(PATH.jet(TIMES, 0)[:, 0], WAYPOINTS, rtol=0.0, atol=1e-14)
     outside = PATH.jet([-1.0, 0.0, 40.0, 99.0], 4)
     np.testing.assert_array_equal(outside[:, 0], WAYPOINTS[[0, 0, -1, -1]])
@@ -282,7 +290,7 @@ def test_a_path_meets_its_waypoints_and_rests_exactly_at_and_beyond_its_ends():
     assert (PATH.smoothness, PATH.max_order, PATH.fit_error, PATH.dimension) == (4, 9, None, 3)
 
 
-def test_derivatives_to_the_eighth_are_continuous_at_inner_waypoints():
+def test_derivatives_to_the_eighth_are_continuous_at_inner_waypoints() -> None:
     before, after = PATH.jet(TIMES[1:-1] - 1e-12, 9), PATH.jet(TIMES[1:-1] + 1e-12, 9)
     peaks = np.abs(PATH.jet(np.linspace(0.0, 40.0, 400), 9)).max(axis=(0, 2))
     jump = np.abs(after - before).max(axis=(0, 2)) / peaks
@@ -290,7 +298,7 @@ def test_derivatives_to_the_eighth_are_continuous_at_inner_waypoints():
     assert jump[9] > 0.1
 
 
-def test_the_derivatives_of_a_spline_are_the_taylor_coefficients_of_its_positions():
+def test_the_derivatives_of_a_spline_are_the_taylor_coefficients_of_its_positions() -> None:
     t, delta = np.linspace(0.5, 39.5, 79), np.array([-0.4, 0.3])
     jets = PATH.jet(t[~np.isin(np.round(t), TIMES)], 9)
     centers = t[~np.isin(np.round(t), TIMES)]
@@ -301,7 +309,7 @@ def test_the_derivatives_of_a_spline_are_the_taylor_coefficients_of_its_position
             np.testing.assert_allclose(expanded, PATH.jet(centers + step, 9)[:, order], rtol=0.0, atol=1e-13)
 
 
-def test_without_times_a_straight_row_of_waypoints_is_passed_like_a_three_phase_motion():
+def test_without_times_a_straight_row_of_waypoints_is_passed_like_a_three_phase_motion() -> None:
     row = np.outer(np.linspace(0.0, 1.0, 9), [3.0, 4.0])
     path, ideal = through(row, duration=20.0), rest_to_rest(row[0], row[-1], 20.0, three_phase())
     t = np.linspace(0.0, 20.0, 101)
@@ -323,7 +331,9 @@ def test_without_times_a_straight_row_of_waypoints_is_passed_like_a_three_phase_
         ({"waypoints": [START, (0, 0, np.inf)], "duration": 1.0}, "waypoint 1, component 2 is inf"),
     ],
 )
-def test_waypoints_that_make_no_path_are_refused(arguments, sentence):
+def test_waypoints_that_make_no_path_are_refused(
+    arguments: dict[str, list[tuple[float, float, float]]], sentence: str
+) -> None:
     with pytest.raises(InvalidReference, match=sentence):
         through(**arguments)
 
@@ -332,7 +342,7 @@ def test_waypoints_that_make_no_path_are_refused(arguments, sentence):
 
 
 @pytest.mark.parametrize("step", [0.5, 0.1, 0.05, 0.01])
-def test_samples_of_the_default_manoeuvre_give_it_back_to_rounding(step):
+def test_samples_of_the_default_manoeuvre_give_it_back_to_rounding(step: float) -> None:
     truth = rest_to_rest(START, END, DURATION)
     t = np.linspace(0.0, DURATION, round(DURATION / step) + 1)
     path = sampled(t, truth.jet(t, 0)[:, 0])
@@ -343,7 +353,7 @@ def test_samples_of_the_default_manoeuvre_give_it_back_to_rounding(step):
 
 
 @pytest.mark.parametrize("step", [0.5, 0.1, 0.01, 0.005])
-def test_samples_of_a_spline_give_its_snap_back_however_dense_they_are(step):
+def test_samples_of_a_spline_give_its_snap_back_however_dense_they_are(step: float) -> None:
     t = np.linspace(0.0, 40.0, round(40.0 / step) + 1)
     path = sampled(t, PATH.jet(t, 0)[:, 0])
     assert relative_errors(path, PATH, 4)[4] < 1e-5
@@ -351,7 +361,7 @@ def test_samples_of_a_spline_give_its_snap_back_however_dense_they_are(step):
     assert path.smoothness == 4
 
 
-def test_a_path_that_moves_at_its_ends_goes_on_as_it_is():
+def test_a_path_that_moves_at_its_ends_goes_on_as_it_is() -> None:
     t = np.linspace(0.0, 10.0, 101)
     path = sampled(t, np.stack([np.sin(t), t], axis=1))
     outside = path.jet([-0.05, 10.05], 3)
@@ -360,7 +370,7 @@ def test_a_path_that_moves_at_its_ends_goes_on_as_it_is():
     assert path.smoothness == 8
 
 
-def test_a_motion_after_a_rest_and_before_a_start_at_speed_rests_at_one_end_only():
+def test_a_motion_after_a_rest_and_before_a_start_at_speed_rests_at_one_end_only() -> None:
     t = np.linspace(0.0, 1.2, 121)
     path = sampled(t, DEGREE13.jet(t / 2, 1.0 - t / 2, 1.0, 0) + np.zeros(1))
     assert path.rests_before
@@ -369,7 +379,9 @@ def test_a_motion_after_a_rest_and_before_a_start_at_speed_rests_at_one_end_only
 
 @pytest.mark.parametrize("step", [0.5, 0.1, 0.02])
 @pytest.mark.parametrize("profile", [polynomial(1), DEGREE3, DEGREE5], ids=lambda p: p.name)
-def test_a_jump_in_one_of_the_first_three_derivatives_is_refused_however_dense_the_samples(profile, step):
+def test_a_jump_in_one_of_the_first_three_derivatives_is_refused_however_dense_the_samples(
+    profile: PolynomialProfile, step: float
+) -> None:
     t = np.linspace(0.0, 24.0, round(24.0 / step) + 1)
     positions = rest_to_rest(START, END, 16.0, profile, start_time=4.0).jet(t, 0)[:, 0]
     with pytest.raises(InvalidReference, match="too rough near t = ") as refusal:
@@ -378,7 +390,7 @@ def test_a_jump_in_one_of_the_first_three_derivatives_is_refused_however_dense_t
     assert min(abs(named - 4.0), abs(named - 20.0)) <= 2.0 * step
 
 
-def test_a_jump_of_one_millimetre_is_refused_and_found():
+def test_a_jump_of_one_millimetre_is_refused_and_found() -> None:
     t = np.linspace(0.0, 40.0, 401)
     positions = PATH.jet(t, 0)[:, 0]
     positions[t > 17.0] += 1e-3
@@ -386,7 +398,7 @@ def test_a_jump_of_one_millimetre_is_refused_and_found():
         sampled(t, positions)
 
 
-def test_rounded_samples_are_refused_unless_a_tolerance_is_given():
+def test_rounded_samples_are_refused_unless_a_tolerance_is_given() -> None:
     t = np.linspace(0.0, 40.0, 401)
     rounded = PATH.jet(t, 0)[:, 0].round(6)
     with pytest.raises(InvalidReference, match="need a tolerance"):
@@ -408,12 +420,14 @@ def test_rounded_samples_are_refused_unless_a_tolerance_is_given():
         (np.arange(20.0), np.zeros((20, 3)), -1.0, "length in m, not -1.0"),
     ],
 )
-def test_samples_that_are_no_table_are_refused(t, positions, tolerance, sentence):
+def test_samples_that_are_no_table_are_refused(
+    t: Array, positions: Array, tolerance: float | None, sentence: str
+) -> None:
     with pytest.raises(InvalidReference, match=sentence):
         sampled(t, positions, tolerance)
 
 
-def test_the_references_can_be_imported_and_evaluated_without_scipy():
+def test_the_references_can_be_imported_and_evaluated_without_scipy() -> None:
     script = """
 import sys, types
 package = types.ModuleType("servocore")
@@ -440,5 +454,5 @@ rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
     ],
     ids=["one polynomial", "three phases", "no cruise", "waypoints"],
 )
-def test_a_path_tells_where_its_pieces_meet(path, expected):
+def test_a_path_tells_where_its_pieces_meet(path: Reference, expected: list[float]) -> None:
     np.testing.assert_allclose(path.stretches, expected, rtol=1e-15)

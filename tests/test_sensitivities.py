@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = sc.scenes.rotary_crane().with_reference(sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 8.0))
 OVERHEAD = sc.scenes.overhead_crane()
 BAR = sc.scenes.elastic_bar()
 
 
-def central(scene, name, t, part=1e-4):
+def central(scene: sc.Scene, name: str, t: Array, part: float = 1e-4):
     """Return central differences of the closed form's inputs by a parameter, of order four."""
     value = scene.parameter_values()[name]
     h = part * value
 
-    def inputs(change):
+    def inputs(change: float) -> Array:
         exact = scene.with_parameters(**{name: value + change}).exact(t)
         return np.column_stack([exact[each.name] for each in scene.model().inputs])
 
@@ -25,7 +26,7 @@ def central(scene, name, t, part=1e-4):
 
 
 @pytest.mark.parametrize("scene", [CRANE, OVERHEAD, BAR], ids=lambda scene: scene.name)
-def test_derivatives_of_inputs_equal_central_differences(scene):
+def test_derivatives_of_inputs_equal_central_differences(scene: sc.Scene) -> None:
     found = sc.sensitivities(scene)
     assert found.parameters == tuple(scene.parameter_values())
     for name in found.parameters:
@@ -34,14 +35,14 @@ def test_derivatives_of_inputs_equal_central_differences(scene):
         assert np.abs(own - expected).max() <= 1e-7 * max(np.abs(expected).max(), 1.0)
 
 
-def test_models_of_one_scene_agree():
+def test_models_of_one_scene_agree() -> None:
     small, large = (sc.sensitivities(CRANE, ("load_mass",), model=each, step=0.5) for each in ("points", "generalized"))
     for name in ("M_b", "F", "M_w", "x drift", "y drift", "z drift"):
         np.testing.assert_allclose(small[name, "load_mass"], large[name, "load_mass"], rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", ["load_mass", "trolley_mass", "winch_radius"])
-def test_the_drift_is_that_of_simulations_with_other_parameters(name):
+def test_the_drift_is_that_of_simulations_with_other_parameters(name: str) -> None:
     scene = OVERHEAD.with_reference(sc.rest_to_rest((0, -4), (2, -3.5), 4.0))
     found = sc.sensitivities(scene, (name,), step=0.1)
     inputs, h = sc.ExactInversion(scene), 1e-5 * scene.parameter_values()[name]
@@ -55,7 +56,7 @@ def test_the_drift_is_that_of_simulations_with_other_parameters(name):
     assert np.abs(own - expected).max() <= 1e-5 * np.abs(expected).max()
 
 
-def test_what_has_no_derivatives_is_refused():
+def test_what_has_no_derivatives_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="no parameter mass; there are"):
         sc.sensitivities(CRANE, ("mass",))
     with pytest.raises(sc.InvalidModel, match="internal dynamics"):

@@ -9,6 +9,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from servocore.planning import worker_pools
 from servocore.planning.grid import Grid, drawn
 from servocore.planning.sweep_store import Zarr
 from servocore.planning.sweep_tables import Parquet
+from servocore.references.rest_to_rest import RestToRest
 
 pytest.importorskip("xarray")
 pytest.importorskip("zarr")
@@ -33,7 +35,7 @@ MASSES, DURATIONS = np.linspace(50.0, 150.0, 7), np.array([10.0, 14.0, 20.0])
 VARIED = {"load_mass": MASSES, "duration": DURATIONS}
 
 
-def assert_case_is_its_solution(found, scene, path, **parameters):
+def assert_case_is_its_solution(found, scene: sc.Scene, path: sc.Reference, **parameters: float) -> sc.Solution:
     solution = sc.solve(scene.with_reference(path).with_parameters(**parameters), step=path.duration / 200)
     for name in (each.name for each in scene.model().inputs):
         assert float(found[f"peak_{name}"]) == pytest.approx(np.abs(solution[name]).max(), rel=1e-12)
@@ -42,11 +44,11 @@ def assert_case_is_its_solution(found, scene, path, **parameters):
     return solution
 
 
-def default_path(duration):
+def default_path(duration: float) -> RestToRest:
     return sc.rest_to_rest(CRANE.reference.start, CRANE.reference.end, duration)
 
 
-def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution():
+def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution() -> None:
     found = sc.sweep(CRANE, VARIED, limits=LIMITS)
     assert dict(found.sizes) == {"load_mass": 7, "duration": 3}
     for i, k in ((0, 0), (3, 1), (6, 2)):
@@ -58,7 +60,7 @@ def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution():
     assert (found.failure == "").all()
 
 
-def test_margins_are_those_of_a_solution_at_kinks_and_across_full_turns_too():
+def test_margins_are_those_of_a_solution_at_kinks_and_across_full_turns_too() -> None:
     around = sc.rest_to_rest((-4.0, 2.0, -5.0), (-3.0, -3.0, -4.0), 20.0)  # the bridge passes 180 degrees
     limits = {"swing.rate": 1.0, "phi": (-np.pi, 1.5 * np.pi), "s": 6.0}
     found = sc.sweep(CRANE, {"load_mass": [80.0, 120.0]}, [around], limits=limits).isel(path=0)
@@ -69,14 +71,14 @@ def test_margins_are_those_of_a_solution_at_kinks_and_across_full_turns_too():
 
 
 @pytest.mark.parametrize("model", CRANE.models)
-def test_every_model_gives_the_same_numbers(model):
+def test_every_model_gives_the_same_numbers(model: str) -> None:
     few = {"load_mass": MASSES[:2], "duration": DURATIONS[:2]}
     found, smallest = sc.sweep(CRANE, few, model=model), sc.sweep(CRANE, few)
     for name in ("peak_M_b", "peak_F", "peak_M_w"):
         np.testing.assert_allclose(found[name], smallest[name], rtol=1e-9)
 
 
-def test_units_coordinates_and_settings_are_told():
+def test_units_coordinates_and_settings_are_told() -> None:
     found = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=21)
     assert found.peak_M_b.attrs["units"] == "N.m"
     assert found.load_mass.attrs["units"] == "kg"
@@ -89,7 +91,7 @@ def test_units_coordinates_and_settings_are_told():
 
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.tuples(st.floats(30.0, 300.0), st.floats(9.0, 40.0)), min_size=1, max_size=5))
-def test_rows_of_a_table_are_cases(rows):
+def test_rows_of_a_table_are_cases(rows) -> None:
     table = [{"load_mass": mass, "duration": duration} for mass, duration in rows]
     found = sc.sweep(CRANE, table)
     assert found.sizes["case"] == len(rows)
@@ -97,7 +99,7 @@ def test_rows_of_a_table_are_cases(rows):
     assert_case_is_its_solution(found.isel(case=-1), CRANE, default_path(duration), load_mass=mass)
 
 
-def test_paths_vary_too_whatever_they_are():
+def test_paths_vary_too_whatever_they_are() -> None:
     t = np.linspace(0.0, 15.0, 80)
     paths = [CRANE.reference, sc.sampled(t, sc.rest_to_rest((4.0, 0.0, -5.0), (1.0, 3.0, -4.0), 15.0).jet(t, 0)[:, 0])]
     found = sc.sweep(CRANE, {"load_mass": [80.0, 120.0], "duration": [18.0]}, paths)
@@ -107,7 +109,7 @@ def test_paths_vary_too_whatever_they_are():
 
 
 @pytest.mark.parametrize("scene", [sc.scenes.mass_on_car(), elbow_arm().scene, vtol().scene], ids=lambda e: e.name)
-def test_scenes_that_need_it_are_solved_case_by_case(scene):
+def test_scenes_that_need_it_are_solved_case_by_case(scene: sc.Scene) -> None:
     duration = scene.reference.duration
     found = sc.sweep(scene, {"duration": [1.25 * duration, 1.5 * duration]}, instants=201)
     solution = sc.solve(scene, step=duration / 200)
@@ -117,7 +119,7 @@ def test_scenes_that_need_it_are_solved_case_by_case(scene):
     assert all(0.0 < float(found[f"peak_{name}"][0]) < 2.0 * np.abs(solution[name]).max() for name in names)
 
 
-def test_a_case_that_fails_is_a_row_with_its_sentence():
+def test_a_case_that_fails_is_a_row_with_its_sentence() -> None:
     found = sc.sweep(CRANE, {"duration": [1.0, 20.0]})
     with pytest.raises(sc.ServocoreError) as refused:
         sc.solve(CRANE.with_reference(default_path(1.0)), step=1.0 / 200)
@@ -129,13 +131,13 @@ def test_a_case_that_fails_is_a_row_with_its_sentence():
 
 @pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
 @pytest.mark.parametrize("chunk", [1, 5, 21])
-def test_a_store_holds_what_memory_does(tmp_path, chunk, name):
+def test_a_store_holds_what_memory_does(tmp_path: Path, chunk: int, name: str) -> None:
     kept = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31)
     stored = sc.sweep(CRANE, VARIED, limits=LIMITS, inputs=True, instants=31, store=tmp_path / name, chunk=chunk)
     assert stored.drop_attrs().load().identical(kept.drop_attrs())
 
 
-def test_a_folder_of_tables_has_a_row_a_case_with_units_and_settings(tmp_path):
+def test_a_folder_of_tables_has_a_row_a_case_with_units_and_settings(tmp_path: Path) -> None:
     pandas, parquet = pytest.importorskip("pandas"), pytest.importorskip("pyarrow.parquet")
     varied = {"load_mass": MASSES, "duration": [1.0, *DURATIONS]}
     found = sc.sweep(CRANE, varied, limits=LIMITS, store=tmp_path / "s.parquet", chunk=5)
@@ -154,10 +156,10 @@ class Interrupted(Exception):
 
 
 @pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
-def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path, name):
+def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path, name: str) -> None:
     store, seen = tmp_path / name, []
 
-    def stop(done, _):
+    def stop(done, _) -> None:
         if done >= 9:
             raise Interrupted
 
@@ -182,7 +184,7 @@ sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tel
 """
 
 
-def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path):
+def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path: Path) -> None:
     driver = subprocess.Popen([sys.executable, "-c", DRIVER], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     for _ in range(2):
         assert driver.stdout.readline() == "block\n"
@@ -197,17 +199,19 @@ def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path):
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
-def test_processes_compute_the_same_digits():
+def test_processes_compute_the_same_digits() -> None:
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
         found = sc.sweep(CRANE, VARIED, limits=LIMITS, executor=pool, chunk=6)
     assert found.identical(sc.sweep(CRANE, VARIED, limits=LIMITS))
 
 
-def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(tmp_path):
+def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_completed_by_another(
+    tmp_path: Path,
+) -> None:
     store = tmp_path / "s.zarr"
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
 
-        def kill(*_):
+        def kill(*_) -> None:
             for each in list(pool._processes.values()):
                 each.kill()
 
@@ -232,10 +236,10 @@ def client(cluster):
         yield found
 
 
-def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path, cluster, client):
+def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster, client) -> None:
     killed = []
 
-    def kill(done, _):
+    def kill(done, _) -> None:
         if done >= 6 and not killed:
             killed.append(next(iter(cluster.workers.values())))
             killed[0].process.process.kill()
@@ -247,7 +251,9 @@ def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path, cluster, client
 
 
 @pytest.mark.usefixtures("client")
-def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_without_it(tmp_path, cluster):
+def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_without_it(
+    tmp_path: Path, cluster
+) -> None:
     distributed, store = pytest.importorskip("distributed"), tmp_path / "s.zarr"
     told = pytest.raises(sc.InvalidSetting, match=r"scheduler answers no more; .* of 21 cases are done: resume=True")
     # As a default client Dask would ask for it ever after, closed as it is.
@@ -258,12 +264,12 @@ def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_wi
 
 
 def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_without_it(
-    tmp_path, monkeypatch, cluster, client
-):
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster, client
+) -> None:
     store, done = tmp_path / "s.zarr", []
     monkeypatch.setattr(worker_pools, "PATIENCE", 1.0)
 
-    def dismiss(count, _):
+    def dismiss(count, _) -> None:
         done.append(count)
         cluster.scale(0)
         while client.ncores():
@@ -278,10 +284,10 @@ def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_withou
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
-def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch, cluster, client):
+def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, cluster, client) -> None:
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
 
-    def kill(*_):
+    def kill(*_) -> None:
         for each in cluster.workers.values():
             each.process.process.kill()
 
@@ -310,7 +316,7 @@ def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch, cluster, 
         ({"scene": sc.scenes.mass_on_car(), "parameters": {"mass": [1.0]}, "limits": {"u.rate": 1.0}}, "one by one"),
     ],
 )
-def test_what_is_wrong_is_named_before_anything_is_computed(change, said, tmp_path):
+def test_what_is_wrong_is_named_before_anything_is_computed(change, said: str, tmp_path: Path) -> None:
     store = tmp_path / "s.zarr"
     with pytest.raises(sc.ServocoreError, match=said):
         sc.sweep(**{"scene": CRANE, "parameters": VARIED, "store": store, **change})
@@ -318,7 +324,7 @@ def test_what_is_wrong_is_named_before_anything_is_computed(change, said, tmp_pa
 
 
 @pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
-def test_a_store_of_another_sweep_is_not_resumed(tmp_path, name):
+def test_a_store_of_another_sweep_is_not_resumed(tmp_path: Path, name: str) -> None:
     store = tmp_path / name
     sc.sweep(CRANE, VARIED, store=store)
     with pytest.raises(sc.InvalidSetting, match="is there already"):
@@ -330,7 +336,7 @@ def test_a_store_of_another_sweep_is_not_resumed(tmp_path, name):
         sc.sweep(CRANE, VARIED, store=(tmp_path / "folder").rename(tmp_path / f"other_{name}"), resume=True)
 
 
-def test_a_store_of_other_equations_under_the_same_name_is_not_resumed(tmp_path):
+def test_a_store_of_other_equations_under_the_same_name_is_not_resumed(tmp_path: Path) -> None:
     masses, store = {"load_mass": MASSES}, tmp_path / "s.zarr"
     sc.sweep(CRANE, masses, store=store)
     system = CRANE.model()
@@ -340,10 +346,12 @@ def test_a_store_of_other_equations_under_the_same_name_is_not_resumed(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["s.zarr", "s.parquet"])
-def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(tmp_path, monkeypatch, name):
+def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     store, puts = tmp_path / name, []
 
-    def full(self, number, block, found):
+    def full(self, number, block, found) -> None:
         puts.append(number)
         if len(puts) > 3:
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -365,7 +373,7 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(tmp_pa
     st.lists(st.integers(1, 9), min_size=1, max_size=4),
     st.integers(1, 60),
 )
-def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths, most):
+def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths, most: int) -> None:
     grid = Grid.of({f"p{k}": np.arange(n, dtype=float) for k, n in enumerate(lengths)}, 0)
     shape, seen = grid.block(most), np.zeros(grid.shape, dtype=int)
     assert np.prod(shape) <= most
@@ -376,7 +384,7 @@ def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths, most):
     assert (seen == 1).all()
 
 
-def test_draws_fill_the_ranges_evenly_and_come_again():
+def test_draws_fill_the_ranges_evenly_and_come_again() -> None:
     rows = drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
     assert rows == drawn({"a": (0.0, 1.0), "b": (-5.0, 5.0)}, 50, 3)
     values = np.sort([each["a"] for each in rows])
@@ -386,7 +394,7 @@ def test_draws_fill_the_ranges_evenly_and_come_again():
 # The command ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path, monkeypatch):
+def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     xarray = pytest.importorskip("xarray")
     monkeypatch.chdir(tmp_path)
     line = CommandLine(app, "servocore")
@@ -409,11 +417,11 @@ def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path, monkeypatc
     assert "sweep.parquet" in (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
 
 
-def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path, monkeypatch):
+def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     line, puts, put = CommandLine(app, "servocore"), [], Zarr.put
 
-    def stop(self, number, block, found):
+    def stop(self, number, block, found) -> None:
         puts.append(number)
         if len(puts) == 3:
             raise KeyboardInterrupt
@@ -442,14 +450,16 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path, monkeypatch):
         ("rotary_crane --vary load_mass=50:150 --sample 0 -o study", "--sample must be at least 1"),
     ],
 )
-def test_the_command_refuses_in_one_sentence(words, said, tmp_path, monkeypatch):
+def test_the_command_refuses_in_one_sentence(
+    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     line = CommandLine(app, "servocore")
     line.assert_refused(line("sweep", *words.split()), said)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_missing_package_is_told_before_the_work(tmp_path, monkeypatch):
+def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     line = CommandLine(app, "servocore")
     for package, extra in (("matplotlib.axes", "report"), ("xarray", "sweep"), ("zarr", "sweep")):
