@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
 from functools import cache
 
@@ -10,10 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.strategies._internal.core import DataObject
 from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendulum
 
 import servocore as sc
 from servocore.analysis import ADVICE
+from servocore.numerics.compiled_calls import Array
+from servocore.references.rest_to_rest import RestToRest
 from servocore.structure.signature import condition_number
 
 CRANES = ("rotary_crane", "overhead_crane", "gantry_crane")
@@ -43,7 +47,7 @@ def internal_roots(this: sc.Scene) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("name", "model"), CRANE_MODELS)
-def test_a_crane_has_index_five_and_no_internal_dynamics_in_all_its_coordinates(name, model):
+def test_a_crane_has_index_five_and_no_internal_dynamics_in_all_its_coordinates(name: str, model: str) -> None:
     report = sc.analyse(scene(name), model=model)
     freedom = 3 if name == "overhead_crane" else 5
     assert (report.degrees_of_freedom, report.inputs, report.outputs) == (
@@ -56,7 +60,7 @@ def test_a_crane_has_index_five_and_no_internal_dynamics_in_all_its_coordinates(
     assert 1.0 <= report.condition < 1e4
 
 
-def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates():
+def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates() -> None:
     crane = scene("rotary_crane")
     sizes = {model: len(crane.model(model).coordinates) for model in crane.models}
     assert sizes == {"points": 9, "generalized": 5, "bodies": 42}
@@ -68,14 +72,14 @@ def test_the_rotary_crane_is_analysed_in_42_9_and_5_coordinates():
 
 
 @pytest.mark.parametrize("make", [actuated_chain, driven_pendulum, redundant_pendulum], ids=lambda each: each.__name__)
-def test_as_many_inputs_as_degrees_of_freedom_make_index_three(make):
+def test_as_many_inputs_as_degrees_of_freedom_make_index_three(make: Callable[[], sc.MechanicalSystem]) -> None:
     report = sc.analyse(make())
     assert report.degrees_of_freedom == report.inputs
     assert (report.index, report.internal_degrees_of_freedom, report.classification) == (3, 0, "flat")
 
 
 @pytest.mark.parametrize("count", range(2, 9))
-def test_n_cars_have_index_2n_plus_1_and_are_flat(count):
+def test_n_cars_have_index_2n_plus_1_and_are_flat(count: int) -> None:
     report = sc.analyse(sc.scenes.cars(count))
     assert (report.index, report.internal_degrees_of_freedom) == (2 * count + 1, 0)
     assert dict(report.equation_offsets)["servo constraint on y"] == 2 * count
@@ -104,7 +108,9 @@ def test_generalized_coordinates_need_a_remedy_and_redundant_ones_do_not():
         (LEVEL | PUSHED, 4, 1, "non-minimum phase"),
     ],
 )
-def test_the_data_of_the_mass_on_a_car_decide_about_index_and_internal_dynamics(model, changed, index, states, kind):
+def test_the_data_of_the_mass_on_a_car_decide_about_index_and_internal_dynamics(
+    model: str, changed: dict[str, float], index: int, states: int, kind: str
+) -> None:
     this = mass_on_car(**changed)
     report = sc.analyse(this, model=model)
     assert (report.index, report.internal_degrees_of_freedom, report.classification) == (index, states, kind)
@@ -121,7 +127,9 @@ def test_the_data_of_the_mass_on_a_car_decide_about_index_and_internal_dynamics(
     inclination=st.floats(0.2, 1.5),
     mass=st.floats(0.1, 10.0),
 )
-def test_eigenvalues_are_those_of_the_mass_on_its_spring_for_any_data(stiffness, damping, inclination, mass):
+def test_eigenvalues_are_those_of_the_mass_on_its_spring_for_any_data(
+    stiffness, damping: float, inclination: float, mass: float
+) -> None:
     this = mass_on_car(stiffness=stiffness, damping=damping, inclination=inclination, mass=mass)
     report = sc.analyse(this)
     expected = internal_roots(this)
@@ -133,7 +141,7 @@ def test_eigenvalues_are_those_of_the_mass_on_its_spring_for_any_data(stiffness,
     )
 
 
-def test_an_unstable_problem_is_not_stepped_forward_unless_one_insists_and_then_with_the_rate():
+def test_an_unstable_problem_is_not_stepped_forward_unless_one_insists_and_then_with_the_rate() -> None:
     this = mass_on_car(**PUSHED)
     rate = max(internal_roots(this).real)
     solution = sc.solve(this)
@@ -164,7 +172,9 @@ def with_constraint(system: sc.MechanicalSystem, extra: ca.SX, at: int) -> sc.Me
         ((1, -2, 0, 0.5), 4, "g_5"),
     ],
 )
-def test_a_redundant_constraint_is_named_and_left_out(factors, at, named):
+def test_a_redundant_constraint_is_named_and_left_out(
+    factors: tuple[int, int, int, float], at: int, named: str
+) -> None:
     points = scene("rotary_crane").model("points")
     doubled = with_constraint(points, ca.dot(ca.DM(factors), points.constraints), at)
     report, alone = sc.analyse(doubled), sc.analyse(points)
@@ -176,7 +186,7 @@ def test_a_redundant_constraint_is_named_and_left_out(factors, at, named):
         assert report.condition == pytest.approx(alone.condition)
 
 
-def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them():
+def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them() -> None:
     chain = actuated_chain()
     report = sc.analyse(replace(chain, output=ca.vertcat(chain.q[0], 2 * chain.q[0])))
     assert report.classification == "singular here"
@@ -185,7 +195,7 @@ def test_two_outputs_that_are_one_are_singular_and_the_reason_names_them():
     assert report.reason.startswith("actuated chain: ")
 
 
-def test_an_input_that_moves_nothing_is_singular():
+def test_an_input_that_moves_nothing_is_singular() -> None:
     chain = actuated_chain()
     report = sc.analyse(replace(chain, input_matrix=ca.sparsify(ca.SX([[-1, 0], [0, 0]]))))
     assert report.classification == "singular here"
@@ -206,7 +216,9 @@ ABOVE_GIRDER = sc.rest_to_rest((3.0, 0.0, -5.0), (3.0, 0.0, 1.0), 20.0)
         (ABOVE_GIRDER, r"at t = 1\d\.\d+ s the load"),
     ],
 )
-def test_solve_refuses_a_singular_path_before_it_steps_with_the_sentence_of_the_analysis(model, path, said):
+def test_solve_refuses_a_singular_path_before_it_steps_with_the_sentence_of_the_analysis(
+    model: str, path: RestToRest, said: str
+) -> None:
     this = scene("rotary_crane").with_reference(path)
     report = sc.analyse(this, model=model)
     assert report.classification == "singular here"
@@ -219,7 +231,7 @@ def test_solve_refuses_a_singular_path_before_it_steps_with_the_sentence_of_the_
 
 
 @pytest.mark.parametrize("model", ["points", "generalized", "bodies"])
-def test_without_limits_the_system_jacobian_shows_the_singular_point(model):
+def test_without_limits_the_system_jacobian_shows_the_singular_point(model: str) -> None:
     unlimited = replace(scene("rotary_crane").with_reference(THROUGH_AXIS), limits=())
     report = sc.analyse(unlimited, model=model)
     assert report.classification == "singular here"
@@ -228,14 +240,14 @@ def test_without_limits_the_system_jacobian_shows_the_singular_point(model):
         sc.solve(unlimited, model=model)
 
 
-def test_parameters_can_make_the_same_path_singular():
+def test_parameters_can_make_the_same_path_singular() -> None:
     report = sc.analyse(scene("overhead_crane").with_parameters(gravity=0.1))
     assert report.classification == "singular here"
     assert "the rope goes slack" in report.reason
     assert report.advice == "another path, other parameters or another model"
 
 
-def test_the_condition_tells_units_from_singularity():
+def test_the_condition_tells_units_from_singularity() -> None:
     assert condition_number(np.diag([1e8, 1.0, 1e-8])) < 100.0
     assert condition_number(np.array([[1e6, 1e6], [1e-6, 1e-6]])) > 1e12
     assert condition_number(np.diag([1.0, 0.0])) == np.inf
@@ -245,7 +257,7 @@ def test_the_condition_tells_units_from_singularity():
 # The report ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_report_is_frozen_and_prints_a_page():
+def test_a_report_is_frozen_and_prints_a_page() -> None:
     report = sc.analyse(mass_on_car())
     with pytest.raises(FrozenInstanceError):
         report.index = 7
@@ -259,14 +271,14 @@ def test_a_report_is_frozen_and_prints_a_page():
     assert not any(line.strip() in ("reason", "remedy") for line in lines)
 
 
-def test_long_lists_of_a_printed_report_are_cut_and_the_report_keeps_them():
+def test_long_lists_of_a_printed_report_are_cut_and_the_report_keeps_them() -> None:
     report = sc.analyse(scene("rotary_crane"), model="bodies")
     assert " more" in str(report)
     assert max(map(len, str(report).splitlines())) < 400
     assert len(report.variable_offsets) == 42 + 37 + 3
 
 
-def test_analysing_twice_says_the_same():
+def test_analysing_twice_says_the_same() -> None:
     assert str(sc.analyse(scene("gantry_crane"))) == str(sc.analyse(scene("gantry_crane")))
 
 
@@ -274,7 +286,7 @@ def test_analysing_twice_says_the_same():
 
 
 @pytest.mark.parametrize("name", [*FLAT_SCENES, "mass_on_car"])
-def test_solve_without_arguments_takes_the_reduced_form_and_says_why(name):
+def test_solve_without_arguments_takes_the_reduced_form_and_says_why(name: str) -> None:
     solution = sc.solve(scene(name))
     kind = sc.analyse(scene(name)).classification
     assert solution.advice == f"{kind}: {ADVICE[kind]}"
@@ -288,7 +300,7 @@ def peaks(exact: dict[str, np.ndarray], names: tuple[str, ...]) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
 @pytest.mark.parametrize("steps", [1, 7, 200])
-def test_the_inputs_are_exact_on_every_grid(name, model, steps):
+def test_the_inputs_are_exact_on_every_grid(name: str, model: str, steps: int) -> None:
     this = scene(name)
     inputs = tuple(each.name for each in this.model().inputs)
     solution = sc.solve(this, step=this.reference.duration / steps, model=model)
@@ -297,7 +309,7 @@ def test_the_inputs_are_exact_on_every_grid(name, model, steps):
     assert (found < 1e-10 * peaks(fine, inputs)).all()
 
 
-def inverted(stepper: sc.Stepper, this: sc.Scene, state: np.ndarray, t: np.ndarray, names: tuple[str, ...]):
+def inverted(stepper: sc.Stepper, this: sc.Scene, state: np.ndarray, t: np.ndarray, names: tuple[str, ...]) -> Array:
     """Advance to the instants in the order given, each from the state before; rows of inputs."""
     rows = []
     for jet in this.reference.jet(t, stepper.start_order):
@@ -309,7 +321,7 @@ def inverted(stepper: sc.Stepper, this: sc.Scene, state: np.ndarray, t: np.ndarr
 
 
 @pytest.mark.parametrize(("name", "model"), [*CRANE_MODELS, ("cars", "points")])
-def test_instants_may_come_in_any_order_for_nothing_is_remembered(name, model):
+def test_instants_may_come_in_any_order_for_nothing_is_remembered(name: str, model: str) -> None:
     this = scene(name)
     inputs = tuple(each.name for each in this.model().inputs)
     stepper = sc.Stepper(this, sc.Reduced(), sc.BackwardEuler(), 0.1, model)
@@ -329,7 +341,7 @@ def test_instants_may_come_in_any_order_for_nothing_is_remembered(name, model):
 @pytest.mark.parametrize("name", CRANES)
 @settings(max_examples=6, deadline=None)
 @given(data=st.data())
-def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name, data):
+def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name: str, data: DataObject) -> None:
     this = scene(name)
     outputs = [each.name for each in this.model().outputs]
     ends = [
@@ -350,14 +362,14 @@ def test_the_inputs_are_exact_for_other_paths_and_data_in_all_models(name, data)
         assert (found < 1e-10 * peaks(fine, inputs)).all(), model
 
 
-def test_a_scene_of_one_s_own_is_analysed_like_any_other():
+def test_a_scene_of_one_s_own_is_analysed_like_any_other() -> None:
     this = as_scene(actuated_chain(), sc.rest_to_rest((0.0, 0.0), (1.0, 2.0), 2.0))
     report = sc.analyse(this)
     assert (report.index, report.classification) == (3, "flat")
     assert sc.solve(this).advice.startswith("flat: ")
 
 
-def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero():
+def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero() -> None:
     """Entries of 0.1 beside one of 1e9: an absolute threshold once dropped them, and M_b was wrong without a word."""
     heavy = sc.scenes.rotary_crane().with_parameters(bridge_inertia=1e9, load_mass=1e6)
     for model in heavy.models:
@@ -368,7 +380,7 @@ def test_a_small_coefficient_beside_a_large_one_is_not_taken_for_zero():
             np.testing.assert_allclose(solution[name], exact[name], rtol=0.0, atol=1e-9 * peak)
 
 
-def test_a_tiny_damper_is_a_damper_and_none_is_none():
+def test_a_tiny_damper_is_a_damper_and_none_is_none() -> None:
     level = sc.scenes.mass_on_car().with_parameters(inclination=0.0, damping=1e-6)
     assert (sc.analyse(level).index, sc.analyse(level).internal_degrees_of_freedom) == (4, 1)
     undamped = level.with_parameters(damping=0.0)

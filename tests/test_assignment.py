@@ -11,7 +11,7 @@ from servocore.numerics.assignment import largest_assignment
 
 @pytest.mark.parametrize("size", [1, 2, 7, 30, 100])
 @pytest.mark.parametrize("absent", [0.0, 0.5, 0.9])
-def test_the_sum_is_that_of_an_independent_algorithm(size, absent):
+def test_the_sum_is_that_of_an_independent_algorithm(size: int, absent: float) -> None:
     generator = np.random.default_rng(size)
     weights = generator.integers(-1, 4, (size, size))
     weights[generator.random((size, size)) < absent] = -4 * (size + 1)
@@ -21,7 +21,7 @@ def test_the_sum_is_that_of_an_independent_algorithm(size, absent):
     assert weights[np.arange(size), found].sum() == weights[rows, columns].sum()
 
 
-def test_all_orders_of_four_are_tried():
+def test_all_orders_of_four_are_tried() -> None:
     generator = np.random.default_rng(4)
     for _ in range(20):
         weights = generator.integers(-9, 9, (4, 4))

@@ -21,7 +21,7 @@ def paths(count: int) -> list[sc.Reference]:
 
 @pytest.mark.parametrize("native", [False, True])
 @pytest.mark.usefixtures("compiler")
-def test_every_case_has_the_bits_of_its_own_inversion(native):
+def test_every_case_has_the_bits_of_its_own_inversion(native: bool) -> None:
     batch = sc.Batch(CRANE, native=native)
     alone = [sc.ExactInversion(CRANE.with_parameters(load_mass=each), native=False)(T) for each in MASSES]
     np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}), alone)
@@ -34,14 +34,14 @@ def test_every_case_has_the_bits_of_its_own_inversion(native):
     np.testing.assert_array_equal(batch(T, {"load_mass": MASSES}, paths(7)), both)
 
 
-def test_quantities_are_those_that_solve_reports():
+def test_quantities_are_those_that_solve_reports() -> None:
     batch = sc.Batch(CRANE, ("l", "M_b"))
     solution = sc.solve(CRANE.with_parameters(load_mass=80.0), step=0.5)
     (found,) = batch(T, {"load_mass": [80.0]})
     np.testing.assert_array_equal(found, np.column_stack([solution["l"], solution["M_b"]]))
 
 
-def test_paths_that_are_tables_will_do_and_one_case_is_a_case():
+def test_paths_that_are_tables_will_do_and_one_case_is_a_case() -> None:
     t = np.linspace(0.0, 20.0, 60)
     sampled = sc.sampled(t, CRANE.reference.jet(t, 0)[:, 0])
     batch = sc.Batch(CRANE)
@@ -49,7 +49,7 @@ def test_paths_that_are_tables_will_do_and_one_case_is_a_case():
     assert batch(T).shape == (1, 41, 3)
 
 
-def test_what_the_quick_function_leaves_open_is_searched():
+def test_what_the_quick_function_leaves_open_is_searched() -> None:
     system = CRANE.model("points")
     astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))
     crane = replace(CRANE, models={"points": lambda: astray})
@@ -57,14 +57,14 @@ def test_what_the_quick_function_leaves_open_is_searched():
     np.testing.assert_allclose(found, sc.Batch(CRANE)(T, {"load_mass": MASSES[:2]}), rtol=1e-9, atol=1e-9)
 
 
-def test_another_branch_gives_no_numbers():
+def test_another_branch_gives_no_numbers() -> None:
     jerked = sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4)
     found = sc.Batch(CRANE)([0.0, 0.3], paths=[jerked])
     assert np.isfinite(found[0, 0]).all()
     assert np.isnan(found[0, 1]).all()
 
 
-def test_what_is_wrong_is_named():
+def test_what_is_wrong_is_named() -> None:
     batch = sc.Batch(CRANE)
     with pytest.raises(sc.InvalidModel, match="has no parameter weight; it has"):
         batch(T, {"weight": MASSES})
@@ -97,7 +97,7 @@ def alone(car: sc.Scene, **how: object) -> np.ndarray:
 
 @pytest.mark.parametrize("native", [False, True])
 @pytest.mark.usefixtures("compiler")
-def test_internal_dynamics_of_every_case_have_the_bits_of_their_own_inversion(native):
+def test_internal_dynamics_of_every_case_have_the_bits_of_their_own_inversion(native: bool) -> None:
     batch = sc.Batch(CAR, native=native)
     stiffened = [CAR.with_parameters(stiffness=each) for each in STIFFNESS]
     np.testing.assert_array_equal(batch(INSTANTS, {"stiffness": STIFFNESS}), [alone(each) for each in stiffened])
@@ -108,7 +108,7 @@ def test_internal_dynamics_of_every_case_have_the_bits_of_their_own_inversion(na
     np.testing.assert_array_equal(batch(INSTANTS)[0], alone(CAR))
 
 
-def test_paths_of_several_kinds_and_durations_go_together():
+def test_paths_of_several_kinds_and_durations_go_together() -> None:
     longer = sc.rest_to_rest((0.0,), (1.0,), 5.0)
     t = np.linspace(0.0, 4.0, 80)
     table = sc.sampled(t, CAR.reference.jet(t, 0)[:, 0])
@@ -119,7 +119,7 @@ def test_paths_of_several_kinds_and_durations_go_together():
         np.testing.assert_allclose(values, known, atol=1e-7 * np.abs(known).max())
 
 
-def test_a_start_and_quantities_by_name_are_those_of_solve():
+def test_a_start_and_quantities_by_name_are_those_of_solve() -> None:
     start = {"s": 0.1, "s_dot": -0.2}
     known = sc.solve(CAR, sc.Reduced(), sc.RadauIIA(7), step=0.0125, start=start)
     (found,) = sc.Batch(CAR, ("x", "s", "u"), tolerance=1e-9, start=start)(known.t)
@@ -127,7 +127,7 @@ def test_a_start_and_quantities_by_name_are_those_of_solve():
         np.testing.assert_allclose(column, known[name], atol=1e-7 * np.abs(known[name]).max())
 
 
-def test_a_case_takes_smaller_steps_where_it_needs_them_and_gives_no_numbers_where_they_do_not_help():
+def test_a_case_takes_smaller_steps_where_it_needs_them_and_gives_no_numbers_where_they_do_not_help() -> None:
     found = sc.Batch(CAR)(INSTANTS, {"stiffness": [*STIFFNESS, 300 * STIFFNESS[1], 1e9]})
     np.testing.assert_array_equal(found[:3], sc.Batch(CAR)(INSTANTS, {"stiffness": STIFFNESS}))
     known = alone(CAR.with_parameters(stiffness=300 * STIFFNESS[1]))
@@ -135,7 +135,7 @@ def test_a_case_takes_smaller_steps_where_it_needs_them_and_gives_no_numbers_whe
     assert np.isnan(found[4]).all()
 
 
-def test_what_is_wrong_with_internal_dynamics_is_named():
+def test_what_is_wrong_with_internal_dynamics_is_named() -> None:
     with pytest.raises(sc.InvalidReference, match=r"case 1 of a batch: its path runs from 0 s to 2 s, and the times"):
         sc.Batch(CAR)(INSTANTS, paths=[CAR.reference, sc.rest_to_rest((0.0,), (1.0,), 2.0)])
     with pytest.raises(sc.InvalidSetting, match="takes no start"):

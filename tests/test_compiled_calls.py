@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from servocore.numerics.compiled_calls import Call
+from servocore.numerics.compiled_calls import Array, Call
 
 
 @pytest.fixture
-def weighted():
+def weighted() -> Call:
     """(x (3,), A (2, 3), c) -> (A x + c, A^T, sum x)."""
     x, A, c = ca.SX.sym("x", 3), ca.SX.sym("A", 2, 3), ca.SX.sym("c")
     return Call(ca.Function("weighted", [x, A, c], [ca.mtimes(A, x) + c, A.T, ca.sum1(x)]))
@@ -19,7 +19,7 @@ def weighted():
 X, A = np.array([1.0, -2.0, 3.0]), np.arange(6.0).reshape(2, 3)
 
 
-def test_it_computes_what_the_function_computes(weighted):
+def test_it_computes_what_the_function_computes(weighted: Call) -> None:
     vector, matrix, scalar = weighted(X, A, 10.0)
     np.testing.assert_array_equal(vector, A @ X + 10.0)
     np.testing.assert_array_equal(matrix, A.T)
@@ -39,13 +39,13 @@ def test_it_computes_what_the_function_computes(weighted):
     ],
     ids=["columns", "rows", "strided", "list", "single precision"],
 )
-def test_how_an_argument_lies_in_memory_makes_no_difference(weighted, layout):
+def test_how_an_argument_lies_in_memory_makes_no_difference(weighted: Call, layout) -> None:
     vector, matrix, _ = weighted(layout(X), layout(A), 1)
     np.testing.assert_array_equal(vector, A @ X + 1.0)
     np.testing.assert_array_equal(matrix, A.T)
 
 
-def test_arguments_are_left_as_they_are_and_may_be_read_only(weighted):
+def test_arguments_are_left_as_they_are_and_may_be_read_only(weighted: Call) -> None:
     x, a = X.copy(), A.copy()
     x.setflags(write=False)
     a.setflags(write=False)
@@ -54,7 +54,7 @@ def test_arguments_are_left_as_they_are_and_may_be_read_only(weighted):
     np.testing.assert_array_equal(a, A)
 
 
-def test_results_of_earlier_calls_are_not_overwritten(weighted):
+def test_results_of_earlier_calls_are_not_overwritten(weighted: Call) -> None:
     first, *_ = weighted(X, A, 0.0)
     kept = first.copy()
     weighted(10 * X, A, 5.0)
@@ -69,24 +69,26 @@ def test_results_of_earlier_calls_are_not_overwritten(weighted):
         ((X, A, [1.0, 2.0]), "argument 2 of weighted has 2 entries, expected 1"),
     ],
 )
-def test_arguments_of_another_size_are_refused(weighted, arguments, message):
+def test_arguments_of_another_size_are_refused(
+    weighted: Call, arguments: tuple[Array, Array, float | list[float]], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         weighted(*arguments)
 
 
 @pytest.mark.parametrize("arguments", [(X, A), (X, A, 0.0, 0.0)])
-def test_missing_or_surplus_arguments_are_refused(weighted, arguments):
+def test_missing_or_surplus_arguments_are_refused(weighted: Call, arguments: tuple[Array | float, ...]) -> None:
     with pytest.raises(ValueError, match="zip"):
         weighted(*arguments)
 
 
-def test_after_a_refused_call_the_next_one_is_right(weighted):
+def test_after_a_refused_call_the_next_one_is_right(weighted: Call) -> None:
     with pytest.raises(ValueError, match="expected 3"):
         weighted(X[:2], A, 0.0)
     np.testing.assert_array_equal(weighted(X, A, 0.0)[0], A @ X)
 
 
-def test_empty_arguments_and_results_are_allowed():
+def test_empty_arguments_and_results_are_allowed() -> None:
     x = ca.SX.sym("x", 2)
     call = Call(ca.Function("partly", [x, ca.SX(0, 1)], [2 * x, ca.SX(0, 1)]))
     doubled, nothing = call([1.0, 2.0], [])
@@ -94,13 +96,13 @@ def test_empty_arguments_and_results_are_allowed():
     assert nothing.size == 0
 
 
-def test_sparse_results_are_refused_when_compiled():
+def test_sparse_results_are_refused_when_compiled() -> None:
     x = ca.SX.sym("x")
     with pytest.raises(ValueError, match="result 1 of sparse is sparse"):
         Call(ca.Function("sparse", [x], [x, ca.vertcat(x, ca.SX(1, 1))]))
 
 
-def test_where_casadi_gives_up_every_result_is_nan_and_the_next_call_is_good():
+def test_where_casadi_gives_up_every_result_is_nan_and_the_next_call_is_good() -> None:
     """A linear system that is singular to the last bit ends the evaluation: results would hold what memory held."""
     given = ca.MX.sym("a")
     matrix = ca.vertcat(ca.horzcat(given, given), ca.horzcat(given, 2 * given))

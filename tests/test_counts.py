@@ -62,27 +62,29 @@ def test_a_method_takes_no_more_iterations_and_factorizations_than_it_did(method
     require_at_most(solution.statistics, NEEDED[method])
 
 
-def test_every_kind_of_method_is_counted():
+def test_every_kind_of_method_is_counted() -> None:
     made = {type(method) for method in NEEDED}
     exported = {getattr(sc, name) for name in sc.__all__ if hasattr(getattr(sc, name), "discretise")}
     assert exported - {sc.Method} == made
 
 
 @pytest.mark.parametrize("model", EXACT)
-def test_exact_inversion_takes_no_more_than_it_did(model):
+def test_exact_inversion_takes_no_more_than_it_did(model: str) -> None:
     solution = sc.solve(CRANE, sc.Reduced(), step=CRANE.reference.duration / STEPS, model=model)
     require_at_most(solution.statistics, EXACT[model])
 
 
 @pytest.mark.parametrize("model", PROJECTED)
-def test_a_projected_step_of_every_model_takes_no_more_than_it_did(model):
+def test_a_projected_step_of_every_model_takes_no_more_than_it_did(model: str) -> None:
     step = CRANE.reference.duration / STEPS
     solution = sc.solve(CRANE, sc.Projected(), sc.BackwardEuler(), step=step, model=model)
     require_at_most(solution.statistics, PROJECTED[model])
 
 
 @pytest.mark.parametrize("method", [sc.BDF(4), sc.RadauIIA(5)], ids=lambda method: method.name)
-def test_smaller_steps_need_fewer_iterations_each_because_the_guess_is_extrapolated(method):
+def test_smaller_steps_need_fewer_iterations_each_because_the_guess_is_extrapolated(
+    method: sc.Method,
+) -> None:
     per_step = []
     for steps in (200, 400, 800):
         found = sc.solve(CRANE, sc.Projected(), method, step=CRANE.reference.duration / steps).statistics
@@ -92,7 +94,7 @@ def test_smaller_steps_need_fewer_iterations_each_because_the_guess_is_extrapola
 
 
 @pytest.mark.parametrize("rtol", CONTROLLED)
-def test_error_control_takes_no_more_steps_than_it_did(rtol):
+def test_error_control_takes_no_more_steps_than_it_did(rtol: float) -> None:
     found = sc.solve(CRANE, sc.Projected(), sc.RadauIIA(5), step=sc.Adaptive(rtol=rtol)).statistics
     steps, iterations = CONTROLLED[rtol]
     assert found.steps <= steps

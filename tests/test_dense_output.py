@@ -12,7 +12,7 @@ CRANE = sc.scenes.rotary_crane().with_reference(
 )
 
 
-def midpoint_error(method, steps, name):
+def midpoint_error(method, steps: int, name: str):
     """Largest error in the middle of all steps of the default crane, relative to the peak."""
     stepper = sc.Stepper(CRANE, sc.Projected(), method, step=20.0 / steps)
     reference = CRANE.reference
@@ -45,13 +45,15 @@ def midpoint_error(method, steps, name):
     ],
     ids=lambda each: getattr(each, "name", each),
 )
-def test_dense_output_has_the_order_of_its_polynomial(method, name, order):
+def test_dense_output_has_the_order_of_its_polynomial(method, name: str, order: int) -> None:
     coarse, fine = midpoint_error(method, 200, name), midpoint_error(method, 400, name)
     assert np.log2(coarse / fine) > order - 0.25
 
 
 @pytest.mark.parametrize("method", [sc.BackwardEuler(), sc.BDF(2), sc.RadauIIA(2), sc.GeneralizedAlpha()])
-def test_at_the_end_of_the_step_dense_output_is_the_state_itself(method):
+def test_at_the_end_of_the_step_dense_output_is_the_state_itself(
+    method: sc.Method,
+) -> None:
     stepper = sc.Stepper(CRANE, sc.Projected(), method, step=0.1)
     jets = CRANE.reference.jet(5.0 + 0.1 * np.array(stepper.start_instants), stepper.start_order)
     state, _ = stepper.start(jets)

@@ -8,34 +8,36 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from hypothesis.strategies._internal.core import DataObject
 from problems import MODELS, actuated_chain, car_chain, car_chain_exact, driven_pendulum, mass_on_car, scene
 from suite import inverted
 
+from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
-def test_it_is_square_once_the_states_are_known(name, model):
+def test_it_is_square_once_the_states_are_known(name: str, model: str) -> None:
     array = derivative_array(scene(name).model(model))
     assert len(array.determined) == len(array.rows) == array.residual.numel()
     assert len(array.unknowns) == len(array.determined) + array.signature.degrees_of_freedom
     assert len(set(array.unknowns)) == len(array.unknowns)
 
 
-def test_the_crane_in_nine_coordinates_has_42_unknowns_and_needs_four_derivatives():
+def test_the_crane_in_nine_coordinates_has_42_unknowns_and_needs_four_derivatives() -> None:
     array = derivative_array(scene("rotary_crane").model("points"))
     assert len(array.unknowns) == 42
     assert array.reference_order == 4
 
 
 @pytest.mark.parametrize("cars", [2, 3, 5])
-def test_cars_need_twice_as_many_derivatives_of_the_path_as_there_are_cars(cars):
+def test_cars_need_twice_as_many_derivatives_of_the_path_as_there_are_cars(cars: int) -> None:
     array = derivative_array(car_chain([1.0] * cars, [50.0] * (cars - 1), [0.5] * (cars - 1)))
     assert array.reference_order == 2 * cars
 
 
-def test_every_row_is_the_time_derivative_of_the_row_before():
+def test_every_row_is_the_time_derivative_of_the_row_before() -> None:
     """Along any motion y(t), gamma(t), polynomial in t: the rows are compared with derivatives of a Taylor series."""
     array = derivative_array(scene("overhead_crane").model("points"))
     system = array.system
@@ -68,7 +70,7 @@ def test_every_row_is_the_time_derivative_of_the_row_before():
     np.testing.assert_allclose(found, [expected[row] for row in array.rows], rtol=1e-10, atol=1e-9)
 
 
-def test_position_finds_what_it_is_asked_for():
+def test_position_finds_what_it_is_asked_for() -> None:
     array = derivative_array(car_chain())
     assert array.unknowns[array.position("q.x1", 3)] == (0, 3)
     assert array.unknowns[array.position("u.F", 0)] == (2, 0)
@@ -79,7 +81,7 @@ def test_position_finds_what_it_is_asked_for():
 @pytest.mark.parametrize("cars", [2, 3, 5])
 @settings(max_examples=10)
 @given(data=st.data())
-def test_the_force_on_a_row_of_cars_is_the_exact_one_of_flatness(cars, data):
+def test_the_force_on_a_row_of_cars_is_the_exact_one_of_flatness(cars: int, data: DataObject) -> None:
     """x_(i+1) = x_i - d + (m_1 x_1'' + ... )/k and F = sum m x'': with all derivatives of all cars."""
     settings_ = ([1.0 + k for k in range(cars)], [50.0 + 10 * k for k in range(cars - 1)], [0.5] * (cars - 1))
     jet = data.draw(arrays(float, (2 * cars + 1, 1), elements=st.floats(-5.0, 5.0)))
@@ -96,7 +98,7 @@ def test_the_force_on_a_row_of_cars_is_the_exact_one_of_flatness(cars, data):
 
 @settings(max_examples=10)
 @given(jet=arrays(float, (3, 2), elements=st.floats(-3.0, 3.0)))
-def test_full_actuation_is_plain_inverse_dynamics(jet):
+def test_full_actuation_is_plain_inverse_dynamics(jet: Array) -> None:
     """u = M gamma'' + c gamma' + K gamma."""
     found = inverted(actuated_chain(), jet, np.array([70.0, 3.0]))
     stiffness = 70.0 * np.array([[2.0, -1.0], [-1.0, 1.0]])
@@ -106,13 +108,13 @@ def test_full_actuation_is_plain_inverse_dynamics(jet):
 
 @settings(max_examples=10)
 @given(jet=arrays(float, (3, 1), elements=st.floats(-3.0, 3.0)))
-def test_a_pendulum_gets_its_torque_from_three_numbers(jet):
+def test_a_pendulum_gets_its_torque_from_three_numbers(jet: Array) -> None:
     found = inverted(driven_pendulum(), jet, np.array([2.0, 1.5, 9.81]))
     expected = 4.5 * jet[2, 0] + 29.43 * np.sin(jet[0, 0])
     assert found["u.torque", 0] == pytest.approx(expected, rel=1e-12, abs=1e-11)
 
 
-def test_states_of_internal_dynamics_are_left_free_at_their_guess():
+def test_states_of_internal_dynamics_are_left_free_at_their_guess() -> None:
     """s and s' of the mass on a car belong to no path; the rest follows from them."""
     array = derivative_array(mass_on_car(np.pi / 4, 1.0))
     assert {(array.names[j], order) for j, order in array.states} in (
@@ -121,7 +123,7 @@ def test_states_of_internal_dynamics_are_left_free_at_their_guess():
     )
 
 
-def test_an_instant_without_solution_is_not_passed_off_as_one():
+def test_an_instant_without_solution_is_not_passed_off_as_one() -> None:
     """A slack rope: below free fall the load cannot be held by any tension, the matrix is singular at the limit."""
     system = scene("rotary_crane").model("points")
     array = derivative_array(system)
@@ -131,7 +133,7 @@ def test_an_instant_without_solution_is_not_passed_off_as_one():
     assert not (np.isfinite(np.asarray(found)).all() and float(residual) < 1e-6)
 
 
-def test_few_iterations_are_enough_from_the_configuration_at_rest():
+def test_few_iterations_are_enough_from_the_configuration_at_rest() -> None:
     system = scene("rotary_crane").model("points")
     array = derivative_array(system)
     gamma = np.random.default_rng(3).uniform(-1.0, 1.0, (3, array.reference_order + 1))

@@ -35,7 +35,7 @@ def largest_error(scene: sc.Scene, found: sc.Solution, name: str) -> float:
 # Angles in a step -----------------------------------------------------------------------------------------------------
 
 
-def test_a_step_that_turns_the_bridge_the_wrong_way_round_is_refused_with_angle_limit_and_time():
+def test_a_step_that_turns_the_bridge_the_wrong_way_round_is_refused_with_angle_limit_and_time() -> None:
     """Past the slewing axis at 3 mm Newton's method finds a bridge angle a full turn away, which follows all equations.
 
     The bridge turns by 1.7 rad in this step; found was 1.7 - 2 pi, with a torque eight times the peak.
@@ -45,12 +45,12 @@ def test_a_step_that_turns_the_bridge_the_wrong_way_round_is_refused_with_angle_
         projected(near_axis(3e-3), 1000, "bodies")
 
 
-def test_a_winch_that_turns_by_half_a_turn_a_step_is_refused():
+def test_a_winch_that_turns_by_half_a_turn_a_step_is_refused() -> None:
     with pytest.raises(sc.IntegrationFailed, match=r"beta turns by 3\.\d+ rad in the step from t = "):
         projected(near_slack(0.1), 1000, "bodies")
 
 
-def test_a_wheel_that_enters_linearly_may_turn_as_far_as_it_likes_in_a_step():
+def test_a_wheel_that_enters_linearly_may_turn_as_far_as_it_likes_in_a_step() -> None:
     """A cart on a wheel of 1 cm radius goes 100 m in 20 steps: 500 rad a step, each of them as good as the first."""
     coordinates = sc.Coordinates(sc.Quantity("x", "m"), sc.Quantity("theta", "rad"))
     x, theta = coordinates["x"], coordinates["theta"]
@@ -74,21 +74,21 @@ def test_a_wheel_that_enters_linearly_may_turn_as_far_as_it_likes_in_a_step():
 
 @pytest.mark.parametrize("model", sc.scenes.rotary_crane().models)
 @pytest.mark.parametrize("steps", [40, 5, 3, 2])
-def test_the_exact_bridge_angle_follows_the_path_however_far_its_instants_lie_apart(model, steps):
+def test_the_exact_bridge_angle_follows_the_path_however_far_its_instants_lie_apart(model: str, steps: int) -> None:
     """At five steps the bridge turns by 0.6 turns a step, at three by one, at two by one and a half."""
     crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
     found = sc.solve(crane, sc.Reduced(), step=CIRCLE.duration / steps, model=model)
     np.testing.assert_allclose(found["phi"] - found["phi"][0], np.linspace(0.0, 6 * np.pi, steps + 1), atol=1e-9)
 
 
-def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well():
+def test_under_error_control_the_exact_bridge_angle_follows_the_path_as_well() -> None:
     crane = sc.scenes.rotary_crane().with_reference(CIRCLE)
     found = sc.solve(crane, sc.Reduced(), step=sc.Adaptive(1e-6), output_step=CIRCLE.duration / 5)
     assert found["phi"][-1] - found["phi"][0] == pytest.approx(6 * np.pi, abs=1e-9)
 
 
 @pytest.mark.parametrize("distance", [1.0, 1e-2, 1.1e-3])
-def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(distance):
+def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(distance: float) -> None:
     crane = near_axis(distance)
     for sign, scene in ((1.0, crane), (-1.0, near_axis(-distance))):
         near = (
@@ -101,7 +101,7 @@ def test_past_the_axis_the_exact_bridge_angle_turns_by_what_a_fine_grid_says(dis
         assert np.sign(found["phi"][-1] - found["phi"][0]) == sign
 
 
-def test_a_trolley_that_goes_through_the_axis_is_refused_with_the_time():
+def test_a_trolley_that_goes_through_the_axis_is_refused_with_the_time() -> None:
     """Without its limits the crane passes right through the axis, in the middle of a step."""
     through = replace(near_axis(0.0), limits=())
     with pytest.raises(sc.IntegrationFailed, match=r"is singular at t = 10 s"):
@@ -111,7 +111,7 @@ def test_a_trolley_that_goes_through_the_axis_is_refused_with_the_time():
 # Inputs far from the exact ones ---------------------------------------------------------------------------------------
 
 
-def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_angle_turn_limit_and_time():
+def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_angle_turn_limit_and_time() -> None:
     crane, steps = near_slack(1.0), 1000
     with pytest.warns(sc.ServocoreWarning) as heard:
         found = projected(crane, steps, "bodies")
@@ -135,7 +135,7 @@ def test_direction_cosines_that_cannot_follow_the_winch_are_warned_of_with_angle
     assert largest_error(crane, projected(crane, finer, "bodies"), "M_w") == pytest.approx(0.5, rel=0.2)
 
 
-def test_direction_cosines_add_the_torque_of_two_sines():
+def test_direction_cosines_add_the_torque_of_two_sines() -> None:
     """2 sin a - sin(a + b) in place of a - b: what `bodies` finds beyond the two other models, at every instant."""
     crane = near_slack(3.0)
     found, other = (projected(crane, 1000, model) for model in ("bodies", "points"))
@@ -147,7 +147,7 @@ def test_direction_cosines_add_the_torque_of_two_sines():
 
 
 @pytest.mark.parametrize("distance", [0.1, 0.03, 0.01])
-def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance):
+def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance: float) -> None:
     crane = near_axis(distance)
     with pytest.warns(sc.ServocoreWarning, match=r"M_b is off by .* the exact inversion gives .* phi turns by"):
         found = projected(crane, 1000)
@@ -156,7 +156,7 @@ def test_a_torque_that_the_step_cannot_resolve_is_warned_of(distance):
 
 
 @pytest.mark.parametrize("method", [sc.Gauss(1), sc.Trapezoidal()], ids=lambda method: method.name)
-def test_inputs_that_an_undamped_method_loses_are_warned_of(method):
+def test_inputs_that_an_undamped_method_loses_are_warned_of(method: sc.Method) -> None:
     cars = sc.scenes.cars(2).with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
     with pytest.warns(sc.ServocoreWarning, match=r"u is .* N, the exact inversion gives"):
         sc.solve(cars, sc.Projected(), method, step=0.01)
@@ -171,7 +171,9 @@ def test_inputs_that_an_undamped_method_loses_are_warned_of(method):
      (3, sc.Trapezoidal(), -2)],
     ids=str,
 )  # fmt: skip
-def test_a_method_whose_inputs_do_not_converge_on_a_form_of_this_index_is_warned_of_in_advance(count, method, order):
+def test_a_method_whose_inputs_do_not_converge_on_a_form_of_this_index_is_warned_of_in_advance(
+    count: int, method: sc.Method, order: int
+) -> None:
     """Chains of n cars have index 2 n + 1, their projected form two less: the error goes like the power announced."""
     cars, errors = sc.scenes.cars(count), []
     for steps in (100, 200):
@@ -187,7 +189,7 @@ def test_a_method_whose_inputs_do_not_converge_on_a_form_of_this_index_is_warned
 
 
 @pytest.mark.parametrize(("count", "stages"), [(2, 2), (2, 3), (3, 4), (3, 5)])
-def test_enough_stages_converge_at_the_order_they_say_and_nothing_is_warned_of(count, stages):
+def test_enough_stages_converge_at_the_order_they_say_and_nothing_is_warned_of(count: int, stages: int) -> None:
     cars, method = sc.scenes.cars(count), sc.RadauIIA(stages)
     errors = [
         largest_error(cars, sc.solve(cars, sc.Projected(), method, step=cars.reference.duration / steps), "u")
@@ -197,7 +199,7 @@ def test_enough_stages_converge_at_the_order_they_say_and_nothing_is_warned_of(c
 
 
 @pytest.mark.parametrize(("form", "index", "order"), [(sc.Projected(), 5, 0), (sc.Original(), 7, -2)], ids=str)
-def test_the_elastic_bar_warns_of_methods_with_too_few_stages(form, index, order):
+def test_the_elastic_bar_warns_of_methods_with_too_few_stages(form: sc.Formulation, index: int, order: int) -> None:
     bar = sc.scenes.elastic_bar()
     with pytest.warns(sc.ServocoreWarning) as heard:
         sc.solve(bar, form, sc.RadauIIA(3), step=bar.reference.duration / 100)

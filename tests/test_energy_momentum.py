@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -26,12 +27,14 @@ STEPS = {
 RUNS = [(make, step) for make, steps in STEPS.items() for step in steps]
 
 
-def named(value):
+def named(value) -> str:
     return value.__name__ if callable(value) else str(value)
 
 
 @pytest.mark.parametrize(("make", "step"), RUNS, ids=named)
-def test_energy_momentum_and_constraints_stay_for_ten_thousand_steps(make, step):
+def test_energy_momentum_and_constraints_stay_for_ten_thousand_steps(
+    make: Callable[[], conserved.Motion], step: float
+) -> None:
     motion = make()
     found = motion.run(step, 10_000, every=10)
     energy, momentum = motion.drift(found)
@@ -41,7 +44,7 @@ def test_energy_momentum_and_constraints_stay_for_ten_thousand_steps(make, step)
 
 
 @pytest.mark.parametrize("make", STEPS, ids=named)
-def test_errors_fall_with_the_square_of_the_step(make):
+def test_errors_fall_with_the_square_of_the_step(make: Callable[[], conserved.Motion]) -> None:
     """At 0.2 s, against integration with error control of the equations differentiated twice."""
     motion, count = make(), 25 if make is not conserved.heavy_top else 200
     exact = motion.run(0.2 / count, count, every=count, rtol=1e-12, atol=1e-13)
@@ -54,7 +57,7 @@ def test_errors_fall_with_the_square_of_the_step(make):
     np.testing.assert_allclose(orders, 2.0, atol=0.15)
 
 
-def test_the_energy_changes_by_the_work_of_the_inputs():
+def test_the_energy_changes_by_the_work_of_the_inputs() -> None:
     motion = conserved.crane()
     found = motion.run(0.05, 2000, inputs=lambda t: np.array([20 * np.sin(t), 5 * np.cos(0.7 * t), 3 * np.sin(2 * t)]))
     change = found["energy"] - found["energy"][0]
@@ -63,7 +66,7 @@ def test_the_energy_changes_by_the_work_of_the_inputs():
 
 
 @pytest.mark.parametrize("make", STEPS, ids=named)
-def test_the_condition_of_a_step_does_not_depend_on_its_size(make):
+def test_the_condition_of_a_step_does_not_depend_on_its_size(make: Callable[[], conserved.Motion]) -> None:
     motion = make()
     system = motion.system
     equations, _ = conserving_equations(system)
@@ -79,7 +82,7 @@ def test_the_condition_of_a_step_does_not_depend_on_its_size(make):
     np.testing.assert_allclose(conditions, conditions[0], rtol=0.05)
 
 
-def test_rates_of_constraints_tell_how_far_off_a_coarse_step_is():
+def test_rates_of_constraints_tell_how_far_off_a_coarse_step_is() -> None:
     """Velocities keep them in the mean of a step only: 100 times off for ten times the step."""
     motion = conserved.free_body()
     coarse, fine = (motion.run(h, round(1 / h)).statistics.constraint_rate_violation for h in (0.1, 0.01))
@@ -102,7 +105,7 @@ ROTATIONS = sc.EnergyMomentum(sc.RotationUpdate())
 
 
 @pytest.mark.parametrize("make", ROTATED, ids=named)
-def test_with_rotations_as_unknowns_the_same_is_conserved(make):
+def test_with_rotations_as_unknowns_the_same_is_conserved(make: Callable[[], conserved.Motion]) -> None:
     motion, (step, steps) = make(), ROTATED[make]
     found = motion.run(step, steps, every=10, method=ROTATIONS)
     energy, momentum = motion.drift(found)
@@ -111,7 +114,9 @@ def test_with_rotations_as_unknowns_the_same_is_conserved(make):
 
 
 @pytest.mark.parametrize("make", ROTATED, ids=named)
-def test_rotations_as_unknowns_give_the_motion_and_the_forces_that_multipliers_give(make):
+def test_rotations_as_unknowns_give_the_motion_and_the_forces_that_multipliers_give(
+    make: Callable[[], conserved.Motion],
+) -> None:
     """Over fifty steps: afterwards some of these motions magnify round-off."""
     motion, (step, _) = make(), ROTATED[make]
     with_multipliers, turned = (motion.run(step, 50, method=each) for each in (sc.EnergyMomentum(), ROTATIONS))
@@ -120,7 +125,7 @@ def test_rotations_as_unknowns_give_the_motion_and_the_forces_that_multipliers_g
         np.testing.assert_allclose(turned[name], with_multipliers[name], rtol=1e-9, atol=1e-9)
 
 
-def test_a_step_in_rotations_has_no_multipliers_among_its_unknowns():
+def test_a_step_in_rotations_has_no_multipliers_among_its_unknowns() -> None:
     """It takes none, and returns those of the step with multipliers."""
     motion = conserved.heavy_top()
     system = motion.system
@@ -135,14 +140,14 @@ def test_a_step_in_rotations_has_no_multipliers_among_its_unknowns():
     np.testing.assert_allclose(turned, usual, atol=1e-10)
 
 
-def test_the_null_space_has_no_columns_that_become_dependent():
+def test_the_null_space_has_no_columns_that_become_dependent() -> None:
     """With dependent columns chosen once a four-bar linkage stops at step 1110."""
     motion = conserved.four_bar()
     found = motion.run(0.01, 3000, every=100, method=ROTATIONS)
     assert motion.drift(found)[0] < 1e-10
 
 
-def test_a_body_whose_directors_nothing_keeps_orthonormal_is_refused_by_name():
+def test_a_body_whose_directors_nothing_keeps_orthonormal_is_refused_by_name() -> None:
     motion = conserved.free_body()
     loose = replace(
         motion.system,
@@ -158,7 +163,7 @@ def test_a_body_whose_directors_nothing_keeps_orthonormal_is_refused_by_name():
 
 
 @pytest.mark.usefixtures("compiler")
-def test_machine_code_changes_no_digit():
+def test_machine_code_changes_no_digit() -> None:
     motion = conserved.four_bar()
     interpreted, native = (
         motion.run(0.03, 1000, every=10, method=sc.EnergyMomentum(native=each)) for each in (False, True)
@@ -166,7 +171,7 @@ def test_machine_code_changes_no_digit():
     np.testing.assert_array_equal(native.values, interpreted.values)
 
 
-def test_instants_that_are_reported_change_no_digit():
+def test_instants_that_are_reported_change_no_digit() -> None:
     motion = conserved.four_bar()
     all_steps, some = (motion.run(0.03, 1200, every=each) for each in (1, 7))
     np.testing.assert_array_equal(all_steps.values[::7][:100], some.values[:100])
@@ -175,7 +180,9 @@ def test_instants_that_are_reported_change_no_digit():
 # Refusals -------------------------------------------------------------------------------------------------------------
 
 
-def simulated(found: sc.Scene, model=None, step=0.1, **how):
+def simulated(
+    found: sc.Scene, model: str | None = None, step: float = 0.1, **how: sc.EnergyMomentum | dict[str, float]
+) -> sc.Solution:
     return sc.simulate(found, lambda _: np.zeros(3), t=np.array([0.0, 1.0]), model=model, **{
         "method": sc.EnergyMomentum(), "step": step, **how})  # fmt: skip
 
@@ -188,12 +195,12 @@ def simulated(found: sc.Scene, model=None, step=0.1, **how):
         ("bodies", "at most quadratic, but these are not: phi, beta"),
     ],
 )
-def test_models_that_the_scheme_cannot_conserve_are_refused_by_name(model, said):
+def test_models_that_the_scheme_cannot_conserve_are_refused_by_name(model: str, said: str) -> None:
     with pytest.raises(sc.InvalidModel, match=said):
         simulated(scene("rotary_crane"), model)
 
 
-def test_a_potential_that_is_more_than_quadratic_must_be_given_in_summands():
+def test_a_potential_that_is_more_than_quadratic_must_be_given_in_summands() -> None:
     base = conserved.crane()
     with pytest.raises(sc.InvalidModel, match="its potential is more than quadratic"):
         simulated(
@@ -201,7 +208,7 @@ def test_a_potential_that_is_more_than_quadratic_must_be_given_in_summands():
         )
 
 
-def test_a_step_that_turns_too_far_is_refused_with_the_time():
+def test_a_step_that_turns_too_far_is_refused_with_the_time() -> None:
     with pytest.raises(sc.IntegrationFailed, match=r"step from t = \d.* s was not solved: something turns or swings"):
         conserved.four_bar().run(0.3, 1000)
 
@@ -216,6 +223,8 @@ def test_a_step_that_turns_too_far_is_refused_with_the_time():
         ({"method": sc.BackwardEuler()}, "goes by EnergyMomentum"),
     ],
 )
-def test_steps_and_methods_that_do_not_fit_are_refused(how, said):
+def test_steps_and_methods_that_do_not_fit_are_refused(
+    how: dict[str, float | sc.BackwardEuler | None], said: str
+) -> None:
     with pytest.raises(sc.InvalidSetting, match=said):
         simulated(sc.scenes.rotary_crane(invariant=True), **how)

@@ -26,7 +26,9 @@ DAMPED = (sc.BackwardEuler(), sc.BDF(2), sc.BDF(4), sc.RadauIIA(2), sc.RadauIIA(
 UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
 
 
-def solved(subject: sc.Scene, *arguments, **settings) -> tuple[sc.Solution, list[str]]:
+def solved(
+    subject: sc.Scene, *arguments, **settings: float | sc.Adaptive | Elsewhere | str
+) -> tuple[sc.Solution, list[str]]:
     """Solve, and return what was said of the inputs."""
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
@@ -81,7 +83,9 @@ def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.
     method=st.sampled_from([*DAMPED, *UNDAMPED]),
     steps=st.integers(12, 700),
 )
-def test_a_mass_on_a_car_is_judged_by_better_runs(stiffness, damping, inclination, duration, form, method, steps):
+def test_a_mass_on_a_car_is_judged_by_better_runs(
+    stiffness: float, damping: float, inclination: float, duration: float, form, method, steps: int
+) -> None:
     """Internal oscillations from slow to fast, from hardly damped to well damped, followed well and badly."""
     k = 10**stiffness
     subject = (
@@ -104,7 +108,9 @@ def test_a_mass_on_a_car_is_judged_by_better_runs(stiffness, damping, inclinatio
     method=st.sampled_from([*DAMPED, *UNDAMPED]),
     steps=st.integers(12, 700),
 )
-def test_cars_are_judged_by_the_exact_inversion_at_every_instant(stiffness, duration, form, method, steps):
+def test_cars_are_judged_by_the_exact_inversion_at_every_instant(
+    stiffness: float, duration: float, form, method, steps: int
+) -> None:
     subject = (
         scene("cars")
         .with_parameters(stiffness_1=10**stiffness)
@@ -160,7 +166,7 @@ class CubicCars:
 
 @pytest.mark.parametrize("duration", [1.0, 2.0, 4.0, 16.0])
 @pytest.mark.parametrize("steps", [100, 400, 3200])
-def test_a_spike_between_samples_is_seen(duration, steps):
+def test_a_spike_between_samples_is_seen(duration: float, steps: int) -> None:
     """Where the cubic spring goes through zero the force has a spike that lasts a few steps."""
     subject = CubicCars().scene(duration)
     assert np.abs(sc.solve(subject)["F"] - subject.exact(sc.solve(subject).t)["F"]).max() < 1e-8 * 1e4
@@ -171,7 +177,7 @@ def test_a_spike_between_samples_is_seen(duration, steps):
 # Every route ----------------------------------------------------------------------------------------------------------
 
 
-def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch():
+def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch() -> None:
     for name in ("cars", "overhead_crane", "elastic_bar"):
         found = sc.solve(scene(name))
         assert 0.0 < found.error.largest < 1e-10
@@ -179,7 +185,7 @@ def test_the_default_route_says_that_it_is_at_round_off_and_on_one_branch():
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e3])
-def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale):
+def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale: float) -> None:
     """A path of a nanometre where a metre is typical: Newton's method stops before it has begun."""
     subject = CubicCars(k=1.0, k3=3.0 / scale**2).scene(4.0)
     found = sc.solve(subject.with_reference(sc.rest_to_rest((0.0,), (scale,), 4.0)))
@@ -188,7 +194,7 @@ def test_an_exact_inversion_that_newton_left_early_does_not_pass_for_exact(scale
     assert true < 1e-10 * peak or true / 3 < found.error["F"] < 3 * true
 
 
-def test_a_run_is_compared_on_the_branch_that_it_began_on():
+def test_a_run_is_compared_on_the_branch_that_it_began_on() -> None:
     """An aircraft that turns over: from the guess of the model exact inversions jump to another attitude."""
     aircraft = vtol()
     found, said = solved(aircraft.scene, sc.Projected(), sc.BDF(2), step=0.005)
@@ -199,7 +205,7 @@ def test_a_run_is_compared_on_the_branch_that_it_began_on():
     assert found.error["torque"] == pytest.approx(true, rel=1e-3)
 
 
-def test_a_bounded_inversion_is_compared_with_one_of_higher_order():
+def test_a_bounded_inversion_is_compared_with_one_of_higher_order() -> None:
     unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
     found, said = solved(unstable, None, sc.BoundaryValue(tolerance=0.05, stages=1), step=0.4)
     true = np.abs(found["u"] - unstable.exact(found.t)["u"]).max()
@@ -207,7 +213,7 @@ def test_a_bounded_inversion_is_compared_with_one_of_higher_order():
     assert found.error["u"] == pytest.approx(true, rel=0.1)
 
 
-def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_does():
+def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_does() -> None:
     unstable = scene("mass_on_car").with_parameters(stiffness=-5.0)
     with pytest.warns(sc.ServocoreWarning, match="non-minimum phase"):
         found = sc.solve(unstable, sc.Reduced(), sc.RadauIIA(3), step=0.04)
@@ -215,7 +221,7 @@ def test_what_runs_forward_where_it_cannot_stay_bounded_is_compared_with_what_do
     assert found.error["u"] == pytest.approx(true, rel=1e-6)
 
 
-def test_a_tolerance_is_judged_as_a_step_is():
+def test_a_tolerance_is_judged_as_a_step_is() -> None:
     found, said = solved(scene("mass_on_car"), sc.Reduced(), sc.BDF(2), step=sc.Adaptive(1e-3))
     true = np.abs(found["u"] - scene("mass_on_car").exact(found.t)["u"]).max()
     assert said == []
@@ -226,12 +232,12 @@ def test_a_tolerance_is_judged_as_a_step_is():
 class Elsewhere:
     """A route of somebody's own."""
 
-    def run(self, problem, times, progress=None):  # noqa: ARG002
+    def run(self, problem, times, progress=None) -> sc.Solution:  # noqa: ARG002
         values = np.zeros((len(times), len(problem.system.inputs)))
         return sc.Solution(times, problem.system.inputs, values, "elsewhere")
 
 
-def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is():
+def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is() -> None:
     found = sc.solve(scene("cars"), method=Elsewhere())
     assert found.error.relative["u"] == pytest.approx(1.0)
     found, said = solved(scene("mass_on_car"), method=Elsewhere())
@@ -254,7 +260,7 @@ def test_of_a_route_of_ones_own_it_is_known_where_an_exact_answer_is():
     ],
     ids=str,
 )
-def test_a_smaller_step_is_advised_only_where_it_helps(form, method, smaller):
+def test_a_smaller_step_is_advised_only_where_it_helps(form: sc.Formulation, method: sc.Method, smaller: bool) -> None:
     cars = scene("cars").with_reference(sc.rest_to_rest((0.0,), (1.0,), 1.0))
     found, (said,) = solved(cars, form, method, step=0.02)
     told = re.fullmatch(
@@ -269,14 +275,14 @@ def test_a_smaller_step_is_advised_only_where_it_helps(form, method, smaller):
         assert solved(cars, form, method, step=0.01)[0].error.largest < 0.7 * found.error.largest
 
 
-def test_advice_to_the_default_route_is_to_use_a_smaller_step():
+def test_advice_to_the_default_route_is_to_use_a_smaller_step() -> None:
     found, (said,) = solved(scene("mass_on_car"), step=2.0)
     assert said.endswith("; a smaller step errs less")
     assert "default" not in said
     assert found.error.largest > LARGEST_UNWARNED
 
 
-def test_an_input_that_is_next_to_nothing_is_not_compared_with_itself():
+def test_an_input_that_is_next_to_nothing_is_not_compared_with_itself() -> None:
     """The crane moves in a plane: the slewing torque is round-off."""
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -3.0), 20.0)
     found, said = solved(
@@ -286,7 +292,7 @@ def test_an_input_that_is_next_to_nothing_is_not_compared_with_itself():
     assert found.error.largest < LARGEST_UNWARNED
 
 
-def test_without_checks_nothing_is_said_and_the_error_is_known_when_asked_for():
+def test_without_checks_nothing_is_said_and_the_error_is_known_when_asked_for() -> None:
     found, said = solved(scene("rotary_crane"), sc.Projected(), sc.BackwardEuler(), step=0.1, checks=False)
     assert said == []
     assert found.statistics.branch == ""
@@ -295,7 +301,7 @@ def test_without_checks_nothing_is_said_and_the_error_is_known_when_asked_for():
     assert found.error.basis == "the exact inversion"
 
 
-def test_an_error_is_computed_once_and_of_the_values_at_hand():
+def test_an_error_is_computed_once_and_of_the_values_at_hand() -> None:
     asked = []
     found = sc.solve(scene("cars"))
     counted = replace(found, estimator=lambda it: asked.append(it) or found.estimator(it))
@@ -306,7 +312,7 @@ def test_an_error_is_computed_once_and_of_the_values_at_hand():
     assert worse.error.relative["u"] == pytest.approx(0.5)
 
 
-def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estimate():
+def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estimate() -> None:
     asked, not_asked = sc.solve(scene("cars")), sc.solve(scene("cars"))
     assert asked.error["u"] < 1e-10
     assert pickle.loads(pickle.dumps(asked)).error["u"] == asked.error["u"]
@@ -316,7 +322,7 @@ def test_a_solution_in_a_file_has_lost_what_estimates_its_error_but_not_an_estim
 # One motion -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not():
+def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not() -> None:
     t = np.linspace(0.0, 2.5, 200)
     winch = np.column_stack([np.cos(6 * t**2), np.sin(6 * t**2), t])
     assert len(steps_that_stand_out(winch)) == 0
@@ -324,7 +330,7 @@ def test_a_step_to_another_motion_stands_out_and_those_of_a_turning_winch_do_not
     assert steps_that_stand_out(jumping).tolist() == [int((t <= 1.2).sum()) - 1]
 
 
-def test_a_motion_that_changes_over_is_neither_called_one_nor_right():
+def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     """The aircraft is turned upside down within a step: thrust and attitude jump, everything else goes on."""
     aircraft = vtol()
     found = sc.solve(aircraft.scene, sc.Projected(), sc.BDF(2), step=0.005)
@@ -342,7 +348,7 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right():
     assert turned.error.relative["f"] == pytest.approx(2.0, rel=0.05)
 
 
-def test_every_solution_says_of_its_motion_that_it_is_one():
+def test_every_solution_says_of_its_motion_that_it_is_one() -> None:
     for name in ("cars", "mass_on_car", "passive_joint_arm", "rotary_crane"):
         for form in (sc.Projected(), sc.Reduced()):
             for step in (sc.Adaptive(1e-2), scene(name).reference.duration / 200):

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from problems import scene
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
 
@@ -21,13 +22,13 @@ POINTWISE = [
 ]
 
 
-def assert_exact(found, exact, names):
+def assert_exact(found: Array, exact: dict[str, Array], names: tuple[str, ...]) -> None:
     for k, name in enumerate(names):
         assert np.abs(found[:, k] - exact[name]).max() <= 1e-11 * np.abs(exact[name]).max()
 
 
 @pytest.mark.parametrize(("name", "model"), POINTWISE)
-def test_the_inputs_are_those_of_the_closed_form(name, model):
+def test_the_inputs_are_those_of_the_closed_form(name: str, model: str) -> None:
     problem = scene(name)
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, 101)
     inputs = sc.ExactInversion(problem, model)
@@ -35,7 +36,7 @@ def test_the_inputs_are_those_of_the_closed_form(name, model):
     assert_exact(inputs(t), problem.exact(t), inputs.inputs)
 
 
-def test_all_cranes_are_among_the_scenes_with_one_expression():
+def test_all_cranes_are_among_the_scenes_with_one_expression() -> None:
     for name in ("rotary_crane", "overhead_crane", "gantry_crane"):
         found = compile_inversion(sc.Problem.of(scene(name), "points").array).expression
         assert found is not None
@@ -55,19 +56,19 @@ def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterati
 
 
 @given(st.permutations(range(12)))
-def test_instants_stand_alone_in_any_order(order):
+def test_instants_stand_alone_in_any_order(order) -> None:
     t = np.linspace(0.0, 20.0, 12)
     inputs = sc.ExactInversion(CRANE)
     np.testing.assert_array_equal(inputs(t[list(order)]), inputs(t)[list(order)])
 
 
-def test_one_instant_gives_one_row_and_none_gives_none():
+def test_one_instant_gives_one_row_and_none_gives_none() -> None:
     inputs = sc.ExactInversion(CRANE)
     np.testing.assert_array_equal(inputs(7.3), inputs([7.3])[0])
     assert inputs([]).shape == (0, 3)
 
 
-def test_before_and_after_the_path_the_crane_is_held_at_rest():
+def test_before_and_after_the_path_the_crane_is_held_at_rest() -> None:
     weight = CRANE.parameter_values()
     np.testing.assert_allclose(
         sc.ExactInversion(CRANE)([-5.0, 25.0]),
@@ -77,13 +78,13 @@ def test_before_and_after_the_path_the_crane_is_held_at_rest():
 
 
 @pytest.mark.parametrize("model", ["points", "bodies"])
-def test_machine_code_gives_the_same_bits(model):
+def test_machine_code_gives_the_same_bits(model: str) -> None:
     t = np.linspace(0.0, 20.0, 37)
     interpreted, compiled = (sc.ExactInversion(CRANE, model, native=each)(t) for each in (False, True))
     np.testing.assert_array_equal(compiled, interpreted)
 
 
-def test_a_guess_that_is_not_exact_costs_time_and_nothing_else():
+def test_a_guess_that_is_not_exact_costs_time_and_nothing_else() -> None:
     system = CRANE.model("points")
     astray = replace(system, guess=system.guess + 0.05 * (system.guess != 0))
     crane = replace(CRANE, models={"points": lambda: astray})
@@ -99,29 +100,29 @@ def test_a_guess_that_is_not_exact_costs_time_and_nothing_else():
 # Refusals ------------------------------------------------------------------------------------------------------------
 
 
-def test_internal_dynamics_are_refused():
+def test_internal_dynamics_are_refused() -> None:
     with pytest.raises(sc.InvalidModel, match=r"passive_joint_arm has internal dynamics: .* solve computes them"):
         sc.ExactInversion(scene("passive_joint_arm"))
 
 
-def test_a_scene_that_follows_a_branch_is_refused():
+def test_a_scene_that_follows_a_branch_is_refused() -> None:
     with pytest.raises(sc.InvalidModel, match="rotary_crane follows a branch"):
         sc.ExactInversion(replace(CRANE, follow_branch=True))
 
 
-def test_a_path_beyond_a_limit_is_refused_with_the_time():
+def test_a_path_beyond_a_limit_is_refused_with_the_time() -> None:
     jerked = CRANE.with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
     with pytest.raises(sc.InvalidReference, match=r"at t = 0\.\d+ s the rope goes slack"):
         sc.ExactInversion(jerked)
 
 
-def test_a_path_without_enough_derivatives_is_refused():
+def test_a_path_without_enough_derivatives_is_refused() -> None:
     rough = replace(CRANE.reference, max_order=3)
     with pytest.raises(sc.InvalidReference, match="derivatives up to order 3, the inputs of rotary_crane need order 4"):
         sc.ExactInversion(CRANE.with_reference(rough))
 
 
-def test_without_the_limits_another_branch_is_refused_with_the_time():
+def test_without_the_limits_another_branch_is_refused_with_the_time() -> None:
     unlimited = replace(CRANE, limits=())
     jerked = unlimited.with_reference(sc.rest_to_rest((5.0, 0.0, -1.0), (5.0, 1.0, -0.2), 0.4))
     inputs = sc.ExactInversion(jerked)
@@ -129,13 +130,13 @@ def test_without_the_limits_another_branch_is_refused_with_the_time():
         inputs([0.0, 0.3])
 
 
-def test_times_that_are_no_numbers_are_refused():
+def test_times_that_are_no_numbers_are_refused() -> None:
     with pytest.raises(sc.InvalidReference, match="time number 1 is nan"):
         sc.ExactInversion(CRANE)([0.0, float("nan")])
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
-def test_few_instants_and_many_calls_give_the_same_bits(name):
+def test_few_instants_and_many_calls_give_the_same_bits(name: str) -> None:
     """From the second call on few instants are evaluated together with the path, without NumPy."""
     some = scene(name)
     t = np.linspace(-1.0, some.reference.end_time + 1.0, 37)

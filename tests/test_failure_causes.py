@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,7 @@ REACH = 1.8
 """Of the arm, in m: both of its links."""
 
 
-def linkage(masses, output, drive, *names, **more):
+def linkage(masses, output, drive, *names: str, **more) -> sc.MechanicalSystem:
     """Return a system of points on coordinates x, y, ... with forces F, G, ... and outputs a, b, ..."""
     coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
     q = ca.vertsplit(coordinates.q)
@@ -37,7 +38,7 @@ def linkage(masses, output, drive, *names, **more):
     )
 
 
-def arm(start, end):
+def arm(start: tuple[float, float], end: tuple[float, float]) -> sc.Scene:
     """Return an arm of two links, 1 m and 0.8 m, whose tip goes from one point to another in 2 s."""
     coordinates = sc.Coordinates(sc.Quantity("alpha", "rad"), sc.Quantity("beta", "rad"))
     a, b = ca.vertsplit(coordinates.q)
@@ -56,7 +57,7 @@ def arm(start, end):
     return as_scene(system, sc.rest_to_rest(start, end, 2.0))
 
 
-def refusal(subject, way):
+def refusal(subject: sc.Scene, way: str) -> str:
     """Return the reason that one of the ways to solve or look at a scene gives."""
     ways = {
         "analyse": lambda: sc.analyse(subject).reason,
@@ -80,7 +81,7 @@ def refusal(subject, way):
         ("reduced", (2.0, 1.5)), ("projected", (2.0, 1.5)), ("ExactInversion", (-1.2, 1.8)), ("analyse", (0.9, -2.1)),
     ],
 )  # fmt: skip
-def test_a_path_out_of_reach_says_from_when_on_and_by_how_much(way, end):
+def test_a_path_out_of_reach_says_from_when_on_and_by_how_much(way: str, end: tuple[float, float]) -> None:
     """The tip cannot be farther than 1.8 m from the shoulder; it is missed along the line to it."""
     subject = arm((1.0, 0.9), end)
     sentence = refusal(subject, way)
@@ -100,7 +101,7 @@ def test_a_path_out_of_reach_says_from_when_on_and_by_how_much(way, end):
     assert (off_x, off_y) == pytest.approx((missed * abs(x) / distance, missed * abs(y) / distance), rel=5e-3)
 
 
-def test_a_point_that_is_reached_to_the_last_millimetre_is_no_miss():
+def test_a_point_that_is_reached_to_the_last_millimetre_is_no_miss() -> None:
     """Beyond 1.7999 m the arm is all but straight, and still solved."""
     assert sc.solve(arm((1.0, 0.9), (1.7999 * 0.8, 1.7999 * 0.6)), step=0.02)["X"][-1] == pytest.approx(1.7999 * 0.8)
 
@@ -119,7 +120,7 @@ AT_REST = {
 
 
 @pytest.mark.parametrize("case", AT_REST)
-def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case):
+def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case: str) -> None:
     system, start, end, variable = AT_REST[case]
     subject = as_scene(system, sc.rest_to_rest(start, end, 2.0))
     reason = sc.analyse(subject).reason
@@ -134,7 +135,7 @@ def test_a_start_without_relative_degree_is_refused_with_that_reason_by_all(case
         sc.ExactInversion(subject)
 
 
-def test_nothing_that_drives_an_output_is_structurally_singular_for_all():
+def test_nothing_that_drives_an_output_is_structurally_singular_for_all() -> None:
     system = linkage([1, 1], lambda _, y: [y], lambda *_: [-1.0, 0.0], "x", "y")
     subject = as_scene(system, sc.rest_to_rest((0.0,), (1.0,), 2.0))
     reason = sc.analyse(subject).reason
@@ -161,7 +162,9 @@ def test_a_smaller_step_is_not_advised_where_errors_grow_with_it():
 @pytest.mark.parametrize(
     "method", [sc.Gauss(2), sc.Trapezoidal(), sc.GeneralizedAlpha(1.0)], ids=lambda each: each.name
 )
-def test_a_smaller_step_is_not_advised_for_methods_that_damp_nothing(method):
+def test_a_smaller_step_is_not_advised_for_methods_that_damp_nothing(
+    method: sc.Method,
+) -> None:
     """On the projected form errors of the inputs stay; a path out of reach ends such a run between its instants."""
     away = CRANE.with_reference(sc.rest_to_rest((5, 0, -2), (5, 0, 2), 4.0)).with_limits()
     with pytest.raises(sc.ServocoreError) as caught:
@@ -170,7 +173,7 @@ def test_a_smaller_step_is_not_advised_for_methods_that_damp_nothing(method):
     assert "a step too large" not in str(caught.value)
 
 
-def test_another_form_is_advised_where_it_helps():
+def test_another_form_is_advised_where_it_helps() -> None:
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")
         sc.solve(CRANE, sc.Original(), sc.RadauIIA(2), step=1.0)
@@ -183,12 +186,12 @@ def test_another_form_is_advised_where_it_helps():
 
 
 @pytest.fixture(scope="module")
-def inputs():
+def inputs() -> sc.Solution:
     return sc.solve(CRANE, step=0.1)
 
 
 @pytest.mark.parametrize("t", [[0.0, 20.1], [-0.5, 3.0], [25.0, 30.0]])
-def test_inputs_are_not_known_outside_their_time(inputs, t):
+def test_inputs_are_not_known_outside_their_time(inputs: sc.Solution, t: list[float]) -> None:
     said = re.escape(
         f"the inputs are known from t = 0 s to 20 s, the simulation is to go from {t[0]:g} s to {t[1]:g} s: nothing"
         " says what they are outside their time"
@@ -208,19 +211,19 @@ def test_inputs_are_not_known_outside_their_time(inputs, t):
         ("now", "must be numbers in s, not the text 'now'"),
     ],
 )
-def test_times_to_report_at_rise(inputs, t, said):
+def test_times_to_report_at_rise(inputs: sc.Solution, t: list[float | list[float]] | str, said: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=f"^the times at which to report .*{said}$"):
         sc.simulate(CRANE, inputs, t=t)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4, 7])
-def test_too_few_or_many_inputs_are_counted(count):
+def test_too_few_or_many_inputs_are_counted(count: int) -> None:
     said = f"the function of time returns {count} inputs at t = 0 s, rotary crane, points has 3: M_b, F, M_w"
     with pytest.raises(sc.InvalidSetting, match=f"^{said}$"):
         sc.simulate(CRANE, lambda _: np.zeros(count), t=[0.0, 1.0])
 
 
-def test_inputs_of_another_scene_are_missed_by_name(inputs):
+def test_inputs_of_another_scene_are_missed_by_name(inputs: sc.Solution) -> None:
     pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
     with pytest.raises(sc.InvalidSetting, match=r"^the solution lacks the inputs torque of pendulum; it has M_b, F, "):
         sc.simulate(pendulum, inputs)
@@ -240,30 +243,30 @@ def test_inputs_of_another_scene_are_missed_by_name(inputs):
         ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0.0"),
     ],
 )
-def test_arguments_of_a_simulation_are_looked_at(arguments, said):
+def test_arguments_of_a_simulation_are_looked_at(arguments, said: str) -> None:
     said = re.escape(said.removesuffix("...")) + ("" if said.endswith("...") else "$")
     with pytest.raises(sc.InvalidSetting, match=f"^{said}"):
         sc.simulate(CRANE, **{"inputs": lambda _: np.zeros(3), "t": [0.0, 1.0], **arguments})
 
 
-def test_an_input_that_is_no_number_stops_the_simulation_with_its_name():
+def test_an_input_that_is_no_number_stops_the_simulation_with_its_name() -> None:
     pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
     with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = 0\.\d+ s: the input torque is nan$"):
         sc.simulate(pendulum, lambda time: [np.nan if time > 0.5 else 0.0], t=[0.0, 1.0])
 
 
-def test_one_instant_is_the_initial_state():
+def test_one_instant_is_the_initial_state() -> None:
     pendulum = as_scene(driven_pendulum(), polynomial_path([[0.3]]))
     assert sc.simulate(pendulum, lambda _: [0.0], t=[0.5, 0.5])["theta"] == pytest.approx([0.3, 0.3])
 
 
-def test_a_simulation_ends_when_its_time_is_over(inputs):
+def test_a_simulation_ends_when_its_time_is_over(inputs: sc.Solution) -> None:
     said = r"the forward simulation had come to t = \S+ s of 20 s when its time limit of 1e-05 s was over$"
     with pytest.raises(sc.IntegrationFailed, match=said):
         sc.simulate(CRANE, inputs, time_limit=1e-5)
 
 
-def block(friction, *, masses=1):
+def block(friction: Callable[..., ca.SX | list[ca.SX]], *, masses: int = 1) -> sc.Scene:
     """Return blocks in a row with friction, pushed by a force on the first that is too weak to keep it moving."""
     names = ("x", "y")[:masses]
     coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
@@ -291,7 +294,7 @@ STICKING = {
 
 
 @pytest.mark.parametrize("case", STICKING)
-def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case):
+def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case: str) -> None:
     friction, masses = STICKING[case]
     said = (
         r"^block: the forward simulation does not get past t = \S+ s: the acceleration of x jumps by \S+ with the .*"
@@ -302,14 +305,14 @@ def test_friction_that_sticks_ends_with_the_smooth_form_to_take(case):
         sc.simulate(block(friction, masses=masses), lambda time: [np.sin(3 * time)], t=[0.0, 2.0], time_limit=60)
 
 
-def test_the_smooth_form_ends_and_sticks():
+def test_the_smooth_form_ends_and_sticks() -> None:
     """It creeps at a velocity of v_s atanh(F/2), 0.0003 m/s at most."""
     smooth = block(lambda v: -2.0 * ca.tanh(v / 5e-4))
     found = sc.simulate(smooth, lambda time: [np.sin(3 * time)], t=[0.0, 1.0, 2.0])
     assert np.ptp(found["x"][1:]) < 3e-4
 
 
-def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter():
+def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter() -> None:
     passing = block(lambda v: -0.1 * ca.sign(v))
     found = sc.simulate(passing, lambda time: [-3.0 * np.cos(time)], t=[0.0, 2.0])
     assert found["x"][-1] < 0.0
@@ -318,7 +321,7 @@ def test_friction_that_is_only_passed_through_and_steep_damping_are_no_chatter()
 
 
 @pytest.mark.parametrize("slip", [1e-6, 1e-8])
-def test_friction_that_is_smooth_but_steep_ends_soon(slip):
+def test_friction_that_is_smooth_but_steep_ends_soon(slip: float) -> None:
     """Steps of the velocity of slip are 1e6 and more; the block is at rest until the push overcomes friction."""
     steep = block(lambda v: -2.0 * ca.tanh(v / slip))
     t = np.linspace(0.0, 2.0, 41)

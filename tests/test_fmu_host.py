@@ -6,7 +6,6 @@ import gc
 import json
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest

@@ -12,6 +12,7 @@ from problems import (
     FORMULATIONS,
     METHODS,
     WRITTEN,
+    MethodCase,
     actuated_chain,
     as_scene,
     car_chain,
@@ -27,6 +28,7 @@ from suite import FormulationSuite
 
 import servocore as sc
 from servocore.model.system import DERIVED
+from servocore.numerics.compiled_calls import Array
 from servocore.structure.projection import project
 
 
@@ -42,7 +44,7 @@ class TestEveryFormulation(FormulationSuite):
 
 
 @pytest.mark.parametrize("model", ["points", "bodies"])
-def test_C_and_D_are_boolean_where_the_load_s_position_is_among_the_coordinates(model):  # noqa: N802
+def test_C_and_D_are_boolean_where_the_load_s_position_is_among_the_coordinates(model: str) -> None:  # noqa: N802
     """C picks the load's three coordinates, D all others, each once: together they are a permutation."""
     system = scene("rotary_crane").model(model)
     found = project(system)
@@ -56,7 +58,7 @@ def test_C_and_D_are_boolean_where_the_load_s_position_is_among_the_coordinates(
     np.testing.assert_array_equal(permutation @ permutation.T, np.eye(n))
 
 
-def test_the_paper_s_D_has_39_columns():  # noqa: N802
+def test_the_paper_s_D_has_39_columns() -> None:  # noqa: N802
     assert project(scene("rotary_crane").model("bodies")).D.shape == (42, 39)
 
 
@@ -81,7 +83,7 @@ def with_output(*rows: tuple[float, ...]) -> sc.MechanicalSystem:
 
 
 @pytest.mark.parametrize("row", [(1.0, 1.0), (2.0, 0.0), (-1.0, 0.0), (1.0, -3.0)])
-def test_a_constant_C_that_selects_nothing_is_not_taken_for_boolean(row):  # noqa: N802
+def test_a_constant_C_that_selects_nothing_is_not_taken_for_boolean(row: tuple[float, float]) -> None:  # noqa: N802
     found = project(with_output(row))
     assert not found.boolean
     C, D, W = (np.asarray(ca.DM(each)) for each in (found.C, found.D, found.W))
@@ -91,7 +93,7 @@ def test_a_constant_C_that_selects_nothing_is_not_taken_for_boolean(row):  # noq
     np.testing.assert_allclose(np.array([[3.0, 0.5], [0.5, 2.0]]) @ W, C.T, atol=1e-14)
 
 
-def test_dependent_servo_outputs_are_refused():
+def test_dependent_servo_outputs_are_refused() -> None:
     with pytest.raises(sc.InvalidModel, match="actuated chain: the servo outputs are dependent"):
         project(with_output((1.0, 2.0), (2.0, 4.0)))
 
@@ -99,19 +101,19 @@ def test_dependent_servo_outputs_are_refused():
 # Massless coordinates -------------------------------------------------------------------------------------------------
 
 
-def test_projection_refuses_a_servo_constrained_direction_without_mass_and_names_it():
+def test_projection_refuses_a_servo_constrained_direction_without_mass_and_names_it() -> None:
     with pytest.raises(sc.InvalidModel, match=r"inertia in the servo constrained directions, .* singular on theta$"):
         sc.Projected().dae(redundant_pendulum("theta"))
 
 
-def test_projection_refuses_a_singular_mass_block_and_names_all_of_it():
+def test_projection_refuses_a_singular_mass_block_and_names_all_of_it() -> None:
     """Two coordinates that move a mass together have no inertia against each other."""
     chain = changed(actuated_chain(), mass=ca.SX([[2.0, 2.0], [2.0, 2.0]]))
     with pytest.raises(sc.InvalidModel, match="singular on x1, x2"):
         sc.Projected().dae(chain)
 
 
-def test_massless_coordinates_elsewhere_do_no_harm():
+def test_massless_coordinates_elsewhere_do_no_harm() -> None:
     """theta has no mass, x has: the torque converges to that of the pendulum in its angle, m l^2 a + m g l sin."""
     system = redundant_pendulum("x")
     assert np.linalg.matrix_rank(np.asarray(ca.DM(ca.evalf(ca.substitute(system.mass, system.p, [2, 1.5, 9.81]))))) == 2
@@ -137,7 +139,9 @@ PATH = polynomial_path([[0.2, -0.1], [0.5, 0.3], [-0.7, 1.1], [0.9, -2.0], [1.3,
 
 @pytest.mark.parametrize("formulation", [sc.Projected(), sc.Reduced()], ids=lambda f: f.name)
 @pytest.mark.parametrize("steps", [2, 50])
-def test_with_as_many_inputs_as_coordinates_inputs_are_exact_at_every_step(formulation, steps):
+def test_with_as_many_inputs_as_coordinates_inputs_are_exact_at_every_step(
+    formulation: sc.Formulation, steps: int
+) -> None:
     """u = M gamma'' + c gamma' + K gamma where every coordinate is prescribed; v enters the projected form by its
     numerical derivative, so the damper is left out here."""
     chain = as_scene(actuated_chain(), PATH).with_parameters(c=0.0)
@@ -147,7 +151,7 @@ def test_with_as_many_inputs_as_coordinates_inputs_are_exact_at_every_step(formu
     np.testing.assert_allclose(np.column_stack([found["F1"], found["F2"]]), exact, rtol=1e-13, atol=1e-11)
 
 
-def test_the_damper_of_a_prescribed_motion_shows_the_first_order_of_the_velocity():
+def test_the_damper_of_a_prescribed_motion_shows_the_first_order_of_the_velocity() -> None:
     """A velocity is the backward difference: c (gamma(t) - gamma(t - h))/h, to the last digit."""
     h = 0.125
     chain = as_scene(actuated_chain(), PATH)
@@ -160,7 +164,7 @@ def test_the_damper_of_a_prescribed_motion_shows_the_first_order_of_the_velocity
 
 
 @pytest.mark.parametrize("steps", [3, 40])
-def test_a_driven_pendulum_gets_its_torque_exactly_at_every_step(steps):
+def test_a_driven_pendulum_gets_its_torque_exactly_at_every_step(steps: int) -> None:
     path = sc.rest_to_rest((0.0,), (3.0,), 2.0)
     found = sc.solve(as_scene(driven_pendulum(), path), sc.Projected(), sc.BackwardEuler(), step=2.0 / steps)
     angle, _, acceleration = path.jet(found.t, 2)[:, :, 0].T
@@ -168,7 +172,7 @@ def test_a_driven_pendulum_gets_its_torque_exactly_at_every_step(steps):
     np.testing.assert_allclose(found["torque"], exact, rtol=1e-13, atol=1e-12)
 
 
-def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact_and_a_cubic_is_not():
+def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact_and_a_cubic_is_not() -> None:
     """(gamma(t) - 2 gamma(t - h) + gamma(t - 2h))/h^2 = gamma'' - h gamma''': error 6 m h on t^3."""
     h, inertia = 0.125, 2.0 * 1.5**2
     free = as_scene(driven_pendulum(), polynomial_path([[0.0], [0.0], [1.0]])).with_parameters(g=0.0)
@@ -183,7 +187,7 @@ def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact
 # Internal dynamics ----------------------------------------------------------------------------------------------------
 
 
-def mass_on_car_exactly(path, t):
+def mass_on_car_exactly(path: sc.Reference, t: Array):
     """Internal dynamics m2 sin^2 s'' + d s' + k s = -m2 cos y'' by SciPy, then u = (m1 + m2) x'' + m2 cos s''."""
     alpha, d, k = np.pi / 4, 2.0, 5.0
     sin, cos = np.sin(alpha), np.cos(alpha)
@@ -205,7 +209,7 @@ MOVING = polynomial_path([[0.3], [0.8], [-0.5], [0.4], [0.2], [-0.1], [0.05]], 2
 DAMPED = [pytest.param(each, id=each.method.name) for each in METHODS if each.damped and each.steps]
 
 
-def order_on_a_moving_path(by, formulation, system, exact, name):
+def order_on_a_moving_path(by: MethodCase, formulation: sc.Formulation, system: sc.MechanicalSystem, exact, name: str):
     """Return the observed order of one input; of generalized-alpha after its first phase, which has order one.
 
     Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149, explain that phase.
@@ -219,7 +223,7 @@ def order_on_a_moving_path(by, formulation, system, exact, name):
 
 
 @pytest.mark.parametrize("by", DAMPED)
-def test_a_start_in_motion_costs_no_order_where_the_history_follows_from_the_path(by):
+def test_a_start_in_motion_costs_no_order_where_the_history_follows_from_the_path(by: MethodCase) -> None:
     """Two cars: index 3 after projection, all values before the start from the exact inversion there."""
     order = order_on_a_moving_path(
         by, sc.Projected(), car_chain(), lambda t: car_chain_exact(MOVING.jet(t, 4))["F"].value, "F"
@@ -228,7 +232,7 @@ def test_a_start_in_motion_costs_no_order_where_the_history_follows_from_the_pat
 
 
 @pytest.mark.parametrize("by", DAMPED)
-def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwards(by):
+def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwards(by: MethodCase) -> None:
     """The mass on a car: index 1 when reduced, values before the start by its internal dynamics."""
     order = order_on_a_moving_path(
         by, sc.Reduced(), mass_on_car(np.pi / 4, 2.0), lambda t: mass_on_car_exactly(MOVING, t)[1], "u"
@@ -237,7 +241,7 @@ def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwa
 
 
 @pytest.mark.parametrize("formulation", [each.formulation for each in FORMULATIONS], ids=lambda f: f.name)
-def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation):
+def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation) -> None:
     """The mass on a car of Seifried and Blajer at 45 degrees, minimum phase, against its own internal dynamics."""
     path = sc.rest_to_rest((0.0,), (1.0,), 2.0)
     cart = as_scene(mass_on_car(np.pi / 4, 2.0), path)

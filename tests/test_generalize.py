@@ -10,54 +10,56 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from hypothesis.strategies._internal.core import DataObject
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
 from servocore.model.generalize import generalise
 from servocore.model.system import DERIVED
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import gyroscopic_forces
 
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 
 
-def at(system, expressions, q, v):
+def at(system: sc.MechanicalSystem, expressions, q, v):
     """Evaluate expressions of a system at a configuration and velocity, default parameters."""
     function = ca.Function("at", [system.q, system.v, system.p], [ca.densify(each) for each in expressions])
     results = function(q, v, system.parameters.values())
     return [np.asarray(each) for each in (results if isinstance(results, tuple) else (results,))]
 
 
-def mapping_of(name):
+def mapping_of(name: str):
     """Return F(mu) of the rotary and of the overhead crane, written here once more by NumPy."""
 
-    def rotary(mu):
+    def rotary(mu) -> Array:
         phi, s, rope, alpha, beta = mu
         along, across = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
         swing = rope * (np.sin(alpha) * np.cos(beta) * along + np.sin(beta) * across)
         depth = rope * np.cos(alpha) * np.cos(beta)
         return np.concatenate([along, s * along, [s, rope], s * along + swing, [-depth]])
 
-    def overhead(mu):
+    def overhead(mu) -> Array:
         s, rope, swing = mu
         return np.array([s, rope, s + rope * np.sin(swing), -rope * np.cos(swing)])
 
     return {"rotary_crane": rotary, "overhead_crane": overhead}[name]
 
 
-def jacobian(function, mu, h=1e-30):
+def jacobian(function, mu, h: float = 1e-30) -> Array:
     """Derivative by complex steps: exact to rounding."""
     columns = [function(mu + 1j * h * unit).imag / h for unit in np.eye(len(mu))]
     return np.column_stack(columns)
 
 
-def second_difference(function, mu, nu, h=1e-30):
+def second_difference(function, mu, nu, h: float = 1e-30):
     """P_dot nu = d/dt (P nu) along mu + t nu: the derivative of a complex step, differenced."""
     step = 1e-5
     before, after = (jacobian(function, mu + sign * step * nu, h) @ nu for sign in (-1.0, 1.0))
     return (after - before) / (2 * step)
 
 
-def configurations(size):
+def configurations(size: int):
     """Draw mu away from the axis and from horizontal ropes, with velocities."""
     return st.tuples(
         arrays(float, size, elements=st.floats(0.2, 1.2)), arrays(float, size, elements=st.floats(-2.0, 2.0))
@@ -67,7 +69,7 @@ def configurations(size):
 @pytest.mark.parametrize(("name", "redundant", "generalized"), PAIRS)
 @settings(max_examples=10)
 @given(data=st.data())
-def test_every_term_is_pulled_back_by_P(name, redundant, generalized, data):  # noqa: N802
+def test_every_term_is_pulled_back_by_P(name: str, redundant: str, generalized: str, data: DataObject) -> None:  # noqa: N802
     """M~ = P^T M P, V~ = V(F), f~ = P^T f, B~ = B P, bias P^T (grad V + M P_dot nu), Phi~ = Phi(F); and G P = 0."""
     base, derived = scene(name).model(redundant), scene(name).model(generalized)
     mu, nu = data.draw(configurations(len(derived.coordinates)))
@@ -97,7 +99,7 @@ def test_every_term_is_pulled_back_by_P(name, redundant, generalized, data):  # 
 @pytest.mark.parametrize(("name", "redundant", "generalized"), PAIRS)
 @settings(max_examples=10)
 @given(data=st.data())
-def test_inertia_forces_are_those_of_lagrange(name, redundant, generalized, data):  # noqa: ARG001
+def test_inertia_forces_are_those_of_lagrange(name: str, redundant: str, generalized: str, data: DataObject) -> None:  # noqa: ARG001
     """P^T M P_dot nu, as derived, equals M~_dot nu - grad(nu^T M~ nu)/2 of the new mass matrix alone."""
     derived = scene(name).model(generalized)
     mu, nu = data.draw(configurations(len(derived.coordinates)))
@@ -109,7 +111,12 @@ def test_inertia_forces_are_those_of_lagrange(name, redundant, generalized, data
 ANGLE = sc.Coordinates(sc.Quantity("theta", "rad"))
 
 
-def pendulum(mapping=None, coordinates=ANGLE, system=None, **settings):
+def pendulum(
+    mapping: ca.SX | None = None,
+    coordinates: sc.Coordinates = ANGLE,
+    system: sc.MechanicalSystem | None = None,
+    **settings: str,
+) -> sc.MechanicalSystem:
     """Return the redundant pendulum in its angle."""
     system = system or redundant_pendulum("theta")
     length = system.parameters["l"]
@@ -118,7 +125,7 @@ def pendulum(mapping=None, coordinates=ANGLE, system=None, **settings):
     return generalise(system, coordinates, F, **settings)
 
 
-def test_the_pendulum_in_its_angle_is_the_textbook_pendulum():
+def test_the_pendulum_in_its_angle_is_the_textbook_pendulum() -> None:
     """M l^2 theta'' + m g l sin(theta) = torque; no constraints are left."""
     system = pendulum()
     mass, bias, B = at(system, [system.mass, system.bias, system.input_matrix], [0.7], [1.3])
@@ -129,7 +136,7 @@ def test_the_pendulum_in_its_angle_is_the_textbook_pendulum():
     assert system.degrees_of_freedom == 1
 
 
-def test_applied_forces_and_given_gyroscopic_forces_come_along():
+def test_applied_forces_and_given_gyroscopic_forces_come_along() -> None:
     """A drag -c v on the mass becomes -c l^2 theta'; a gyroscopic force given by hand is pulled back as it is."""
     base = redundant_pendulum("theta")
     dragged = changed(base, force=ca.vertcat(-3.0 * base.v[:2], 0))
@@ -140,7 +147,7 @@ def test_applied_forces_and_given_gyroscopic_forces_come_along():
     np.testing.assert_allclose(forces, 1.3**2, rtol=1e-12)
 
 
-def test_parameters_inputs_reference_and_home_stay_those_of_the_system():
+def test_parameters_inputs_reference_and_home_stay_those_of_the_system() -> None:
     base = redundant_pendulum("theta")
     system = pendulum(system=base)
     assert system.parameters is base.parameters
@@ -150,7 +157,7 @@ def test_parameters_inputs_reference_and_home_stay_those_of_the_system():
     assert pendulum(name="other").name == "other"
 
 
-def test_observables_without_forces_come_along_and_those_with_multipliers_do_not():
+def test_observables_without_forces_come_along_and_those_with_multipliers_do_not() -> None:
     base = redundant_pendulum("theta")
     height, pull = sc.Quantity("height", "m"), sc.Quantity("pull", "N")
     observed = replace(base, observables={height: base.q[1], pull: base.lam[0]}, u=DERIVED)
@@ -159,7 +166,7 @@ def test_observables_without_forces_come_along_and_those_with_multipliers_do_not
     np.testing.assert_allclose(value, -1.5 * np.cos(0.7))
 
 
-def test_a_mapping_that_leaves_the_constraint_manifold_is_refused():
+def test_a_mapping_that_leaves_the_constraint_manifold_is_refused() -> None:
     theta = ANGLE.q[0]
     with pytest.raises(sc.InvalidModel, match="redundant pendulum: the mapping leaves the constraint manifold"):
         pendulum(ca.vertcat(ca.sin(theta), -ca.cos(theta), theta))  # a rod of one metre instead of l
@@ -172,7 +179,7 @@ def test_a_wrong_number_of_generalized_coordinates_is_refused():
 
 
 @pytest.mark.parametrize("rows", [1, 4])
-def test_a_mapping_of_the_wrong_length_is_refused(rows):
+def test_a_mapping_of_the_wrong_length_is_refused(rows: int) -> None:
     theta = ANGLE.q[0]
     with pytest.raises(sc.InvalidModel):
         pendulum(ca.repmat(theta, rows, 1))

@@ -11,6 +11,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from servocore.numerics.compiled_calls import Array
+
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
@@ -53,7 +55,7 @@ def sizes_of_svd(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 # What parts are --------------------------------------------------------------------------------------------------
 
 
-def test_parts_of_a_matrix_have_no_entries_in_common():
+def test_parts_of_a_matrix_have_no_entries_in_common() -> None:
     sparse = ca.sparsify(ca.DM(BLOCKS))
     parts = parts_of(sparse.sparsity())
     assert sorted((part.rows.tolist(), part.columns.tolist()) for part in parts) == [([0, 2], [1, 3]), ([1, 3], [0, 2])]
@@ -62,18 +64,18 @@ def test_parts_of_a_matrix_have_no_entries_in_common():
         np.testing.assert_array_equal(part.dense(entries)[0], BLOCKS[np.ix_(part.rows, part.columns)])
 
 
-def test_empty_rows_and_columns_are_parts_of_their_own():
+def test_empty_rows_and_columns_are_parts_of_their_own() -> None:
     pattern = ca.Sparsity.triplet(2, 3, [1], [2])
     found = [(part.rows.tolist(), part.columns.tolist()) for part in parts_of(pattern)]
     assert sorted(found) == [([], [0]), ([], [1]), ([0], []), ([1], [2])]
 
 
 @pytest.mark.parametrize("matrix", [BLOCKS, BLOCKS[:3], BLOCKS[:, :2], np.zeros((2, 3)), np.diag([1.0, 0.0, 2.0])])
-def test_singular_values_are_those_of_the_parts(matrix):
+def test_singular_values_are_those_of_the_parts(matrix: Array) -> None:
     np.testing.assert_allclose(singular_values(matrix), np.linalg.svd(matrix, compute_uv=False), atol=1e-15)
 
 
-def test_conditions_of_parts_are_the_condition_of_the_whole():
+def test_conditions_of_parts_are_the_condition_of_the_whole() -> None:
     sparse = ca.sparsify(ca.DM(BLOCKS))
     entries = np.array(sparse.nonzeros())[:, None] * [1.0, np.nan]
     found = condition_numbers(parts_of(sparse.sparsity()), entries)
@@ -103,21 +105,21 @@ def groups(system: SquareSystem) -> list[int]:
     return sorted(len(each.parts) for each in system.alike)
 
 
-def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called():
+def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called() -> None:
     assert groups(equations((1.0, 1.0, 1.0))) == [3]
 
 
-def test_parts_with_other_numbers_written_into_them_are_not_alike():
+def test_parts_with_other_numbers_written_into_them_are_not_alike() -> None:
     assert groups(equations((1.0, 2.0, 1.0, 2.0, 3.0))) == [2, 2]
 
 
-def test_equations_that_do_not_fall_apart_have_no_parts():
+def test_equations_that_do_not_fall_apart_have_no_parts() -> None:
     system = equations((1.0, 1.0))
     joined = ca.vertcat(system.residual[0] + system.unknowns[7], system.residual[1:])
     assert not replace(system, residual=joined).alike
 
 
-def test_parts_that_are_alike_are_solved_as_if_each_stood_alone():
+def test_parts_that_are_alike_are_solved_as_if_each_stood_alone() -> None:
     system, values = equations((1.0, 1.0, 2.0)), [1.1, 0.9, 1.2, 0.8]
     x, counts, residual = compile_solver("together", system, [system.unknowns])(values)
     assert float(residual) < 1e-14
@@ -131,7 +133,7 @@ def test_parts_that_are_alike_are_solved_as_if_each_stood_alone():
     assert float(counts[1]) == total
 
 
-def test_a_part_that_fails_spoils_no_other():
+def test_a_part_that_fails_spoils_no_other() -> None:
     system = equations((1.0, 1.0))
     x, _, residual = compile_solver("together", system, [system.unknowns])([1.1, 0.9, np.nan])
     assert np.isfinite(np.asarray(x)[:4]).all()
@@ -143,7 +145,7 @@ def test_a_part_that_fails_spoils_no_other():
 
 
 @pytest.mark.parametrize("count", [1, 4, 16])
-def test_inputs_of_many_cranes_are_exact(count):
+def test_inputs_of_many_cranes_are_exact(count: int) -> None:
     scene, alone = together(count)
     t = np.linspace(0.0, scene.reference.end_time, 33)
     exact = exact_inputs(alone, t)
@@ -152,7 +154,7 @@ def test_inputs_of_many_cranes_are_exact(count):
     np.testing.assert_allclose(solution.values[:, : exact.shape[1]], exact, rtol=0.0, atol=1e-11 * np.abs(exact).max())
 
 
-def test_operations_of_an_exact_inversion_grow_as_the_number_of_cranes_does():
+def test_operations_of_an_exact_inversion_grow_as_the_number_of_cranes_does() -> None:
     lengths = []
     for count in (1, 4, 16):
         expression = Problem.of(together(count)[0]).resolved.once(inversion).expression
@@ -163,7 +165,9 @@ def test_operations_of_an_exact_inversion_grow_as_the_number_of_cranes_does():
 
 
 @pytest.mark.parametrize("count", [4, 16])
-def test_what_is_analysed_of_many_cranes_is_what_is_analysed_of_one(count, monkeypatch):
+def test_what_is_analysed_of_many_cranes_is_what_is_analysed_of_one(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one, sizes = sc.analyse(together(1)[0]), sizes_of_svd(monkeypatch)
     many = sc.analyse(together(count)[0])
     assert (many.classification, many.index, many.internal_degrees_of_freedom) == ("flat", one.index, 0)
@@ -172,7 +176,7 @@ def test_what_is_analysed_of_many_cranes_is_what_is_analysed_of_one(count, monke
 
 
 @pytest.mark.parametrize("count", [4, 16])
-def test_projected_steps_of_many_cranes_are_those_of_each(count):
+def test_projected_steps_of_many_cranes_are_those_of_each(count: int) -> None:
     scene, alone = together(count)
     step = scene.reference.duration / 40
     many = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=step, checks=False)
@@ -182,7 +186,7 @@ def test_projected_steps_of_many_cranes_are_those_of_each(count):
     assert many.statistics.factorisations == sum(each.statistics.factorisations for each in single)
 
 
-def test_a_loss_of_rank_is_found_in_the_part_that_has_it():
+def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:
     """Of two cranks one goes through its dead centre, where two motions go on."""
     length, radius = 1.0, 0.3
     names = [f"{name}_{i}" for i in range(2) for name in ("x", "y", "slide")]
@@ -217,7 +221,7 @@ def test_a_loss_of_rank_is_found_in_the_part_that_has_it():
 # What a run costs besides ----------------------------------------------------------------------------------------
 
 
-def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypatch):
+def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(results, "at_instants", lambda *_, **__: pytest.fail("observed once more"))
     scene = sc.scenes.gantry_crane()
     solution = sc.solve(scene, step=scene.reference.duration / 50)
@@ -225,7 +229,7 @@ def test_an_exact_inversion_is_observed_by_the_function_that_solves_it(monkeypat
     assert solution.statistics.newton_iterations == 51
 
 
-def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_are_not():
+def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_are_not() -> None:
     crane = sc.scenes.gantry_crane()
     model = crane.model()
     late = ca.if_else(model.gamma[0, 0] > crane.reference.jet(3.0, 0)[0, 0], 0.01, 0.0)
@@ -236,7 +240,7 @@ def test_where_the_guess_is_not_exact_an_instant_is_searched_for_and_the_others_
     assert 51 < solution.statistics.newton_iterations < 51 * 4
 
 
-def test_errors_of_a_method_are_cleared_without_looking_between_instants(monkeypatch):
+def test_errors_of_a_method_are_cleared_without_looking_between_instants(monkeypatch: pytest.MonkeyPatch) -> None:
     """Backward Euler on the projected form starts with errors that stand out; exact inputs there do not."""
     monkeypatch.setattr(within_limits, "look_between", lambda *_: pytest.fail("looked between"))
     scene = sc.scenes.gantry_crane()

@@ -7,6 +7,7 @@ times that rows without derivatives have to be differentiated until E is regular
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
 
 import casadi as ca
 import numpy as np
@@ -64,14 +65,16 @@ def differentiations(E: np.ndarray, A: np.ndarray) -> int:
 
 
 @pytest.mark.parametrize(("name", "model", "formulation"), CASES)
-def test_the_index_of_a_form_is_the_number_of_differentiations_it_needs(name, model, formulation):
+def test_the_index_of_a_form_is_the_number_of_differentiations_it_needs(
+    name, model: Collection[pytest.MarkDecorator | pytest.Mark], formulation
+) -> None:
     problem = sc.Problem.of(SCENES[name], model)
     dae = problem.dae(formulation)
     needed = differentiations(*at_rest(problem, dae))
     assert dae.index == (needed if dae.x.numel() else needed - 1)  # a form without differential unknowns counts as zero
 
 
-def test_a_form_of_low_index_is_not_warned_of():
+def test_a_form_of_low_index_is_not_warned_of() -> None:
     """Radau's inputs converge on the original form of index three, and nothing is said against it."""
     car, steps = sc.scenes.mass_on_car(), (100, 200, 400)
     with warnings.catch_warnings():
@@ -81,12 +84,12 @@ def test_a_form_of_low_index_is_not_warned_of():
     assert errors[0] > 3.0 * errors[1] > 9.0 * errors[2]
 
 
-def test_an_index_above_three_is_warned_of_with_its_number():
+def test_an_index_above_three_is_warned_of_with_its_number() -> None:
     with pytest.warns(sc.ServocoreWarning, match="the form has index 5, on which the inputs of radau3 err"):
         sc.solve(scene("cars"), sc.Original(), sc.RadauIIA(3), step=0.2)
 
 
-def test_a_small_system_of_one_s_own_has_its_index_too():
+def test_a_small_system_of_one_s_own_has_its_index_too() -> None:
     system = changed(mass_on_car(np.pi / 4, 1.0), name="a car of one's own")
     assert sc.Problem.of(system).dae(sc.Original()).index == 3
     assert sc.Problem.of(system).dae(sc.Reduced()).index == 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.internal_ode import backward, forward, two_sided
 
 T = np.linspace(-1.0, 3.0, 81)
@@ -14,7 +15,7 @@ DECAYING = {"real": [[-3.0]], "complex": [[-2.0, 5.0], [-5.0, -2.0]]}
 GROWING = {"real": [[4.0]], "complex": [[1.5, 4.0], [-4.0, 1.5]]}
 
 
-def rate(matrix, push):
+def rate(matrix: Array, push: Array):
     """Return x' = matrix x + push gamma'(t), for one time or many."""
 
     def of(t, x):
@@ -26,7 +27,9 @@ def rate(matrix, push):
 
 @pytest.mark.parametrize("decaying", DECAYING.values(), ids=DECAYING)
 @pytest.mark.parametrize("growing", GROWING.values(), ids=GROWING)
-def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_backward(decaying, growing):
+def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_backward(
+    decaying: list[list[float]], growing: list[list[float]]
+) -> None:
     first, second = np.array(decaying), np.array(growing)
     n, m = len(first), len(second)
     whole = np.zeros((n + m, n + m))
@@ -38,7 +41,7 @@ def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_b
     np.testing.assert_allclose(mixed.T @ found, expected, atol=1e-8 * np.abs(expected).max())
 
 
-def test_modes_that_all_decay_are_refused_with_their_eigenvalues():
+def test_modes_that_all_decay_are_refused_with_their_eigenvalues() -> None:
     matrix = np.diag([-1.0, -2.5])
     with pytest.raises(sc.InvalidModel, match=r"their eigenvalues are -1, -2\.5$"):
         two_sided(rate(matrix, np.ones(2)), T, 0.0, 2.0, matrix)

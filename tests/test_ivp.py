@@ -24,7 +24,7 @@ PUBLISHED = {"car_axis": 7.0, "squeezer": 5.8, "slider_crank": 3.0}
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_every_coordinate_rate_and_multiplier_at_the_end_has_eight_digits(name):
+def test_every_coordinate_rate_and_multiplier_at_the_end_has_eight_digits(name: str) -> None:
     route, setting = FINEST[name]
     correct = digits(at_the_end(PROBLEMS[name].own[route](setting)), PROBLEMS[name].reference())
     assert set(PROBLEMS[name].system.coordinates.names) <= set(correct)
@@ -32,7 +32,7 @@ def test_every_coordinate_rate_and_multiplier_at_the_end_has_eight_digits(name):
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_the_published_values_are_those_of_the_independent_integration(name):
+def test_the_published_values_are_those_of_the_independent_integration(name: str) -> None:
     correct = digits(PROBLEMS[name].published, PROBLEMS[name].reference())
     assert min(correct.values()) >= PUBLISHED[name]
     positions = [correct[each] for each in PROBLEMS[name].system.coordinates.names if each.startswith(("x", "phi"))]
@@ -40,7 +40,7 @@ def test_the_published_values_are_those_of_the_independent_integration(name):
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
-def test_what_others_are_given_are_the_equations_of_the_motion(name):
+def test_what_others_are_given_are_the_equations_of_the_motion(name: str) -> None:
     """At the end of the motion, with its multipliers, the residual that scipy_dae solves vanishes."""
     problem, exact = PROBLEMS[name], json.loads(REFERENCES.read_text())[name]
     q, v, lam = (np.array([float(each) for each in exact[key]]) for key in ("q", "v", "lam"))
@@ -52,7 +52,7 @@ def test_what_others_are_given_are_the_equations_of_the_motion(name):
     assert np.abs(F(problem.end, y, yp)).max() < 1e-8 * forces
 
 
-def test_the_page_holds_what_was_measured():
+def test_the_page_holds_what_was_measured() -> None:
     rows, page = record(), PAGE.read_text()
     machine = page.split("Measured on ")[1].split(".\n")[0]
     assert render(rows, machine) == page
@@ -60,7 +60,7 @@ def test_the_page_holds_what_was_measured():
     assert all(any(row.found for row in each) for each in rows.values())
 
 
-def test_the_script_measures_its_own_routes(monkeypatch):
+def test_the_script_measures_its_own_routes(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = PROBLEMS["car_axis"]
     monkeypatch.setitem(problem.settings, "simulate, rtol", (1e-6,))
     (row,) = own_rows(problem)

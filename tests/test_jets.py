@@ -11,31 +11,32 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from servocore import rest_to_rest
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes.jets import Jet, atan2, components, sqrt
 
 ORDER = 6
 TIMES = np.linspace(0.3, 2.1, 7)
 
 
-def time_at(t, order=ORDER):
+def time_at(t: Array | float, order: int = ORDER) -> Jet:
     """Jet of the time itself."""
     return Jet.constant(t, order) + Jet.from_derivatives([0.0, 1.0, *[0.0] * (order - 1)])
 
 
-def jets(low=-2.0, high=2.0, first=(0.5, 2.0)):
+def jets(low: float = -2.0, high: float = 2.0, first: tuple[float, float] = (0.5, 2.0)):
     """Jets of shape (3,) whose leading coefficient is away from zero."""
     rest = arrays(float, (ORDER, 3), elements=st.floats(low, high))
     lead = arrays(float, (1, 3), elements=st.floats(*first))
     return st.builds(lambda a, b: Jet(np.concatenate([a, b])), lead, rest)
 
 
-def assert_same(a, b, tolerance=1e-9):
+def assert_same(a: Jet, b: Jet, tolerance: float = 1e-9) -> None:
     assert a.order == b.order
     scale = 1.0 + np.abs(a.coefficients).max()
     np.testing.assert_allclose(a.coefficients, b.coefficients, rtol=0.0, atol=tolerance * scale)
 
 
-def test_derivatives_go_in_and_come_out_unchanged():
+def test_derivatives_go_in_and_come_out_unchanged() -> None:
     values = np.arange(12.0).reshape(4, 3) + 1.0
     jet = Jet.from_derivatives(values)
     np.testing.assert_array_equal(jet.coefficients[3], values[3] / 6.0)
@@ -44,7 +45,7 @@ def test_derivatives_go_in_and_come_out_unchanged():
     np.testing.assert_array_equal(jet.value, values[0])
 
 
-def test_polynomials_have_their_textbook_derivatives():
+def test_polynomials_have_their_textbook_derivatives() -> None:
     t = time_at(TIMES)
     p = 2.0 * t**3 - t**2 + 4.0 - t * 3.0
     zero = np.zeros_like(TIMES)
@@ -57,19 +58,19 @@ def test_polynomials_have_their_textbook_derivatives():
     np.testing.assert_allclose(p.derivatives(), [*expected, zero, zero, zero], rtol=1e-14, atol=1e-14)
 
 
-def test_reciprocals_have_their_textbook_derivatives():
+def test_reciprocals_have_their_textbook_derivatives() -> None:
     expected = [(-1) ** k * factorial(k) / TIMES ** (k + 1) for k in range(ORDER + 1)]
     np.testing.assert_allclose((1.0 / time_at(TIMES)).derivatives(), expected, rtol=1e-13)
 
 
-def test_square_roots_have_their_textbook_derivatives():
+def test_square_roots_have_their_textbook_derivatives() -> None:
     falling = [np.prod([0.5 - i for i in range(k)]) for k in range(ORDER + 1)]
     expected = [f * TIMES ** (0.5 - k) for k, f in enumerate(falling)]
     np.testing.assert_allclose(sqrt(time_at(TIMES)).derivatives(), expected, rtol=1e-13)
 
 
-def test_a_quotient_of_exponentials_is_the_exponential_of_the_difference():
-    def exponential(rate):
+def test_a_quotient_of_exponentials_is_the_exponential_of_the_difference() -> None:
+    def exponential(rate: float) -> Jet:
         return Jet.from_derivatives([rate**k * np.exp(rate * TIMES) for k in range(ORDER + 1)])
 
     assert_same(exponential(1.3) / exponential(-0.4), exponential(1.7), 1e-14)
@@ -77,7 +78,7 @@ def test_a_quotient_of_exponentials_is_the_exponential_of_the_difference():
 
 
 @given(a=jets(), b=jets(), c=jets())
-def test_products_commute_distribute_and_undo_quotients(a, b, c):
+def test_products_commute_distribute_and_undo_quotients(a, b, c) -> None:
     assert_same(a * b, b * a)
     assert_same(a * (b + c), a * b + a * c)
     assert_same((a - b) - c, a - (b + c))
@@ -86,39 +87,39 @@ def test_products_commute_distribute_and_undo_quotients(a, b, c):
 
 
 @given(a=jets(), b=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_a_quotient_times_its_divisor_is_the_dividend(a, b):
+def test_a_quotient_times_its_divisor_is_the_dividend(a, b) -> None:
     assert_same(a / b * b, a, 1e-6)
     assert_same(1.0 / b * b, Jet.constant(np.ones(3), ORDER), 1e-6)
 
 
 @given(a=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_a_square_root_squared_is_its_argument(a):
+def test_a_square_root_squared_is_its_argument(a) -> None:
     assert_same(sqrt(a) ** 2, a)
 
 
 @given(a=jets())
-def test_the_slope_of_an_angle_is_that_of_the_arc_tangent(a):
+def test_the_slope_of_an_angle_is_that_of_the_arc_tangent(a) -> None:
     assert_same(atan2(a, Jet.constant(np.ones(3), ORDER)).d(), a.d() / (1.0 + a * a), 1e-6)
 
 
 @given(a=jets(), b=jets(first=(-3.0, 3.0)), radius=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_atan2_finds_the_angle_of_a_point_whatever_its_distance(a, b, radius):
+def test_atan2_finds_the_angle_of_a_point_whatever_its_distance(a, b, radius) -> None:
     assert_same(atan2(radius * a, radius * b), atan2(a, b), 1e-4)
 
 
 @given(a=jets(), b=jets())
-def test_the_time_derivative_obeys_the_product_rule(a, b):
+def test_the_time_derivative_obeys_the_product_rule(a, b) -> None:
     assert_same((a * b).d(), a.d() * b + a * b.d())
 
 
-def test_operations_truncate_to_the_lower_order():
+def test_operations_truncate_to_the_lower_order() -> None:
     low, high = time_at(TIMES, 2), time_at(TIMES, 5)
     for result in (low + high, high - low, high * low, low / high, atan2(high, low)):
         assert result.order == 2
     assert high.d().order == 4
 
 
-def test_arrays_and_numbers_are_constants_on_either_side():
+def test_arrays_and_numbers_are_constants_on_either_side() -> None:
     t = time_at(TIMES)
     table = np.array([[1.0], [2.0]])
     for jet in (table * t, t * table):
@@ -131,7 +132,7 @@ def test_arrays_and_numbers_are_constants_on_either_side():
     np.testing.assert_allclose((table / t).value, table / TIMES)
 
 
-def test_the_components_of_a_path_are_jets_of_its_derivatives():
+def test_the_components_of_a_path_are_jets_of_its_derivatives() -> None:
     path = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
     values = path.jet(TIMES, 4)
     x, y, z = components(values)
@@ -142,7 +143,7 @@ def test_the_components_of_a_path_are_jets_of_its_derivatives():
     assert_same(straight, y, 1e-14)
 
 
-def test_what_is_unknown_is_refused():
+def test_what_is_unknown_is_refused() -> None:
     with pytest.raises(ValueError, match="order 0"):
         Jet.constant(1.0, 0).d()
     with pytest.raises(ValueError, match="whole powers"):

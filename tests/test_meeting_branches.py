@@ -14,6 +14,8 @@ from scipy.optimize import brentq
 import servocore as sc
 from servocore.checks import branches
 from servocore.checks.branches import changes_branch, configurations, rank_losses, require_one_branch
+from servocore.numerics.compiled_calls import Array
+from servocore.references.rest_to_rest import RestToRest
 
 CRANK, BASE, MASS, GRAVITY = 0.5, 1.1, 2.0, 9.81
 NAMES = ("x1", "y1", "x2", "y2")
@@ -55,13 +57,13 @@ def linkage(longer: float = 0.0, guess: str = "parallelogram", freewheel: bool =
     )  # fmt: skip
 
 
-def torque(jets, _):
+def torque(jets: Array, _):
     """Both masses ride on circles of the crank's radius."""
     y = jets[:, :, 0].T
     return {"torque": 2 * MASS * (CRANK**2 * y[2] + GRAVITY * CRANK * np.cos(y[0]))}
 
 
-def scene(reference=THROUGH, follow_branch=False, **model) -> sc.Scene:
+def scene(reference: RestToRest = THROUGH, follow_branch: bool = False, **model: str) -> sc.Scene:
     return sc.Scene(
         "linkage", {"points": lambda: linkage(**model)}, reference, closed_form=torque, closed_form_order=2,
         follow_branch=follow_branch,
@@ -81,7 +83,7 @@ SENTENCE = (
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
-def test_a_motion_that_goes_on_smoothly_is_right_and_comes_with_a_warning(step):
+def test_a_motion_that_goes_on_smoothly_is_right_and_comes_with_a_warning(step: float) -> None:
     subject = scene()
     with pytest.warns(sc.ServocoreWarning, match=SENTENCE + "; this one goes on smoothly"):
         solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
@@ -89,7 +91,7 @@ def test_a_motion_that_goes_on_smoothly_is_right_and_comes_with_a_warning(step):
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1, 0.2])
-def test_a_guess_that_changes_over_does_not_decide_about_the_motion(step):
+def test_a_guess_that_changes_over_does_not_decide_about_the_motion(step: float) -> None:
     subject = scene(guess="crossed after")
     with pytest.warns(sc.ServocoreWarning, match=SENTENCE + "; this one goes on smoothly"):
         solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
@@ -98,7 +100,7 @@ def test_a_guess_that_changes_over_does_not_decide_about_the_motion(step):
 
 
 @pytest.mark.parametrize("step", [0.005, 0.016, 0.1])
-def test_following_the_branch_goes_on_smoothly_whatever_the_guess(step):
+def test_following_the_branch_goes_on_smoothly_whatever_the_guess(step: float) -> None:
     subject = scene(guess="crossed after", follow_branch=True)
     with pytest.warns(sc.ServocoreWarning, match="goes on smoothly"):
         solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=step)
@@ -106,7 +108,7 @@ def test_following_the_branch_goes_on_smoothly_whatever_the_guess(step):
 
 
 @pytest.mark.parametrize("form", [sc.Original(), sc.Projected()], ids=lambda form: form.name)
-def test_forms_that_step_are_looked_at_as_well(form):
+def test_forms_that_step_are_looked_at_as_well(form: sc.Formulation) -> None:
     system = linkage()
     massive = replace(system, mass=system.mass + ca.sparsify(ca.diag(ca.DM([0, 0, 0, 0, 1e-3]))))
     subject = replace(scene(), models={"points": lambda: massive})
@@ -116,7 +118,7 @@ def test_forms_that_step_are_looked_at_as_well(form):
     assert error(subject, solution) < 0.05
 
 
-def test_analysis_reports_the_instant_and_keeps_its_classification():
+def test_analysis_reports_the_instant_and_keeps_its_classification() -> None:
     report = sc.analyse(scene())
     assert report.classification == "flat"
     assert float(report.rank_loss.split("t = ")[1].split(" s")[0]) == pytest.approx(MEETING, abs=1e-4)
@@ -125,21 +127,21 @@ def test_analysis_reports_the_instant_and_keeps_its_classification():
 
 
 @pytest.mark.parametrize("short_of", [0.5, 0.1, 1e-2, 1e-3])
-def test_a_motion_that_ends_short_of_the_stretched_position_raises_no_alarm(short_of):
+def test_a_motion_that_ends_short_of_the_stretched_position_raises_no_alarm(short_of: float) -> None:
     subject = scene(sc.rest_to_rest((0.3,), (np.pi - short_of,), 4.0))
     assert error(subject, sc.solve(subject, step=0.02)) < 1e-9
     assert sc.analyse(subject).rank_loss == ""
 
 
 @pytest.mark.parametrize("longer", [1e-2, 1e-4, 1e-6])
-def test_a_motion_close_by_a_loss_of_rank_raises_no_alarm(longer):
+def test_a_motion_close_by_a_loss_of_rank_raises_no_alarm(longer: float) -> None:
     """A rocker that is longer keeps the assemblies apart by the square root of what it is longer."""
     subject = scene(longer=longer, follow_branch=True)
     sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.005)
     assert sc.analyse(subject).rank_loss == ""
 
 
-def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_there():
+def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_there() -> None:
     """Which of both is up to the last bit of a pivot."""
     ending = scene(sc.rest_to_rest((0.3,), (np.pi,), 4.0))
     refused = r"from t = 3\.98 s to 4 s was not solved"
@@ -148,7 +150,7 @@ def test_a_motion_that_ends_in_the_stretched_position_is_warned_of_or_refused_th
         sc.solve(ending, sc.Reduced(), sc.BackwardEuler(), step=0.02)
 
 
-def test_what_internal_dynamics_leave_free_is_judged_by_a_kink():
+def test_what_internal_dynamics_leave_free_is_judged_by_a_kink() -> None:
     problem = sc.Problem.of(sc.Scene("linkage", {"": lambda: linkage(freewheel=True)}, THROUGH))
     t = np.linspace(0.0, 4.0, 401)
     y = THROUGH.jet(t, 0)[:, 0, 0]
@@ -162,12 +164,12 @@ def test_what_internal_dynamics_leave_free_is_judged_by_a_kink():
         assert changes_branch(problem, t, q, loss.time) is expected
 
 
-def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch):
+def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
     solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
     counts = []
 
-    def counting(problem, t, q):
+    def counting(problem, t, q) -> list[branches.RankLoss]:
         counts.append(len(t))
         return rank_losses(problem, t, q)
 
@@ -176,14 +178,14 @@ def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch):
     assert counts == [201]
 
 
-def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch):
+def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     crane = sc.scenes.overhead_crane()
     solution = sc.solve(crane, model="generalized")
     monkeypatch.setattr(branches, "configurations", lambda *_: pytest.fail("looked at"))
     require_one_branch(sc.Problem.of(crane, "generalized"), solution)
 
 
-def test_configurations_are_read_from_a_solution():
+def test_configurations_are_read_from_a_solution() -> None:
     subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
     solution = sc.solve(subject)
     q = configurations(sc.Problem.of(linkage()), solution)

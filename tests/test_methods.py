@@ -21,14 +21,14 @@ class TestEveryMethod(MethodSuite):
     pass
 
 
-def test_backward_euler_multiplies_by_its_amplification_factor():
+def test_backward_euler_multiplies_by_its_amplification_factor() -> None:
     """x_dot = -3 x: every step divides by 1 + 3 h."""
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     found = march(sc.BackwardEuler(), small_dae(x, z, -3 * z, z - x, gamma), lambda _: [1.0, 1.0], ZERO, 0.2, 6)
     np.testing.assert_allclose(found[:, 0], 1.6 ** -np.arange(7.0), rtol=1e-14)
 
 
-def test_backward_euler_takes_H_at_the_new_instant():  # noqa: N802
+def test_backward_euler_takes_H_at_the_new_instant() -> None:  # noqa: N802
     """2 x x_dot = 1 becomes 2 x1 (x1 - x0) = h, equation (31): x1 = (x0 + sqrt(x0^2 + 2 h))/2."""
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     dae = small_dae(x, z, ca.SX(1), z - x, gamma, H=2 * x)
@@ -39,7 +39,7 @@ def test_backward_euler_takes_H_at_the_new_instant():  # noqa: N802
     np.testing.assert_allclose(found, expected, rtol=1e-13)
 
 
-def test_backward_euler_uses_the_reference_at_the_new_instant_only():
+def test_backward_euler_uses_the_reference_at_the_new_instant_only() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     dae = small_dae(x, z, gamma[0], z - x, gamma)
     assert sc.BackwardEuler().discretise(dae).nodes == (1.0,)
@@ -48,7 +48,7 @@ def test_backward_euler_uses_the_reference_at_the_new_instant_only():
 
 
 @pytest.mark.parametrize("same", [sc.BDF(1), sc.RadauIIA(1)], ids=lambda method: method.name)
-def test_the_lowest_order_of_a_family_is_backward_euler(same):
+def test_the_lowest_order_of_a_family_is_backward_euler(same: sc.Method) -> None:
     """On the crane, to rounding."""
     crane = scene("rotary_crane")
     found = sc.solve(crane, sc.Projected(), same, step=0.4)
@@ -57,14 +57,14 @@ def test_the_lowest_order_of_a_family_is_backward_euler(same):
         np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, atol=1e-9)
 
 
-def test_bdf_coefficients_are_those_of_the_tables():
+def test_bdf_coefficients_are_those_of_the_tables() -> None:
     """Hairer and Wanner I, table III.1.1."""
     assert coefficients(2) == (Fraction(3, 2), Fraction(-2), Fraction(1, 2))
     assert coefficients(3) == (Fraction(11, 6), Fraction(-3), Fraction(3, 2), Fraction(-1, 3))
     assert [each * 60 for each in coefficients(6)] == [147, -360, 450, -400, 225, -72, 10]
 
 
-def test_collocation_coefficients_are_those_of_the_tables():
+def test_collocation_coefficients_are_those_of_the_tables() -> None:
     """Hairer and Wanner II, tables IV.5.1 (Gauss), IV.5.5 and IV.5.6 (Radau IIA)."""
     radau2, radau3, gauss2 = tableau("radau", 2), tableau("radau", 3), tableau("gauss", 2)
     np.testing.assert_allclose(radau2.A, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], rtol=1e-14)
@@ -78,7 +78,7 @@ def test_collocation_coefficients_are_those_of_the_tables():
 @pytest.mark.parametrize(
     ("b", "message"), [([0.5, 0.5], r"quadrature condition B\(2\) fails"), ([0.7, 0.25], r"B\(1\) fails")]
 )
-def test_a_tableau_refuses_to_exist_where_its_order_conditions_fail(b, message):
+def test_a_tableau_refuses_to_exist_where_its_order_conditions_fail(b: list[float], message: str) -> None:
     good = tableau("radau", 2)
     with pytest.raises(sc.InvalidSetting, match=message):
         Tableau(good.c, good.A, np.array(b), 3)
@@ -87,24 +87,26 @@ def test_a_tableau_refuses_to_exist_where_its_order_conditions_fail(b, message):
 
 
 @pytest.mark.parametrize("order", [0, 7, -1])
-def test_bdf_of_unstable_orders_is_refused(order):
+def test_bdf_of_unstable_orders_is_refused(order: int) -> None:
     with pytest.raises(sc.InvalidSetting, match="does not exist or is unstable; use 1 to 6"):
         sc.BDF(order)
 
 
 @pytest.mark.parametrize("family", [sc.RadauIIA, sc.Gauss])
 @pytest.mark.parametrize("stages", [0, 8])
-def test_collocation_with_senseless_numbers_of_stages_is_refused(family, stages):
+def test_collocation_with_senseless_numbers_of_stages_is_refused(
+    family: type[sc.RadauIIA] | type[sc.Gauss], stages: int
+) -> None:
     with pytest.raises(sc.InvalidSetting):
         family(stages)
 
 
 @pytest.mark.parametrize("method", [each.method for each in METHODS if not each.damped], ids=lambda m: m.name)
-def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_starts_with(method):
+def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_starts_with(method) -> None:
     """Their input errors do not fall with the step, those of a damped method of the same order do."""
     crane = scene("overhead_crane")
 
-    def error(method, steps):
+    def error(method: sc.BDF, steps: int):
         found = sc.solve(crane, sc.Projected(), method, step=crane.reference.duration / steps)
         return np.abs(found["F"] - crane.exact(found.t)["F"]).max()
 
@@ -112,7 +114,7 @@ def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_s
     assert error(sc.BDF(2), 400) < 0.3 * error(sc.BDF(2), 100)
 
 
-def a_dae(index):
+def a_dae(index: int) -> sc.Dae:
     names = (("q.a", 0, 2.0), ("q.a", 1, 3.0), ("lam.1", 0, 5.0), ("u.F", 0, 7.0))
     unknowns = ca.SX.sym("w", 4)
     return Dae(
@@ -124,7 +126,7 @@ def a_dae(index):
     )  # fmt: skip
 
 
-def test_unknowns_and_equations_are_scaled_by_the_power_of_the_step_that_their_level_has():
+def test_unknowns_and_equations_are_scaled_by_the_power_of_the_step_that_their_level_has() -> None:
     """Positions by 1, velocities by 1/h, multipliers and inputs by 1/h^2, each times its nominal size."""
     found = ca.Function("scales", [h := ca.SX.sym("h")], list(a_dae(3).scales(h)))
     unknowns, equations = (np.asarray(each).ravel() for each in found(0.1))
@@ -132,14 +134,14 @@ def test_unknowns_and_equations_are_scaled_by_the_power_of_the_step_that_their_l
     np.testing.assert_allclose(equations, [10.0, 100.0, 1.0, 1.0])
 
 
-def test_nothing_is_scaled_by_the_step_where_nothing_is_divided_by_it():
+def test_nothing_is_scaled_by_the_step_where_nothing_is_divided_by_it() -> None:
     found = ca.Function("scales", [h := ca.SX.sym("h")], list(a_dae(1).scales(h)))
     unknowns, equations = (np.asarray(each).ravel() for each in found(0.1))
     np.testing.assert_allclose(unknowns, [2.0, 3.0, 5.0, 7.0])
     np.testing.assert_allclose(equations, 1.0)
 
 
-def oscillator(frequency_squared):
+def oscillator(frequency_squared: float) -> sc.Dae:
     """q'' = -w^2 q as a `Dae` of index 1 with the velocity as a pair of the position."""
     x, z, gamma = ca.SX.sym("x", 2), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     return Dae(
@@ -150,7 +152,7 @@ def oscillator(frequency_squared):
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9, 1.0])
-def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho):
+def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho: float) -> None:
     """The slowest mode of a stiff oscillator shrinks by rho a step (up to a polynomial in n)."""
     stiff = oscillator(1e12)
     velocity = march(sc.GeneralizedAlpha(rho), stiff, lambda t: [1.0 + t, 1.0, -1e12], ZERO, 1.0, 48)[:, 1]
@@ -158,7 +160,7 @@ def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho):
     assert rate == pytest.approx(rho, abs=0.05)
 
 
-def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_damping():
+def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_damping() -> None:
     def swing(t):
         return [np.cos(2 * t), -2 * np.sin(2 * t), -4 * np.cos(2 * t)]
 
@@ -175,14 +177,14 @@ def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_da
     assert energies[0.5] < 2.0 - 1e-5
 
 
-def test_generalized_alpha_refuses_what_is_no_mechanical_system():
+def test_generalized_alpha_refuses_what_is_no_mechanical_system() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
     with pytest.raises(sc.InvalidModel, match="needs positions with their velocities"):
         sc.GeneralizedAlpha().discretise(small_dae(x, z, gamma[0], z - x, gamma))
 
 
 @pytest.mark.parametrize("rho", [-0.1, 1.1, float("nan")])
-def test_a_senseless_spectral_radius_is_refused(rho):
+def test_a_senseless_spectral_radius_is_refused(rho: float) -> None:
     with pytest.raises(sc.InvalidSetting, match="must lie in"):
         sc.GeneralizedAlpha(rho)
 
@@ -190,7 +192,7 @@ def test_a_senseless_spectral_radius_is_refused(rho):
 @pytest.mark.parametrize(
     ("variable", "order", "level"), [("q.s", 0, 0), ("q.s", 1, 1), ("q.s", 2, 2), ("lam.1", 0, 2), ("u.F", 1, 3)]
 )
-def test_the_level_of_an_unknown_counts_its_derivatives_from_positions(variable, order, level):
+def test_the_level_of_an_unknown_counts_its_derivatives_from_positions(variable: str, order: int, level: int) -> None:
     unknown = Unknown(variable, order)
     assert unknown.level == level
     assert unknown.name == variable + "'" * order
@@ -205,14 +207,14 @@ def test_the_level_of_an_unknown_counts_its_derivatives_from_positions(variable,
         ({"equations": ()}, "not all described"),
     ],
 )
-def test_a_dae_refuses_sizes_that_do_not_fit(change, message):
+def test_a_dae_refuses_sizes_that_do_not_fit(change, message: str) -> None:
     from dataclasses import replace
 
     with pytest.raises(sc.InvalidModel, match=f"levels: .*{message}"):
         replace(a_dae(1), **change)
 
 
-def test_a_dae_knows_the_highest_derivative_of_the_reference_it_uses():
+def test_a_dae_knows_the_highest_derivative_of_the_reference_it_uses() -> None:
     x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 2, 7)
     assert small_dae(x, z, gamma[1, 4], z - x, gamma).reference_order == 4
     assert small_dae(x, z, z, z - gamma[0, 5] * x, gamma).reference_order == 5

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from hypothesis.strategies._internal.core import DataObject
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import (
     MAX_ITERATIONS,
     NEWTON_TOLERANCE,
@@ -20,7 +22,14 @@ from servocore.numerics.square_systems import (
 
 
 def solve(
-    unknowns, residual, givens=None, values=(), guess=None, unknown_scale=None, residual_scale=None, outputs=None
+    unknowns: ca.SX,
+    residual: ca.SX,
+    givens: ca.SX | None = None,
+    values=(),
+    guess=None,
+    unknown_scale: Array | None = None,
+    residual_scale=None,
+    outputs=None,
 ):
     """Compile and solve; returns (solution, (most iterations, factorizations), residual)."""
     size = unknowns.numel()
@@ -39,7 +48,7 @@ def solve(
     return found[0] if len(found) == 1 else found, counts, float(worst)
 
 
-def newton_iterations(function, slope, x, scale=1.0):
+def newton_iterations(function, slope, x: float, scale: float = 1.0) -> int:
     """Count steps of Newton's method by hand until the correction is below the tolerance."""
     for k in range(1, MAX_ITERATIONS + 1):
         correction = function(x) / slope(x)
@@ -50,7 +59,7 @@ def newton_iterations(function, slope, x, scale=1.0):
 
 
 @pytest.mark.parametrize("number", [2.0, 3.0, 100.0, 0.01])
-def test_the_clock_counts_the_iterations_of_a_square_root(number):
+def test_the_clock_counts_the_iterations_of_a_square_root(number: float) -> None:
     """Heron's sequence from 1: x <- (x + number/x)/2."""
     x = ca.SX.sym("x")
     root, (most, total), worst = solve(x, x**2 - number, guess=[1.0])
@@ -71,14 +80,14 @@ def test_the_slowest_block_counts_as_iterations_and_all_blocks_as_factorizations
     assert total == pytest.approx(first + second + 1, rel=1e-12)  # and one for the explicit x[2]
 
 
-def test_polynomial_systems_have_their_known_roots():
+def test_polynomial_systems_have_their_known_roots() -> None:
     """Circle and hyperbola: x^2 + y^2 = 5, x y = 2 with root (2, 1)."""
     x = ca.SX.sym("x", 2)
     root, _, _ = solve(x, ca.vertcat(ca.sumsqr(x) - 5, x[0] * x[1] - 2), guess=[2.5, 0.6])
     np.testing.assert_allclose(root, [2.0, 1.0], rtol=1e-14)
 
 
-def test_the_guess_decides_between_branches():
+def test_the_guess_decides_between_branches() -> None:
     x = ca.SX.sym("x")
     assert solve(x, x**2 - 4, guess=[1.0])[0][0] == pytest.approx(2.0)
     assert solve(x, x**2 - 4, guess=[-1.0])[0][0] == pytest.approx(-2.0)
@@ -87,7 +96,7 @@ def test_the_guess_decides_between_branches():
 @pytest.mark.parametrize("size", [1, 2, 3, 8])
 @settings(max_examples=10)
 @given(data=st.data())
-def test_linear_systems_are_solved_exactly_without_iterations(size, data):
+def test_linear_systems_are_solved_exactly_without_iterations(size: int, data: DataObject) -> None:
     matrix = data.draw(arrays(float, (size, size), elements=st.floats(-1.0, 1.0)))
     matrix = np.round(matrix, 3) + 2.0 * size * np.eye(size) + 0.1  # dense and regular: one block
     right = data.draw(arrays(float, size, elements=st.floats(-5.0, 5.0)))
@@ -99,7 +108,7 @@ def test_linear_systems_are_solved_exactly_without_iterations(size, data):
     assert worst < 1e-12
 
 
-def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units():
+def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units() -> None:
     """Values of a polynomial at five points, two of them in units that are 1e8 and 1e4 times smaller."""
     size, nodes = 5, np.linspace(-1.0, 1.0, 5)
     matrix = np.vander(nodes, size) * np.array([1.0, 1e8, 1.0, 1e4, 1.0])[:, None]
@@ -112,7 +121,7 @@ def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units():
     np.testing.assert_allclose(np.asarray(flat(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)
 
 
-def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other():
+def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other() -> None:
     """A chain given backwards: every unknown needs the next one, the last stands alone."""
     x = ca.SX.sym("x", 6)
     rows = [x[k] - x[k + 1] ** 2 - 1 for k in range(5)] + [x[5] ** 3 - 8]
@@ -127,7 +136,7 @@ def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other():
 
 @settings(max_examples=15)
 @given(order=st.permutations(range(5)), columns=st.permutations(range(5)))
-def test_the_order_of_equations_and_unknowns_makes_no_difference(order, columns):
+def test_the_order_of_equations_and_unknowns_makes_no_difference(order, columns) -> None:
     x = ca.SX.sym("x", 5)
     rows = [x[0] ** 2 - 9, x[1] * x[0] - 6, x[2] + x[3] - x[1], x[2] - x[3] - 2 * x[0], x[4] ** 3 + x[4] - x[2]]
     guess = np.array([2.0, 1.0, 0.0, 0.0, 1.0])
@@ -136,7 +145,7 @@ def test_the_order_of_equations_and_unknowns_makes_no_difference(order, columns)
     np.testing.assert_allclose(root, np.array([3.0, 2.0, 4.0, -2.0, fifth])[list(columns)], rtol=1e-12)
 
 
-def test_torn_unknowns_of_a_nonlinear_block_satisfy_their_equations():
+def test_torn_unknowns_of_a_nonlinear_block_satisfy_their_equations() -> None:
     """A loop of explicit rows closed by one nonlinear row, as the velocities of an implicit step are."""
     x, h = ca.SX.sym("x", 4), ca.SX.sym("h")
     rows = ca.vertcat(x[1] - 2 * x[0] - h, x[2] + 3 * x[1], x[3] - x[2] * h, ca.exp(x[3]) + x[0] + x[1] - 2)
@@ -151,12 +160,12 @@ def test_torn_unknowns_of_a_nonlinear_block_satisfy_their_equations():
     exponents=st.lists(st.integers(-12, 12), min_size=6, max_size=6),
     values=st.lists(st.floats(0.5, 2.0), min_size=3, max_size=3),
 )
-def test_units_of_unknowns_and_equations_make_no_difference(exponents, values):
+def test_units_of_unknowns_and_equations_make_no_difference(exponents, values) -> None:
     """Multiplying unknowns by a and rows by b changes neither iterations nor digits, if the scales say so."""
     a, b = 10.0 ** np.array(exponents[:3]), 10.0 ** np.array(exponents[3:])
     x, right = ca.SX.sym("x", 3), ca.SX.sym("g", 3)
 
-    def rows(y):
+    def rows(y: ca.SX) -> ca.SX:
         return y**3 + 2 * y + ca.vertcat(y[1], y[2], y[0]) / 10 - right
 
     plain, counts, _ = solve(x, rows(x), right, values, guess=[1, 1, 1])
@@ -167,7 +176,7 @@ def test_units_of_unknowns_and_equations_make_no_difference(exponents, values):
     assert abs(scaled_counts - counts).max() < 1.5
 
 
-def test_the_residual_is_the_largest_of_all_rows_each_by_its_scale():
+def test_the_residual_is_the_largest_of_all_rows_each_by_its_scale() -> None:
     """Where Newton stops after one exact step of a linear row, nothing is left; a wrong scale would show."""
     x = ca.SX.sym("x", 2)
     _, _, worst = solve(x, ca.vertcat(x[0] - 1, x[1] - 2), outputs=[x, ca.SX(0)])
@@ -177,7 +186,7 @@ def test_the_residual_is_the_largest_of_all_rows_each_by_its_scale():
     assert worst == pytest.approx(4.44e4, rel=0.01)
 
 
-def test_outputs_are_expressions_of_unknowns_and_givens():
+def test_outputs_are_expressions_of_unknowns_and_givens() -> None:
     x, g = ca.SX.sym("x", 2), ca.SX.sym("g", 2)
     (total, twice), _, _ = solve(
         x, ca.vertcat(x[0] - g[0], x[1] ** 3 - g[1]), g, [4.0, 27.0], guess=[1, 1], outputs=[x[0] + x[1] + g[0], 2 * x]
@@ -186,7 +195,7 @@ def test_outputs_are_expressions_of_unknowns_and_givens():
     np.testing.assert_allclose(twice, [8.0, 6.0], rtol=1e-14)
 
 
-def test_without_unknowns_there_is_nothing_to_do():
+def test_without_unknowns_there_is_nothing_to_do() -> None:
     found, counts, worst = solve(ca.SX(0, 1), ca.SX(0, 1), outputs=[ca.SX(3)])
     np.testing.assert_array_equal(found, [3.0])
     np.testing.assert_array_equal(counts, [0.0, 0.0])
@@ -196,20 +205,20 @@ def test_without_unknowns_there_is_nothing_to_do():
 # Failure ------------------------------------------------------------------------------------------------------------
 
 
-def test_a_system_without_a_root_gives_nan_not_the_last_iterate():
+def test_a_system_without_a_root_gives_nan_not_the_last_iterate() -> None:
     x = ca.SX.sym("x")
     root, _, _ = solve(x, x**2 + 1, guess=[0.7])
     assert np.isnan(root).all()
 
 
-def test_a_singular_jacobian_at_the_guess_gives_nan_or_infinity():
+def test_a_singular_jacobian_at_the_guess_gives_nan_or_infinity() -> None:
     x = ca.SX.sym("x", 2)
     root, _, worst = solve(x, ca.vertcat(x[0] * x[1] - 1, x[0] ** 2 + x[1] ** 2 - 4), guess=[0.0, 0.0])
     assert not np.isfinite(root).all()
     assert not np.isfinite(worst)
 
 
-def test_a_numerically_singular_linear_block_shows():
+def test_a_numerically_singular_linear_block_shows() -> None:
     x, g = ca.SX.sym("x", 3), ca.SX.sym("g")
     matrix = ca.SX([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]])
     matrix[2, 2] = g  # 9 makes it singular; the pattern is dense, so the structure cannot tell
@@ -218,7 +227,7 @@ def test_a_numerically_singular_linear_block_shows():
     assert not np.isfinite(root).all() or worst > 1e-3
 
 
-def test_failure_of_one_block_spreads_to_those_that_need_it_and_to_the_residual_only():
+def test_failure_of_one_block_spreads_to_those_that_need_it_and_to_the_residual_only() -> None:
     x = ca.SX.sym("x", 3)
     root, _, worst = solve(x, ca.vertcat(x[0] ** 2 + 1, x[1] - x[0], x[2] ** 2 - 4), guess=[0.7, 0.0, 1.0])
     assert np.isnan(root[:2]).all()
@@ -226,7 +235,7 @@ def test_failure_of_one_block_spreads_to_those_that_need_it_and_to_the_residual_
     assert np.isnan(worst)
 
 
-def test_nan_among_the_givens_is_not_taken_for_convergence():
+def test_nan_among_the_givens_is_not_taken_for_convergence() -> None:
     x, g = ca.SX.sym("x"), ca.SX.sym("g")
     root, _, worst = solve(x, x**3 + x - g, g, [np.nan], guess=[1.0])
     assert np.isnan(root).all()
@@ -241,14 +250,14 @@ def test_nan_among_the_givens_is_not_taken_for_convergence():
         lambda x: ca.vertcat(x[0], x[1], 0),
     ],
 )
-def test_structurally_singular_equations_are_refused(rows):
+def test_structurally_singular_equations_are_refused(rows) -> None:
     x = ca.SX.sym("x", 3)
     with pytest.raises(sc.InvalidModel, match="structurally singular"):
         solve(x, ca.SX(rows(x)))
 
 
 @pytest.mark.parametrize("attribute", ["residual", "guess", "unknown_scale", "residual_scale"])
-def test_sizes_that_do_not_fit_are_refused(attribute):
+def test_sizes_that_do_not_fit_are_refused(attribute: str) -> None:
     x = ca.SX.sym("x", 2)
     settings = {"unknowns": x, "givens": ca.SX(0, 1), "residual": x, "guess": ca.SX.zeros(2)}
     settings |= {"unknown_scale": ca.SX.ones(2), "residual_scale": ca.SX.ones(2), attribute: ca.SX.ones(3)}

@@ -19,11 +19,11 @@ CRANE = scene("rotary_crane")
 
 
 @pytest.fixture(scope="module")
-def stepper():
+def stepper() -> sc.Stepper:
     return sc.Stepper(CRANE, sc.Projected(), sc.BackwardEuler(), 0.1)
 
 
-def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(stepper, tmp_path):
+def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(stepper: sc.Stepper, tmp_path: Path) -> None:
     """As in an FMU: its few modules alone in a folder, everything else of the world refused."""
     package = tmp_path / "servocore"
     for module in ("stepping/program", "numerics/compiled_calls", "numerics/serialization", "model/quantity", "errors"):
@@ -85,25 +85,25 @@ def test_serializing_twice_gives_the_same_text(stepper):
         '{"format": "servocore program 3", "casadi": "3"}',
     ],
 )
-def test_what_is_no_program_is_refused(text):
+def test_what_is_no_program_is_refused(text: str) -> None:
     with pytest.raises(sc.ServocoreError, match="the saved program"):
         Program.from_json(text)
 
 
-def test_another_format_is_refused_by_name(stepper):
+def test_another_format_is_refused_by_name(stepper: sc.Stepper) -> None:
     document = json.loads(stepper.program.to_json()) | {"format": "servocore program 99"}
     with pytest.raises(sc.ServocoreError, match="the saved program has another format"):
         Program.from_json(json.dumps(document))
 
 
-def test_a_damaged_function_is_refused(stepper):
+def test_a_damaged_function_is_refused(stepper: sc.Stepper) -> None:
     document = json.loads(stepper.program.to_json())
     document["functions"] = document["functions"][: len(document["functions"]) // 2]
     with pytest.raises(sc.ServocoreError, match="the saved program cannot be read"):
         Program.from_json(json.dumps(document))
 
 
-def test_a_program_with_missing_or_surplus_fields_is_refused(stepper):
+def test_a_program_with_missing_or_surplus_fields_is_refused(stepper: sc.Stepper) -> None:
     document = json.loads(stepper.program.to_json())
     with pytest.raises(sc.ServocoreError, match="the saved program cannot be read"):
         Program.from_json(json.dumps({k: v for k, v in document.items() if k != "channels"}))
@@ -111,7 +111,7 @@ def test_a_program_with_missing_or_surplus_fields_is_refused(stepper):
         Program.from_json(json.dumps(document | {"colour": "red"}))
 
 
-def test_limits_are_checked_at_single_instants_with_the_time(stepper):
+def test_limits_are_checked_at_single_instants_with_the_time(stepper: sc.Stepper) -> None:
     jet = CRANE.reference.jet(3.0, stepper.start_order)
     stepper.program.require_within_limits(jet, stepper.parameters, 3.0)
     jet[2, 2] = -10.0
@@ -120,7 +120,7 @@ def test_limits_are_checked_at_single_instants_with_the_time(stepper):
 
 
 @pytest.mark.parametrize("margin", [0.0, -1.0, float("nan")])
-def test_a_margin_that_is_not_positive_breaks_its_limit(margin):
+def test_a_margin_that_is_not_positive_breaks_its_limit(margin: float) -> None:
     limit = LimitText("the gap", "m", "they touch", 0.5)
     require_margins([limit, limit], np.array([1e-9, 2.0]), 1.0)
     with pytest.raises(sc.InvalidReference, match=r"at t = 1 s they touch: the gap is .* m, it must stay above 0.5 m"):
@@ -128,7 +128,7 @@ def test_a_margin_that_is_not_positive_breaks_its_limit(margin):
 
 
 @pytest.mark.parametrize("method", [each.method for each in METHODS], ids=lambda method: method.name)
-def test_the_worst_equation_of_a_step_is_one_of_its_equations(method):
+def test_the_worst_equation_of_a_step_is_one_of_its_equations(method) -> None:
     """Also where a step has several stages, each with all equations."""
     several = sc.Stepper(CRANE, sc.Projected(), method, 0.1)
     program, state = several.program, np.full(several.program.state_size, 0.3)

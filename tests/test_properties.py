@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from problems import scene
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import DEGREE9
 
 CRANE = scene("rotary_crane")
@@ -28,13 +29,20 @@ def manoeuvres(draw):
     return ends[0], ends[1], round(draw(st.floats(15.0, 40.0)), 1)
 
 
-def solve(route, start, end, duration, crane=CRANE, steps=100):
+def solve(
+    route: tuple[sc.Reduced, str],
+    start: tuple[float, float, float],
+    end: tuple[float, float, float],
+    duration: float,
+    crane: sc.Scene = CRANE,
+    steps: int = 100,
+) -> sc.Solution:
     formulation, model = route
     subject = crane.with_reference(sc.rest_to_rest(tuple(start), tuple(end), duration, DEGREE9))
     return sc.solve(subject, formulation, sc.BackwardEuler(), step=duration / steps, model=model)
 
 
-def assert_equal(found, expected, factors=None):
+def assert_equal(found: sc.Solution, expected: sc.Solution, factors=None) -> None:
     """Inputs agree to rounding, relative to the sizes of all three."""
     factors = factors or {}
     for name in INPUTS:
@@ -43,7 +51,7 @@ def assert_equal(found, expected, factors=None):
         np.testing.assert_allclose(found[name], wanted, rtol=0.0, atol=1e-7 * size)
 
 
-def turned(point, angle):
+def turned(point, angle: float) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1], point[2]])
 
@@ -51,7 +59,9 @@ def turned(point, angle):
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
 @settings(max_examples=5)
 @given(manoeuvre=manoeuvres(), angle=st.floats(-3.0, 3.0))
-def test_a_path_turned_about_the_axis_takes_the_same_inputs_at_a_turned_bridge(formulation, model, manoeuvre, angle):
+def test_a_path_turned_about_the_axis_takes_the_same_inputs_at_a_turned_bridge(
+    formulation, model, manoeuvre, angle: float
+) -> None:
     start, end, duration = manoeuvre
     here = solve((formulation, model), start, end, duration)
     there = solve((formulation, model), turned(start, angle), turned(end, angle), duration)
@@ -62,7 +72,7 @@ def test_a_path_turned_about_the_axis_takes_the_same_inputs_at_a_turned_bridge(f
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
 @settings(max_examples=5)
 @given(manoeuvre=manoeuvres())
-def test_a_mirrored_path_takes_the_opposite_slewing_torque(formulation, model, manoeuvre):
+def test_a_mirrored_path_takes_the_opposite_slewing_torque(formulation, model, manoeuvre) -> None:
     start, end, duration = manoeuvre
     mirror = np.array([1.0, -1.0, 1.0])
     here = solve((formulation, model), start, end, duration)
@@ -73,7 +83,7 @@ def test_a_mirrored_path_takes_the_opposite_slewing_torque(formulation, model, m
 
 @settings(max_examples=10)
 @given(manoeuvre=manoeuvres())
-def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre):
+def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre) -> None:
     """Nothing dissipates: exact inputs do not know the direction of time. Backward Euler does."""
     start, end, duration = manoeuvre
     route = (sc.Reduced(), "points")
@@ -86,8 +96,8 @@ def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre):
 @settings(max_examples=4)
 @given(manoeuvre=manoeuvres(), length=st.floats(0.2, 5.0), time=st.floats(0.3, 3.0), mass=st.floats(0.1, 10.0))
 def test_other_units_of_length_time_and_mass_change_nothing_but_numbers(
-    formulation, model, manoeuvre, length, time, mass
-):
+    formulation, model, manoeuvre, length: float, time: float, mass: float
+) -> None:
     """Forces scale like mass length/time^2, torques with one length more: also in the errors of the method."""
     start, end, duration = manoeuvre
     powers = {
@@ -107,7 +117,7 @@ def test_other_units_of_length_time_and_mass_change_nothing_but_numbers(
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
 @settings(max_examples=4)
 @given(manoeuvre=manoeuvres(), inertias=st.lists(st.floats(0.5, 3.0), min_size=4, max_size=4))
-def test_inputs_are_linear_in_masses_and_inertias(formulation, model, manoeuvre, inertias):
+def test_inputs_are_linear_in_masses_and_inertias(formulation, model, manoeuvre, inertias) -> None:
     """The path fixes the motion, masses only weigh it: inputs for the sum of two cranes are the sum of the inputs."""
     start, end, duration = manoeuvre
     names = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia")
@@ -126,7 +136,7 @@ def test_inputs_are_linear_in_masses_and_inertias(formulation, model, manoeuvre,
 
 @settings(max_examples=8)
 @given(manoeuvre=manoeuvres())
-def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_alone(manoeuvre):
+def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_alone(manoeuvre) -> None:
     """In the limit M_b and F are the rope's force on the trolley, s e_phi.R and e_s.R, whatever the acceleration."""
     start, end, duration = manoeuvre
     light = CRANE.with_parameters(bridge_inertia=1e-3, trolley_mass=1e-3, winch_inertia=1e-6)
@@ -141,7 +151,7 @@ def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_
 
 
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
-def test_a_path_that_stays_where_it_is_takes_the_weight_and_nothing_else(formulation, model):
+def test_a_path_that_stays_where_it_is_takes_the_weight_and_nothing_else(formulation, model) -> None:
     rest = solve((formulation, model), (3.0, 2.0, -4.0), (3.0, 2.0, -4.0), 10.0)
     np.testing.assert_allclose(rest["M_b"], 0.0, atol=1e-8)
     np.testing.assert_allclose(rest["F"], 0.0, atol=1e-8)

@@ -25,7 +25,7 @@ CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
 class Rest:
     """A route of somebody's own: the inputs at rest, whatever the path does."""
 
-    def run(self, problem, times, progress=None):  # noqa: ARG002 - there is nothing to tell
+    def run(self, problem, times, progress=None) -> sc.Solution:  # noqa: ARG002 - there is nothing to tell
         values = np.zeros((len(times), len(problem.system.inputs)))
         return sc.Solution(times, problem.system.inputs, values, "rest")
 
@@ -43,13 +43,15 @@ class Rest:
         (CAR, sc.Reduced(), Rest(), None, Rest),
     ],
 )
-def test_the_form_and_the_control_of_steps_decide_about_the_route(of, formulation, method, step, route):
+def test_the_form_and_the_control_of_steps_decide_about_the_route(
+    of: sc.Scene, formulation: sc.Formulation, method, step: sc.Adaptive | None, route
+) -> None:
     chosen = chosen_route(sc.Problem.of(of), formulation, method, step, native=False, checks=True)
     assert isinstance(chosen, route)
     assert isinstance(chosen, sc.Route)
 
 
-def test_solve_takes_a_route_of_one_s_own():
+def test_solve_takes_a_route_of_one_s_own() -> None:
     found = sc.solve(CAR, method=Rest())
     assert found.route == "rest"
     assert not found["u"].any()
@@ -57,14 +59,14 @@ def test_solve_takes_a_route_of_one_s_own():
 
 @pytest.mark.parametrize("step", [None, sc.Adaptive(1e-3)])
 @pytest.mark.parametrize("formulation", [sc.Reduced(), sc.Projected()], ids=lambda form: form.name)
-def test_every_run_tells_how_far_it_is(formulation, step):
+def test_every_run_tells_how_far_it_is(formulation: sc.Formulation, step: sc.Adaptive | None) -> None:
     told = []
     sc.solve(CAR, formulation, sc.RadauIIA(2), step=step, progress=lambda done, of: told.append((done, of)))
     assert told
     assert told[-1][0] == told[-1][1]
 
 
-def test_threads_may_share_a_scene():
+def test_threads_may_share_a_scene() -> None:
     times, push = np.linspace(0.0, 4.0, 41), (lambda time: np.array([np.sin(3.0 * time)]))
     heavier = [CAR.with_parameters(mass=1.0 + k) for k in range(4)]
     alone = [sc.simulate(each, push, t=times).values for each in heavier]
@@ -79,7 +81,7 @@ def test_threads_may_share_a_scene():
         np.testing.assert_array_equal(one, other)
 
 
-def test_problems_of_one_system_share_what_was_compiled_and_nothing_else():
+def test_problems_of_one_system_share_what_was_compiled_and_nothing_else() -> None:
     other = CRANE.with_reference(sc.rest_to_rest((1.0, -3.0), (2.0, -2.0), 5.0)).with_parameters(load_mass=42.0)
     first, second = sc.Problem.of(CRANE), sc.Problem.of(other)
     assert first.resolved is second.resolved
@@ -89,14 +91,14 @@ def test_problems_of_one_system_share_what_was_compiled_and_nothing_else():
     np.testing.assert_allclose(sc.solve(other)["F"], exact, atol=1e-9 * np.abs(exact).max())
 
 
-def test_only_so_much_is_kept_with_a_system():
+def test_only_so_much_is_kept_with_a_system() -> None:
     limits = [sc.Limit("z", "m", -100.0, "it falls", lambda gamma, _, k=k: gamma[1, 0] + 0 * k) for k in range(200)]
     for limit in limits:
         sc.analyse(replace(CRANE, limits=(limit,)))
     assert len(sc.Problem.of(CRANE).resolved._made) <= 128
 
 
-def test_the_error_of_a_structure_without_an_answer_is_a_new_one_every_time():
+def test_the_error_of_a_structure_without_an_answer_is_a_new_one_every_time() -> None:
     system = CRANE.model("points")
     loose = replace(system, input_matrix=0 * system.input_matrix, name="loose")
     problem = sc.Problem.of(loose)

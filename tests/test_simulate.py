@@ -11,29 +11,30 @@ from problems import as_scene, driven_pendulum, exact, polynomial_path, problem,
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("rotary_crane")
 NO_TORQUE = lambda time: np.zeros(1)  # noqa: ARG005, E731
 
 
-def released(system, start, duration):
+def released(system: sc.MechanicalSystem, start: float, duration: float) -> sc.Scene:
     """Return a scene whose reference only says where the system starts, at rest."""
     return as_scene(system, polynomial_path([[start]], duration))
 
 
-def period(amplitude):
+def period(amplitude: float):
     """4 sqrt(l/g) K(m), m = sin^2(amplitude/2)."""
     return 4.0 * np.sqrt(1.5 / 9.81) * scipy.special.ellipk(np.sin(amplitude / 2) ** 2)
 
 
 @pytest.mark.parametrize("amplitude", [0.01, 1.0, 2.5])
-def test_a_free_pendulum_swings_with_the_period_of_the_elliptic_integral(amplitude):
+def test_a_free_pendulum_swings_with_the_period_of_the_elliptic_integral(amplitude: float) -> None:
     t = np.array([0.0, 0.25, 0.5, 1.0]) * period(amplitude)
     found = sc.simulate(released(driven_pendulum(), amplitude, t[-1]), NO_TORQUE, t=t, rtol=1e-11, atol=1e-12)
     np.testing.assert_allclose(found["theta"], amplitude * np.array([1.0, 0.0, -1.0, 1.0]), atol=1e-8)
 
 
-def test_a_free_pendulum_keeps_its_energy():
+def test_a_free_pendulum_keeps_its_energy() -> None:
     """Over ten swings of more than a right angle, from angles and their rates by a spline of degree seven."""
     t = np.linspace(0.0, 25.0, 2001)
     angle = sc.simulate(released(driven_pendulum(), 2.0, 25.0), NO_TORQUE, t=t)["theta"]
@@ -42,7 +43,7 @@ def test_a_free_pendulum_keeps_its_energy():
     assert np.ptp(energy) < 1e-6 * 9.81 * 1.5
 
 
-def test_tighter_tolerances_give_smaller_errors():
+def test_tighter_tolerances_give_smaller_errors() -> None:
     """After ten swings and a quarter the pendulum passes the vertical."""
     errors = []
     for rtol in (1e-4, 1e-6, 1e-8, 1e-10):
@@ -53,7 +54,7 @@ def test_tighter_tolerances_give_smaller_errors():
     assert errors[-1] < 1e-7
 
 
-def test_redundant_coordinates_swing_as_the_angle_does_and_keep_the_rod():
+def test_redundant_coordinates_swing_as_the_angle_does_and_keep_the_rod() -> None:
     one = released(driven_pendulum(), 1.2, 4.0)
     other = released(redundant_pendulum("theta"), 1.2, 4.0)
     t = np.linspace(0.0, 4.0, 81)
@@ -64,7 +65,7 @@ def test_redundant_coordinates_swing_as_the_angle_does_and_keep_the_rod():
     assert found.statistics.constraint_violation < 1e-8
 
 
-def test_constraints_do_not_drift_off_however_long_it_runs():
+def test_constraints_do_not_drift_off_however_long_it_runs() -> None:
     """Differentiated constraints alone would leave the rod like t^2: 1e-3 m after 80 s at this tolerance."""
     rods = []
     for duration in (20.0, 80.0):
@@ -77,12 +78,12 @@ def test_constraints_do_not_drift_off_however_long_it_runs():
 
 
 @pytest.mark.parametrize("name", ["overhead_crane", "cars"])
-def test_exact_inputs_lead_the_load_along_the_path(name):
+def test_exact_inputs_lead_the_load_along_the_path(name: str) -> None:
     """The closed form as a function of time: every instant of it, not samples."""
     crane = scene(name)
     inputs = [each.name for each in crane.model().inputs]
 
-    def force(time):
+    def force(time) -> Array:
         found = crane.exact(np.array([time]))
         return np.array([found[each][0] for each in inputs])
 
@@ -95,7 +96,7 @@ def test_exact_inputs_lead_the_load_along_the_path(name):
 
 
 @pytest.mark.parametrize("model", ["points", "generalized"])
-def test_exact_inputs_lead_the_rotary_crane_s_load_along_the_path(model):
+def test_exact_inputs_lead_the_rotary_crane_s_load_along_the_path(model: str) -> None:
     """Reduced gives them to rounding; 2000 samples and a cubic spline leave less than a micrometre."""
     inputs = solved(problem("rotary_crane", "points", "reduced"), 2000)
     t = np.linspace(0.0, 20.0, 201)
@@ -106,7 +107,7 @@ def test_exact_inputs_lead_the_rotary_crane_s_load_along_the_path(model):
         np.testing.assert_allclose(found[name], expected[name], atol=1e-6)
 
 
-def test_the_load_misses_its_end_by_a_first_order_amount_under_backward_euler_inputs():
+def test_the_load_misses_its_end_by_a_first_order_amount_under_backward_euler_inputs() -> None:
     misses = []
     for steps in (200, 400, 800):
         inputs = solved(problem("rotary_crane", "points"), steps)
@@ -117,7 +118,7 @@ def test_the_load_misses_its_end_by_a_first_order_amount_under_backward_euler_in
         assert coarse / fine == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_heavier_load_than_planned_does_not_arrive():
+def test_a_heavier_load_than_planned_does_not_arrive() -> None:
     """What the simulation is for: the inputs were made for another crane."""
     inputs = solved(problem("overhead_crane", "points", "reduced"), 800)
     found = sc.simulate(scene("overhead_crane").with_parameters(load_mass=130.0), inputs)
@@ -125,7 +126,7 @@ def test_a_heavier_load_than_planned_does_not_arrive():
     assert sc.simulate(scene("overhead_crane"), inputs)["tracking_error"][-1] < 1e-4
 
 
-def test_it_reports_inputs_outputs_observables_and_coordinates_with_units():
+def test_it_reports_inputs_outputs_observables_and_coordinates_with_units() -> None:
     inputs = solved(problem("overhead_crane", "points", "reduced"), 200)
     found = sc.simulate(scene("overhead_crane"), inputs)
     for name, unit in {
@@ -139,12 +140,12 @@ def test_it_reports_inputs_outputs_observables_and_coordinates_with_units():
     assert found.statistics.servo_violation == pytest.approx(found["tracking_error"].max())
 
 
-def test_inputs_given_as_a_function_need_times():
+def test_inputs_given_as_a_function_need_times() -> None:
     with pytest.raises(sc.InvalidSetting, match="need the times at which to report"):
         sc.simulate(released(driven_pendulum(), 1.0, 1.0), NO_TORQUE)
 
 
-def test_inputs_that_are_not_numbers_end_in_a_sentence_not_in_numbers():
+def test_inputs_that_are_not_numbers_end_in_a_sentence_not_in_numbers() -> None:
     with pytest.raises(sc.ServocoreError, match=r"the forward simulation stopped at t = "):
         sc.simulate(
             released(driven_pendulum(), 1.0, 1.0),

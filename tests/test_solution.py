@@ -12,23 +12,25 @@ import pytest
 from problems import problem, scene, solved
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
+from servocore.references.piecewise import PiecewisePolynomial
 
 CRANE = scene("rotary_crane")
 
 
 @pytest.fixture(scope="module")
-def solution():
+def solution() -> sc.Solution:
     return solved(problem("rotary_crane", "points"), 200)
 
 
-def test_it_lists_inputs_then_observables_outputs_and_coordinates(solution):
+def test_it_lists_inputs_then_observables_outputs_and_coordinates(solution: sc.Solution) -> None:
     expected = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing", "x", "y", "z", "d_x", "d_y", "p_x", "p_y")
     assert solution.names == expected
     units = ["N.m", "N", "N.m", "rad", "m", "m", "N", "rad", "m", "m", "m", "1", "1", "m", "m"]
     assert [solution.unit(name) for name in solution.names] == units
 
 
-def test_names_give_columns(solution):
+def test_names_give_columns(solution: sc.Solution) -> None:
     assert "M_b" in solution
     assert "M_c" not in solution
     np.testing.assert_array_equal(solution["F"], solution.values[:, 1])
@@ -36,16 +38,16 @@ def test_names_give_columns(solution):
 
 
 @pytest.mark.parametrize("ask", [lambda s: s["M_c"], lambda s: s.unit("M_c")])
-def test_an_unknown_name_is_refused_and_the_known_ones_listed(solution, ask):
+def test_an_unknown_name_is_refused_and_the_known_ones_listed(solution: sc.Solution, ask) -> None:
     with pytest.raises(KeyError, match="M_c; there are M_b, F, M_w, phi, s, l"):
         ask(solution)
 
 
-def test_the_route_says_model_formulation_and_method(solution):
+def test_the_route_says_model_formulation_and_method(solution: sc.Solution) -> None:
     assert solution.route == "rotary crane, points, projected, backward-euler"
 
 
-def test_the_fit_error_of_a_sampled_path_is_handed_on(solution):
+def test_the_fit_error_of_a_sampled_path_is_handed_on(solution: sc.Solution) -> None:
     assert solution.fit_error is None
     t = np.linspace(0.0, 20.0, 401)
     path = sc.sampled(t, CRANE.reference.jet(t, 0)[:, 0])
@@ -57,19 +59,19 @@ def test_the_fit_error_of_a_sampled_path_is_handed_on(solution):
 
 
 @pytest.mark.parametrize(("model", "most"), [("points", 3.0), ("generalized", 3.2), ("bodies", 3.6)])
-def test_a_step_of_the_default_crane_takes_about_three_newton_iterations(model, most):
+def test_a_step_of_the_default_crane_takes_about_three_newton_iterations(model: str, most: float) -> None:
     statistics = solved(problem("rotary_crane", model), 200).statistics
     assert statistics.steps == 200
     assert statistics.newton_iterations <= most * 200
     assert statistics.newton_iterations <= statistics.factorisations
 
 
-def test_iterations_become_fewer_as_steps_become_smaller():
+def test_iterations_become_fewer_as_steps_become_smaller() -> None:
     counts = [solved(problem("rotary_crane", "points"), n).statistics.newton_iterations / n for n in (200, 800, 1600)]
     assert counts[0] > counts[1] > counts[2]
 
 
-def test_violations_are_those_of_the_theory(solution):
+def test_violations_are_those_of_the_theory(solution: sc.Solution) -> None:
     """Positions satisfy the constraints to rounding; velocities, differenced, miss them by a first-order amount."""
     statistics = solution.statistics
     assert statistics.servo_violation < 1e-12
@@ -84,13 +86,13 @@ def test_violations_are_those_of_the_theory(solution):
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
-def read(path):
+def read(path: Path) -> tuple[list[str], Array]:
     with Path(path).open(newline="") as stream:
         header, *rows = csv.reader(stream)
     return header, np.array(rows, dtype=float)
 
 
-def test_csv_brings_every_digit_back(solution, tmp_path):
+def test_csv_brings_every_digit_back(solution: sc.Solution, tmp_path: Path) -> None:
     solution.to_csv(tmp_path / "inputs.csv")
     header, table = read(tmp_path / "inputs.csv")
     assert header == ["time", *solution.names]
@@ -98,14 +100,14 @@ def test_csv_brings_every_digit_back(solution, tmp_path):
     np.testing.assert_array_equal(table[:, 1:], solution.values)
 
 
-def test_csv_holds_the_names_asked_for_in_their_order(solution, tmp_path):
+def test_csv_holds_the_names_asked_for_in_their_order(solution: sc.Solution, tmp_path: Path) -> None:
     solution.to_csv(tmp_path / "some.csv", ["z", "M_b"])
     header, table = read(tmp_path / "some.csv")
     assert header == ["time", "z", "M_b"]
     np.testing.assert_array_equal(table[:, 2], solution["M_b"])
 
 
-def test_csv_holds_numbers_that_are_hard_to_write(tmp_path):
+def test_csv_holds_numbers_that_are_hard_to_write(tmp_path: Path) -> None:
     values = np.array([[np.pi], [1e-310], [-0.0], [np.nan], [np.inf], [1 / 3]])
     sc.Solution(np.arange(6.0), (sc.Quantity("v", "m"),), values, "by hand").to_csv(tmp_path / "hard.csv")
     _, table = read(tmp_path / "hard.csv")
@@ -113,11 +115,13 @@ def test_csv_holds_numbers_that_are_hard_to_write(tmp_path):
     assert np.signbit(table[2, 1])
 
 
-def test_a_failed_write_leaves_the_old_file_and_no_rest(solution, tmp_path, monkeypatch):
+def test_a_failed_write_leaves_the_old_file_and_no_rest(
+    solution: sc.Solution, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     target = tmp_path / "inputs.csv"
     target.write_text("old")
 
-    def full(*_):
+    def full(*_) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)
@@ -127,12 +131,12 @@ def test_a_failed_write_leaves_the_old_file_and_no_rest(solution, tmp_path, monk
     assert os.listdir(tmp_path) == ["inputs.csv"]
 
 
-def test_a_folder_that_does_not_exist_is_refused_by_name(solution, tmp_path):
+def test_a_folder_that_does_not_exist_is_refused_by_name(solution: sc.Solution, tmp_path: Path) -> None:
     with pytest.raises(sc.InvalidSetting, match=r"cannot write .*nowhere"):
         solution.to_csv(tmp_path / "nowhere" / "inputs.csv")
 
 
-def test_unknown_names_write_nothing(solution, tmp_path):
+def test_unknown_names_write_nothing(solution: sc.Solution, tmp_path: Path) -> None:
     with pytest.raises(KeyError, match="M_c"):
         solution.to_csv(tmp_path / "inputs.csv", ["M_c"])
     assert os.listdir(tmp_path) == []
@@ -141,7 +145,7 @@ def test_unknown_names_write_nothing(solution, tmp_path):
 # Angles --------------------------------------------------------------------------------------------------------------
 
 
-def turns(count, duration=60.0):
+def turns(count: int, duration: float = 60.0) -> PiecewisePolynomial:
     """Waypoints around the axis, every 30 degrees."""
     angles = np.linspace(0.0, 2 * np.pi * count, 12 * abs(count) + 1)
     return sc.through(np.column_stack([4 * np.cos(angles), 4 * np.sin(angles), -5 + 0 * angles]), duration=duration)
@@ -149,7 +153,7 @@ def turns(count, duration=60.0):
 
 @pytest.mark.parametrize("model", ["points", "generalized", "bodies"])
 @pytest.mark.parametrize("count", [2, -2])
-def test_the_bridge_angle_goes_on_beyond_full_turns(model, count):
+def test_the_bridge_angle_goes_on_beyond_full_turns(model: str, count: int) -> None:
     crane = CRANE.with_reference(turns(count))
     found = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.3, model=model)
     assert np.abs(np.diff(found["phi"])).max() < 0.3
@@ -157,16 +161,16 @@ def test_the_bridge_angle_goes_on_beyond_full_turns(model, count):
     np.testing.assert_allclose(found["phi"], crane.exact(found.t)["phi"], atol=1e-9)
 
 
-def test_angles_of_exact_inversion_are_continuous_too():
+def test_angles_of_exact_inversion_are_continuous_too() -> None:
     found = sc.solve(CRANE.with_reference(turns(2)), sc.Reduced(), step=0.3)
     assert found["phi"][-1] - found["phi"][0] == pytest.approx(4 * np.pi, abs=1e-9)
 
 
 @pytest.mark.parametrize("model", ["points", "generalized"])
-def test_crossing_the_cut_of_the_arc_tangent_leaves_no_trace(model):
+def test_crossing_the_cut_of_the_arc_tangent_leaves_no_trace(model: str) -> None:
     """From 170 to 190 degrees: the same inputs as from -10 to 10 degrees."""
 
-    def sweep(degrees):
+    def sweep(degrees: int) -> sc.Scene:
         angles = np.radians([degrees - 10, degrees, degrees + 10])
         path = np.column_stack([5 * np.cos(angles), 5 * np.sin(angles), [-5, -4, -5]])
         return CRANE.with_reference(sc.through(path, duration=15.0))

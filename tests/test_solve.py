@@ -12,19 +12,22 @@ from problems import as_scene, car_chain, polynomial_path, problem, scene, solve
 
 import servocore as sc
 from servocore.checks.instants import time_grid
+from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.fixed_step_loop import CHUNK
 
 CRANE = scene("rotary_crane")
 
 
-def solve(crane=CRANE, formulation=None, method=None, **settings_):
+def solve(
+    crane: sc.Scene = CRANE, formulation: sc.Original | None = None, method=None, **settings_: float | str
+) -> sc.Solution:
     return sc.solve(crane, formulation or sc.Projected(), method or sc.BackwardEuler(), **settings_)
 
 
 # The grid ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_grid_goes_from_start_to_end_in_equal_steps():
+def test_the_grid_goes_from_start_to_end_in_equal_steps() -> None:
     late = CRANE.with_reference(sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, start_time=100.0))
     found = solve(late, step=0.1)
     assert found.t[0] == 100.0
@@ -35,7 +38,7 @@ def test_the_grid_goes_from_start_to_end_in_equal_steps():
 
 @settings(max_examples=50)
 @given(duration=st.floats(0.5, 1e4), count=st.integers(1, 10_000))
-def test_any_duration_divided_by_a_whole_number_is_a_step(duration, count):
+def test_any_duration_divided_by_a_whole_number_is_a_step(duration: float, count: int) -> None:
     path = polynomial_path([[0.0], [1.0]], duration)
     t = time_grid(path, duration / count)
     assert len(t) == count + 1
@@ -43,11 +46,11 @@ def test_any_duration_divided_by_a_whole_number_is_a_step(duration, count):
     np.testing.assert_allclose(np.diff(t), duration / count, rtol=1e-9)
 
 
-def test_the_default_step_is_a_two_hundredth_of_the_duration():
+def test_the_default_step_is_a_two_hundredth_of_the_duration() -> None:
     assert len(solve().t) == 201
 
 
-def test_a_path_that_starts_later_gives_the_same_inputs_later():
+def test_a_path_that_starts_later_gives_the_same_inputs_later() -> None:
     now = solved(problem("rotary_crane", "points"), 200)
     later = solve(CRANE.with_reference(sc.rest_to_rest((5, 0, -5), (-2, 2, -2), 20.0, start_time=-7.0)), step=0.1)
     for name in ("M_b", "F", "M_w", "phi"):
@@ -55,12 +58,12 @@ def test_a_path_that_starts_later_gives_the_same_inputs_later():
 
 
 @pytest.mark.parametrize("step", [0.0, -0.1, float("nan"), float("inf"), -float("inf")])
-def test_a_step_that_is_not_positive_and_finite_is_refused(step):
+def test_a_step_that_is_not_positive_and_finite_is_refused(step: float) -> None:
     with pytest.raises(sc.InvalidSetting, match="the step must be positive and finite, not"):
         solve(step=step)
 
 
-def test_a_step_longer_than_the_path_is_refused():
+def test_a_step_longer_than_the_path_is_refused() -> None:
     with pytest.raises(sc.InvalidSetting, match="step of 21 s is larger than the duration of 20 s"):
         solve(step=21.0)
 
@@ -69,19 +72,21 @@ def test_a_step_longer_than_the_path_is_refused():
     ("step", "nearest"),
     [(0.3, "0.2985074627 s and 0.303030303 s"), (11.0, "10 s and 20 s"), (0.1 + 1e-5, "0.1 s and 0.1005025126 s")],
 )
-def test_a_step_that_does_not_divide_the_duration_is_refused_with_the_nearest_that_do(step, nearest):
+def test_a_step_that_does_not_divide_the_duration_is_refused_with_the_nearest_that_do(
+    step: float, nearest: str
+) -> None:
     with pytest.raises(
         sc.InvalidSetting, match=f"does not divide the duration of 20 s; the nearest that do are {nearest}"
     ):
         solve(step=step)
 
 
-def test_the_nearest_steps_named_in_a_refusal_are_accepted():
+def test_the_nearest_steps_named_in_a_refusal_are_accepted() -> None:
     for step in (0.2985074627, 0.303030303):
         assert len(solve(step=step).t) in (67, 68)
 
 
-def test_steps_in_decimals_that_binary_cannot_hold_are_accepted():
+def test_steps_in_decimals_that_binary_cannot_hold_are_accepted() -> None:
     for step in (0.1, 0.2, 0.01, 1 / 3 * 0.3):
         assert solve(step=step).t[-1] == 20.0
 
@@ -90,7 +95,7 @@ def test_steps_in_decimals_that_binary_cannot_hold_are_accepted():
 
 
 @pytest.mark.parametrize("steps", [CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 7])
-def test_chunks_of_the_compiled_loop_do_not_show(steps):
+def test_chunks_of_the_compiled_loop_do_not_show(steps: int) -> None:
     """Whatever the number of steps, the result is that of stepping by hand."""
     step = 20.0 / steps
     found = solve(step=step)
@@ -105,32 +110,32 @@ def test_chunks_of_the_compiled_loop_do_not_show(steps):
     assert found.statistics.steps == steps
 
 
-def test_progress_is_told_after_every_chunk_and_ends_with_all_steps():
+def test_progress_is_told_after_every_chunk_and_ends_with_all_steps() -> None:
     told = []
     solve(step=20.0 / 1200, progress=lambda done, total: told.append((done, total)))
     assert told == [(400, 1200), (800, 1200), (1200, 1200)]
 
 
-def test_a_single_step_is_a_run():
+def test_a_single_step_is_a_run() -> None:
     scene = CRANE.with_reference(path((5, 0, -5), (4.5, 0.5, -4)))
     found = solve(scene, step=20.0)
     assert found.t.tolist() == [0.0, 20.0]
     np.testing.assert_allclose(found["s"], scene.exact(found.t)["s"], rtol=1e-12)
 
 
-def test_a_step_so_large_that_it_lands_on_another_branch_is_refused():
+def test_a_step_so_large_that_it_lands_on_another_branch_is_refused() -> None:
     with pytest.raises(sc.IntegrationFailed, match=r"at t = 20 s s is -2\.8\S* m, on another branch"):
         solve(step=20.0)
 
 
-def test_solving_twice_gives_the_same_digits():
+def test_solving_twice_gives_the_same_digits() -> None:
     np.testing.assert_array_equal(solve(step=0.1).values, solved(problem("rotary_crane", "points"), 200).values)
 
 
 # What is recommended -------------------------------------------------------------------------------------------------
 
 
-def test_without_a_formulation_the_exact_one_is_taken_where_there_is_one():
+def test_without_a_formulation_the_exact_one_is_taken_where_there_is_one() -> None:
     found = sc.solve(CRANE)
     exact = CRANE.exact(found.t)
     for name in ("M_b", "F", "M_w"):
@@ -141,27 +146,32 @@ def test_without_a_formulation_the_exact_one_is_taken_where_there_is_one():
 # Refusals ------------------------------------------------------------------------------------------------------------
 
 
-def path(start=(5.0, 0.0, -5.0), end=(-2.0, 2.0, -2.0), duration=20.0, **more):
+def path(
+    start: tuple[float, float, float] = (5.0, 0.0, -5.0),
+    end: tuple[float, float, float] = (-2.0, 2.0, -2.0),
+    duration: float = 20.0,
+    **more,
+) -> RestToRest:
     return sc.rest_to_rest(start, end, duration, **more)
 
 
-def test_a_slack_rope_is_refused_with_its_time():
+def test_a_slack_rope_is_refused_with_its_time() -> None:
     """Down 3 m in 1.2 s: the load would have to fall faster than it can."""
     with pytest.raises(sc.InvalidReference, match=r"at t = 0\.\d+ s the rope goes slack: g \+ z'' is -\S+ m/s2"):
         solve(CRANE.with_reference(path((5, 0, -2), (5, 1, -5), 1.2)), step=0.1)
 
 
-def test_a_load_above_the_girder_is_refused():
+def test_a_load_above_the_girder_is_refused() -> None:
     with pytest.raises(sc.InvalidReference, match=r"at t = \S+ s the load is not below the girder"):
         solve(CRANE.with_reference(path(end=(-2.0, 2.0, 0.5))), step=0.1)
 
 
-def test_a_path_over_the_slewing_axis_is_refused_with_its_time():
+def test_a_path_over_the_slewing_axis_is_refused_with_its_time() -> None:
     with pytest.raises(sc.InvalidReference, match=r"at t = (9\.99|10)\S* s the trolley reaches the slewing axis"):
         solve(CRANE.with_reference(path((5, 0, -5), (-5, 0, -5))), step=0.1)
 
 
-def test_limits_are_kept_between_the_instants_of_the_grid_too():
+def test_limits_are_kept_between_the_instants_of_the_grid_too() -> None:
     """At t = 0, 10 and 20 s the load is where it may be; in between it dips above the girder."""
     hop = sc.through([(5, 0, -1), (5, 1, 0.1), (5, 2, -1), (5, 3, -1), (5, 4, -1)], times=[0, 5, 10, 15, 20])
     grid = hop.jet(np.array([0.0, 10.0, 20.0]), 0)[:, 0, 2]
@@ -171,13 +181,13 @@ def test_limits_are_kept_between_the_instants_of_the_grid_too():
         solve(CRANE.with_reference(hop), step=10.0)
 
 
-def test_a_near_miss_of_the_axis_between_survey_points_is_found():
+def test_a_near_miss_of_the_axis_between_survey_points_is_found() -> None:
     """The straight line passes the axis at a hundredth of a millimetre: closer than allowed, for a few milliseconds."""
     with pytest.raises(sc.InvalidReference, match="the trolley reaches the slewing axis"):
         solve(CRANE.with_reference(path((5.0, 1e-5, -5.0), (-5.3, 1e-5, -5.0))), step=0.1)
 
 
-def test_a_limit_broken_for_milliseconds_in_a_short_ramp_is_found():
+def test_a_limit_broken_for_milliseconds_in_a_short_ramp_is_found() -> None:
     """Ten milliseconds of free fall and more, then 20 s at constant speed: far from every evenly spaced instant."""
     drop = sc.rest_to_rest((5.0, 0.0, -2.0), (5.0, 0.0, -3.5), 20.0, sc.three_phase(ramp=0.01))
     assert drop.jet(np.linspace(0.0, 20.0, 401), 2)[:, 2, 2].min() > -9.81
@@ -185,7 +195,7 @@ def test_a_limit_broken_for_milliseconds_in_a_short_ramp_is_found():
         solve(CRANE.with_reference(drop), step=0.1)
 
 
-def test_limits_depend_on_parameters():
+def test_limits_depend_on_parameters() -> None:
     """On the moon the same descent makes the rope slack."""
     descent = CRANE.with_reference(path((5, 0, -2), (5, 1, -5), 3.0))
     solve(descent, step=0.1)
@@ -193,12 +203,12 @@ def test_limits_depend_on_parameters():
         solve(descent.with_parameters(gravity=1.62), step=0.1)
 
 
-def test_an_unknown_model_is_refused():
+def test_an_unknown_model_is_refused() -> None:
     with pytest.raises(sc.InvalidModel, match="rotary_crane has no model clay"):
         solve(model="clay")
 
 
-def test_a_path_without_enough_derivatives_is_refused():
+def test_a_path_without_enough_derivatives_is_refused() -> None:
     """Six cars need twelve derivatives, a spline of degree nine has nine."""
     chain = as_scene(car_chain([1.0] * 6, [50.0] * 5, [0.5] * 5), sc.through([(0.0,), (1.0,)], duration=4.0))
     with pytest.raises(sc.InvalidReference, match=r"the path has derivatives up to order 9, .* needs order 12"):
@@ -225,7 +235,7 @@ def test_the_original_equations_of_the_generalized_crane_blow_up_and_say_where()
 
 @pytest.mark.filterwarnings("ignore:.*the form has index 5")
 @pytest.mark.parametrize("method", [sc.Gauss(2), sc.RadauIIA(2), sc.BDF(2)], ids=lambda method: method.name)
-def test_failures_of_every_kind_of_method_end_in_the_same_sentence(method):
+def test_failures_of_every_kind_of_method_end_in_the_same_sentence(method: sc.Method) -> None:
     overhead = scene("overhead_crane")
     with pytest.raises(
         sc.IntegrationFailed, match=r"was not solved; the worst equation is the (momentum|velocity|servo)"
@@ -233,6 +243,6 @@ def test_failures_of_every_kind_of_method_end_in_the_same_sentence(method):
         sc.solve(overhead, sc.Original(), method, step=0.01, model="generalized")
 
 
-def test_only_servocore_errors_come_out():
+def test_only_servocore_errors_come_out() -> None:
     for error in (sc.IntegrationFailed, sc.InvalidReference, sc.InvalidSetting, sc.InvalidModel, sc.InconsistentStart):
         assert issubclass(error, sc.ServocoreError)

@@ -8,7 +8,7 @@ import scipy.integrate
 
 import servocore as sc
 from servocore import periodic
-from servocore.scenes.bar_marching import march_bar
+from servocore.scenes.bar_marching import BarMotion, march_bar
 from servocore.scenes.elastic_bar import dalembert, wave_time
 
 BAR = sc.scenes.elastic_bar()
@@ -22,13 +22,13 @@ PATHS = {
 }
 
 
-def march(path, pieces=40, **changed):
+def march(path: sc.Reference, pieces: int = 40, **changed: float) -> BarMotion:
     return march_bar(path, **{**VALUES, **changed}, pieces=pieces)
 
 
 @pytest.mark.parametrize("name", PATHS)
 @pytest.mark.parametrize("pieces", [1, 2, 17, 400])
-def test_it_equals_dalembert_to_round_off_on_any_grid(name, pieces):
+def test_it_equals_dalembert_to_round_off_on_any_grid(name: str, pieces: int) -> None:
     found = march(PATHS[name], pieces)
     for k in (0, pieces // 2, pieces):
         exact = dalembert(found.t, PATHS[name], VALUES, float(found.X[k]))
@@ -37,14 +37,14 @@ def test_it_equals_dalembert_to_round_off_on_any_grid(name, pieces):
 
 
 @pytest.mark.parametrize("end_mass", [0.0, 3.0])
-def test_any_end_mass_goes(end_mass):
+def test_any_end_mass_goes(end_mass: float) -> None:
     path, values = PATHS["fast"], {**VALUES, "end_mass": end_mass}
     found = march(path, end_mass=end_mass)
     exact = dalembert(found.t, path, values)
     np.testing.assert_allclose(found.input, exact["u"], atol=1e-12 * np.abs(exact["u"]).max())
 
 
-def test_the_force_begins_a_wave_time_before_the_path_and_ends_one_after():
+def test_the_force_begins_a_wave_time_before_the_path_and_ends_one_after() -> None:
     path = PATHS["fast"]
     found = march(path, 200)
     acting = found.t[np.abs(found.input) > 1e-9 * np.abs(found.input).max()]
@@ -52,13 +52,13 @@ def test_the_force_begins_a_wave_time_before_the_path_and_ends_one_after():
     assert path.end_time + 0.9 * DELAY < acting[-1] <= path.end_time + DELAY
 
 
-def test_velocity_is_the_rate_of_displacement():
+def test_velocity_is_the_rate_of_displacement() -> None:
     found = march(PATHS["default"], 400)
     rate = np.gradient(found.displacement[-1], found.t)
     np.testing.assert_allclose(rate[2:-2], found.velocity[-1, 2:-2], atol=1e-3 * np.abs(found.velocity).max())
 
 
-def test_momentum_is_what_the_force_brings_in():
+def test_momentum_is_what_the_force_brings_in() -> None:
     """The impulse of the force up to any time is the momentum of bar and end mass."""
     found = march(PATHS["default"], 200)
     dt = found.t[1] - found.t[0]
@@ -78,16 +78,16 @@ def test_momentum_is_what_the_force_brings_in():
         ({"pieces": 0}, "one or more whole pieces, not 0"),
     ],
 )
-def test_what_makes_no_sense_is_refused(changed, sentence):
+def test_what_makes_no_sense_is_refused(changed: dict[str, float], sentence: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=sentence):
         march(PATHS["default"], **{"pieces": 10, **changed})
 
 
-def test_a_path_that_never_rests_is_refused():
+def test_a_path_that_never_rests_is_refused() -> None:
     with pytest.raises(sc.InvalidReference, match="marched from rest to rest, but its path still moves"):
         march(periodic((0.0,), [[0.3]], [[1.0]], 2.0))
 
 
-def test_a_path_in_space_is_refused():
+def test_a_path_in_space_is_refused() -> None:
     with pytest.raises(sc.InvalidReference, match="a path with 1 component, this one has 3"):
         march(sc.rest_to_rest((0, 0, 0), (1, 1, 1), 1.0))

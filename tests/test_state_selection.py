@@ -18,7 +18,7 @@ DURATION = 2.0
 
 
 @cache
-def cart_with_pendulum():
+def cart_with_pendulum() -> sc.MechanicalSystem:
     """A cart whose position is prescribed; the pendulum on it, x and y of its bob, swings as it likes."""
     coordinates = sc.Coordinates(*(sc.Quantity(name, "m") for name in "sxy"))
     (s, x, y), (v_s, v_x, v_y) = ca.vertsplit(coordinates.q), ca.vertsplit(coordinates.v)
@@ -44,12 +44,12 @@ def cart_with_pendulum():
 
 
 @cache
-def scene():
+def scene() -> sc.Scene:
     return sc.Scene("cart", {"redundant": cart_with_pendulum}, sc.rest_to_rest((0.0,), (12.0,), DURATION))
 
 
 @cache
-def angle(steps):
+def angle(steps: int):
     """Angle of the pendulum from its own equation, theta'' = -g sin - s'' cos - d theta'."""
     reference = scene().reference
 
@@ -61,24 +61,24 @@ def angle(steps):
     return solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0]
 
 
-def error(method, steps):
+def error(method: sc.RadauIIA, steps: int):
     solution = sc.solve(scene(), sc.Reduced(), method, step=DURATION / steps)
     return np.abs(solution["x"] - solution["s"] - np.sin(angle(steps))).max(), solution.statistics
 
 
-def test_the_pendulum_goes_over_the_top_so_no_single_coordinate_serves_as_state():
+def test_the_pendulum_goes_over_the_top_so_no_single_coordinate_serves_as_state() -> None:
     assert np.degrees(np.abs(angle(200)).max()) > 360.0
 
 
 @pytest.mark.parametrize(("method", "order"), [(sc.BDF(3), 3), (sc.RadauIIA(3), 5)])
-def test_order_survives_every_new_choice_of_states(method, order):
+def test_order_survives_every_new_choice_of_states(method: sc.Method, order: int) -> None:
     (coarse, _), (fine, statistics) = error(method, 400), error(method, 800)
     assert statistics.choices_of_states > 2
     assert np.log2(coarse / fine) > order - 0.4
     assert statistics.constraint_violation < 1e-13
 
 
-def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular():
+def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular() -> None:
     stepper = sc.Stepper(scene(), sc.Reduced(states=(("q.x", 0), ("q.x", 1))), sc.RadauIIA(3), step=DURATION / 400)
     reference = scene().reference
     state, report = stepper.start(reference.jet(0.0, stepper.start_order))
@@ -93,6 +93,6 @@ def test_states_kept_by_force_cost_accuracy_where_the_choice_becomes_singular():
     assert not report.converged or worst > 100 * error(sc.RadauIIA(3), 400)[0]
 
 
-def test_a_system_that_never_needs_another_choice_makes_one():
+def test_a_system_that_never_needs_another_choice_makes_one() -> None:
     solution = sc.solve(sc.scenes.mass_on_car(), step=0.02)
     assert solution.statistics.choices_of_states == 1

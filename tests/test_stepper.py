@@ -7,21 +7,29 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from hypothesis.strategies._internal.core import DataObject
 from problems import MODELS, as_scene, driven_pendulum, jets_near_home, polynomial_path, scene
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("rotary_crane")
 
 
-def crane_stepper(method=None, step=0.1, formulation=None, crane=CRANE, model=None):
+def crane_stepper(
+    method: sc.Method | None = None,
+    step: float = 0.1,
+    formulation: sc.Reduced | None = None,
+    crane: sc.Scene = CRANE,
+    model: str | None = None,
+) -> sc.Stepper:
     return sc.Stepper(crane, formulation or sc.Projected(), method or sc.BackwardEuler(), step, model)
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
 @settings(max_examples=8)
 @given(data=st.data())
-def test_a_start_on_a_moving_path_is_consistent_in_every_equation(name, model, data):
+def test_a_start_on_a_moving_path_is_consistent_in_every_equation(name: str, model: str, data: DataObject) -> None:
     """Positions, velocities, constraints and residuals: zero to rounding, wherever the path moves and accelerates."""
     stepper = sc.Stepper(scene(name), sc.Reduced(), sc.BackwardEuler(), 0.1, model)
     m = len(stepper.system.outputs)
@@ -39,7 +47,7 @@ def test_a_start_on_a_moving_path_is_consistent_in_every_equation(name, model, d
 
 @settings(max_examples=10)
 @given(perturbation=arrays(float, (5, 3), elements=st.floats(-1.0, 1.0)))
-def test_a_start_gives_the_closed_form_s_inputs(perturbation):
+def test_a_start_gives_the_closed_form_s_inputs(perturbation: Array) -> None:
     stepper = crane_stepper()
     jet = jets_near_home(stepper.system, perturbation)
     values = stepper.values(stepper.start(jet)[0], jet)
@@ -48,7 +56,7 @@ def test_a_start_gives_the_closed_form_s_inputs(perturbation):
         assert values[name] == pytest.approx(exact[name][0], abs=1e-9 * max(1.0, abs(exact["M_b"][0])))
 
 
-def test_a_start_without_solution_says_so_and_holds_nan():
+def test_a_start_without_solution_says_so_and_holds_nan() -> None:
     stepper = crane_stepper()
     jet = CRANE.reference.jet(0.0, stepper.start_order)
     jet[0] = np.nan
@@ -57,7 +65,7 @@ def test_a_start_without_solution_says_so_and_holds_nan():
     assert np.isnan(state).any()
 
 
-def test_a_step_that_fails_says_so_and_leaves_the_old_state_usable():
+def test_a_step_that_fails_says_so_and_leaves_the_old_state_usable() -> None:
     stepper = crane_stepper()
     jets = CRANE.reference.jet(np.array([4.0, 4.1]), stepper.start_order)
     state, _ = stepper.start(jets[0])
@@ -69,7 +77,7 @@ def test_a_step_that_fails_says_so_and_leaves_the_old_state_usable():
     assert stepper.advance(state, jets[1])[1].converged
 
 
-def test_a_report_counts_iterations_and_the_residual():
+def test_a_report_counts_iterations_and_the_residual() -> None:
     stepper = crane_stepper()
     jets = CRANE.reference.jet(np.array([9.0, 9.1]), stepper.start_order)
     state, _ = stepper.start(jets[0])
@@ -79,18 +87,18 @@ def test_a_report_counts_iterations_and_the_residual():
     assert report.residual < 1e-12
 
 
-def test_two_steppers_of_equal_settings_share_one_program_and_parameters_do_not_matter_for_it():
+def test_two_steppers_of_equal_settings_share_one_program_and_parameters_do_not_matter_for_it() -> None:
     heavier = CRANE.with_parameters(load_mass=200.0)
     assert crane_stepper().program is crane_stepper(crane=heavier, step=0.05).program
     assert crane_stepper(crane=heavier).parameters[2] == 200.0
 
 
-def test_the_state_of_a_multistep_method_holds_its_history():
+def test_the_state_of_a_multistep_method_holds_its_history() -> None:
     sizes = [crane_stepper(sc.BDF(k)).program.state_size for k in (1, 2, 3, 4)]
     assert sizes == [(k + 1) * sizes[0] // 2 for k in (1, 2, 3, 4)]
 
 
-def test_pointwise_forms_take_no_notice_of_method_step_and_past():
+def test_pointwise_forms_take_no_notice_of_method_step_and_past() -> None:
     """Without internal dynamics a step is a start: whatever the state was."""
     jets = CRANE.reference.jet(np.array([3.0, 8.0]), 6)
     found = []
@@ -104,24 +112,24 @@ def test_pointwise_forms_take_no_notice_of_method_step_and_past():
     assert found[0] == found[1] == found[2]
 
 
-def test_an_angle_is_reported_by_its_coordinate_or_by_its_observable_once():
+def test_an_angle_is_reported_by_its_coordinate_or_by_its_observable_once() -> None:
     stepper = crane_stepper(model="bodies")
     names = [channel.name for channel in stepper.program.channels]
     assert len(names) == len(set(names))
 
 
 @pytest.mark.parametrize("step", [0.0, -0.1, float("nan"), float("inf")])
-def test_a_step_size_that_makes_no_sense_is_refused(step):
+def test_a_step_size_that_makes_no_sense_is_refused(step: float) -> None:
     with pytest.raises(sc.InvalidSetting, match="the step must be positive and finite"):
         crane_stepper(step=step)
 
 
-def test_an_unknown_model_is_refused():
+def test_an_unknown_model_is_refused() -> None:
     with pytest.raises(sc.InvalidModel, match="rotary_crane has no model clay; it has points, generalized, bodies"):
         crane_stepper(model="clay")
 
 
-def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest():
+def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest() -> None:
     """As an FMU does whose run is longer than its path."""
     stepper = crane_stepper()
     t = 19.5 + 0.1 * np.arange(20)
@@ -136,7 +144,7 @@ def test_steps_may_go_on_beyond_the_end_of_the_path_at_rest():
     assert values["M_w"] == pytest.approx(-98.1, abs=1e-9)
 
 
-def test_an_inconsistent_start_disturbs_backward_euler_for_two_steps_and_no_longer():
+def test_an_inconsistent_start_disturbs_backward_euler_for_two_steps_and_no_longer() -> None:
     """A position error d shows as 2 M d/h^2 and is forgotten: theory.md section 6."""
     path = polynomial_path([[0.2], [0.5], [-0.7]])
     free = as_scene(driven_pendulum(), path, parameters={"g": 0.0})

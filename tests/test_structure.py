@@ -20,7 +20,7 @@ from servocore.structure.signature import ABSENT, signature
 from servocore.structure.structural_analysis import analyse_structure, second_order_equations
 
 
-def offsets(system):
+def offsets(system: sc.MechanicalSystem) -> tuple[dict[str, int], dict[str, int]]:
     found = analyse_structure(system)
     names = found.equations
     return (
@@ -30,7 +30,7 @@ def offsets(system):
 
 
 @pytest.mark.parametrize("model", ["points", "bodies", "generalized"])
-def test_the_rotary_crane_has_index_five_and_nothing_to_integrate(model):
+def test_the_rotary_crane_has_index_five_and_nothing_to_integrate(model: str) -> None:
     found = analyse_structure(scene("rotary_crane").model(model))
     assert found.index == 5
     assert found.degrees_of_freedom == 0
@@ -47,20 +47,20 @@ def test_only_generalized_coordinates_need_a_remedy_and_it_is_named():
 
 
 @pytest.mark.parametrize(("cars", "index"), [(2, 5), (3, 7), (4, 9), (6, 13)])
-def test_a_row_of_cars_has_index_twice_their_number_plus_one(cars, index):
+def test_a_row_of_cars_has_index_twice_their_number_plus_one(cars: int, index: int) -> None:
     found = analyse_structure(car_chain([1.0] * cars, [50.0] * (cars - 1), [0.5] * (cars - 1)))
     assert found.index == index
     assert found.degrees_of_freedom == 0
 
 
 @pytest.mark.parametrize("system", [actuated_chain(), driven_pendulum()], ids=lambda each: each.name)
-def test_full_actuation_has_index_three(system):
+def test_full_actuation_has_index_three(system: sc.MechanicalSystem) -> None:
     found = analyse_structure(system)
     assert (found.index, found.degrees_of_freedom) == (3, 0)
 
 
 @pytest.mark.parametrize("output", ["x", "theta"])
-def test_index_does_not_depend_on_redundant_coordinates(output):
+def test_index_does_not_depend_on_redundant_coordinates(output: str) -> None:
     found = analyse_structure(redundant_pendulum(output))
     assert (found.index, found.degrees_of_freedom) == (3, 0)
 
@@ -69,25 +69,27 @@ def test_index_does_not_depend_on_redundant_coordinates(output):
     ("alpha", "damping", "index", "internal"),
     [(np.pi / 4, 1.0, 3, 2), (np.pi / 2, 0.0, 3, 2), (0.0, 1.0, 4, 1), (0.0, 0.0, 5, 0)],
 )
-def test_a_mass_on_a_car_has_the_index_of_seifried_and_blajer(alpha, damping, index, internal):
+def test_a_mass_on_a_car_has_the_index_of_seifried_and_blajer(
+    alpha: float, damping: float, index: int, internal: int
+) -> None:
     found = analyse_structure(mass_on_car(alpha, damping))
     assert found.index == index
     assert found.degrees_of_freedom == internal
 
 
-def test_offsets_of_two_cars_are_those_found_by_hand():
+def test_offsets_of_two_cars_are_those_found_by_hand() -> None:
     """y is differentiated four times, car 1's balance twice, car 2's not at all; F is algebraic."""
     c, d = offsets(car_chain())
     assert c == {"momentum of x1": 2, "momentum of x2": 0, "servo constraint on y": 4}
     assert d == {"q.x1": 4, "q.x2": 2, "u.F": 0}
 
 
-def test_the_signature_matrix_lists_highest_derivatives():
+def test_the_signature_matrix_lists_highest_derivatives() -> None:
     found = signature(second_order_equations(car_chain()))
     np.testing.assert_array_equal(found.sigma, [[2, 0, ABSENT], [0, 2, 0], [0, ABSENT, ABSENT]])
 
 
-def test_offsets_bound_every_entry_of_the_signature_matrix_and_are_tight_on_a_transversal():
+def test_offsets_bound_every_entry_of_the_signature_matrix_and_are_tight_on_a_transversal() -> None:
     """d_j - c_i >= sigma_ij, equal on a full matching: else the Jacobian would have an empty row."""
     for system in (scene("rotary_crane").model("points"), mass_on_car(0.0, 1.0), car_chain()):
         found = analyse_structure(system)
@@ -99,7 +101,7 @@ def test_offsets_bound_every_entry_of_the_signature_matrix_and_are_tight_on_a_tr
         assert min(found.equation_offsets) == 0
 
 
-def test_the_system_jacobian_of_two_cars_is_the_one_written_by_hand():
+def test_the_system_jacobian_of_two_cars_is_the_one_written_by_hand() -> None:
     """Rows: m1 x1'' + k (x1 - x2 - d), m2 x2'' - k (...) - F, x1 - y; columns x1^(4), x2'', F."""
     found = signature(second_order_equations(car_chain()))
     np.testing.assert_array_equal(
@@ -107,19 +109,19 @@ def test_the_system_jacobian_of_two_cars_is_the_one_written_by_hand():
     )
 
 
-def test_units_do_not_decide_about_rank():
+def test_units_do_not_decide_about_rank() -> None:
     """Cars of a gram on springs of a giganewton per metre are as regular as any."""
     assert analyse_structure(car_chain([1e-3, 1e-3], [1e9], [0.5])).index == 5
 
 
-def test_an_output_that_no_input_can_reach_is_refused():
+def test_an_output_that_no_input_can_reach_is_refused() -> None:
     """The force on the first car cannot be found from a second one that nothing connects to it."""
     loose = changed(car_chain(), potential=ca.SX(0))
     with pytest.raises(sc.InvalidModel, match=r"2 cars: .*singular"):
         analyse_structure(loose)
 
 
-def test_equations_and_variables_are_named_for_humans():
+def test_equations_and_variables_are_named_for_humans() -> None:
     equations = second_order_equations(redundant_pendulum("x"))
     assert equations.names == ("q.x", "q.z", "q.theta", "lam.1", "lam.2", "u.torque")
     assert equations.equations == (
