@@ -12,6 +12,7 @@ import pytest
 from outside.systems import elbow_arm, named, symbols
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.planning.tasks import corner_problems, curve_of, with_a_formula
 
 ARM = elbow_arm()
