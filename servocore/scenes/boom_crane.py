@@ -34,13 +34,13 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
@@ -129,7 +129,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Five generalised coordinates phi, theta, l and two swing angles, derived from `points` by q = F(mu).
+    """Five generalized coordinates phi, theta, l and two swing angles, derived from `points` by q = F(mu).
 
     The swing angles turn with the column. Singular where the swing out of the boom's plane is 90 degrees.
     """

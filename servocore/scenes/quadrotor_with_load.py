@@ -30,13 +30,13 @@ import casadi as ca
 import numpy as np
 
 from servocore.model.drawing import Part
-from servocore.model.generalise import generalise
+from servocore.model.generalize import generalise
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem, reference_symbols
-from servocore.numerics.calls import Array
+from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal, time_derivative
 from servocore.references.profiles import DEGREE13
 from servocore.references.rest_to_rest import rest_to_rest
@@ -105,7 +105,7 @@ def points() -> MechanicalSystem:
 
 
 def generalized() -> MechanicalSystem:
-    """Four generalised coordinates, derived from `points`: quadrotor position, swing and pitch."""
+    """Four generalized coordinates, derived from `points`: quadrotor position, swing and pitch."""
     base = points()
     coordinates, p, gamma = Coordinates(*PLACE, SWING, PITCH), base.parameters, base.gamma
     place, swing, pitch = ca.vertsplit(coordinates.q, [0, 2, 3, 4])
