@@ -124,7 +124,7 @@ def _offsets(offsets: tuple[tuple[str, int], ...]) -> str:
     orders = sorted({order for _, order in offsets}, reverse=True)
     shown = []
     for order in orders:
-        names = [name for name, own in offsets if own == order]
+        names = [name for name, offset in offsets if offset == order]
         listed = ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:4])} and {len(names) - 4} more"
         shown.append(f"{order}: {listed}")
     return "; ".join(shown)
@@ -164,16 +164,16 @@ def analyse(subject: Scene | MechanicalSystem, *, model: str | None = None) -> S
 
 
 def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: str) -> StructureReport:
-    found = array.signature
+    structure = array.signature
     what_was_done = f"redundant constraints left out: {left_out}" if left_out else ""
     return replace(
         outline,
-        index=found.index,
-        equation_offsets=tuple(zip(found.equations.equations, found.equation_offsets, strict=True)),
-        variable_offsets=tuple(zip(array.names, found.variable_offsets, strict=True)),
-        internal_degrees_of_freedom=found.degrees_of_freedom,
+        index=structure.index,
+        equation_offsets=tuple(zip(structure.equations.equations, structure.equation_offsets, strict=True)),
+        variable_offsets=tuple(zip(array.names, structure.variable_offsets, strict=True)),
+        internal_degrees_of_freedom=structure.degrees_of_freedom,
         internal_states=tuple(name + "'" * order for name, order in array.named_states),
-        remedy="; ".join(each for each in (what_was_done, found.equations.remedy) if each),
+        remedy="; ".join(each for each in (what_was_done, structure.equations.remedy) if each),
     )
 
 
@@ -186,20 +186,20 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         jets = reference.jet(times, array.reference_order)
     except InvalidReference as error:
         return np.inf, str(error), ""
-    found = _unknowns_along(problem, jets)
+    unknowns = _unknowns_along(problem, jets)
     entries, parts = problem.resolved.once(system_jacobian_entries)
-    conditions = condition_numbers(parts, at_instants(entries, np.column_stack(found), jets=jets, p=problem.p)[0])
+    conditions = condition_numbers(parts, at_instants(entries, np.column_stack(unknowns), jets=jets, p=problem.p)[0])
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
-        matrix = np.asarray(problem.resolved.once(system_jacobian)(found[k], jets[k].T, problem.p))
-        told = "" if np.isfinite(matrix).all() else singular(problem)
-        said = out_of_reach(problem) or told or singular_in_words(problem, float(times[k]), found[k], matrix)
+        matrix = np.asarray(problem.resolved.once(system_jacobian)(unknowns[k], jets[k].T, problem.p))
+        singularity = "" if np.isfinite(matrix).all() else singular(problem)
+        said = out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[k], matrix)
         return float(conditions[k]), said, ""
     worst = float(conditions.max())
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion
     places = array.places((k, 0) for k in range(len(system.coordinates)))
-    return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(found)[:, places])))
+    return worst, "", "; ".join(map(str, rank_losses(problem, times, np.array(unknowns)[:, places])))
 
 
 def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
@@ -213,17 +213,17 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
         if (residual < LARGEST_RESIDUAL).all():
             return list(states.T)
     invert, search = problem.resolved.once(_survey_functions)
-    found = [invert(jet.T, problem.p)[0] for jet in jets]
-    solved = [bool(np.isfinite(values).all()) for values in found]
-    count = len(found)
+    unknowns = [invert(jet.T, problem.p)[0] for jet in jets]
+    solved = [bool(np.isfinite(values).all()) for values in unknowns]
+    count = len(unknowns)
     for order in (range(1, count), range(count - 2, -1, -1)) if problem.flat else ():
         for k in order:
             beside = k - order.step
             if not solved[k] and solved[beside]:
-                values, _, _ = search(jets[k].T, problem.p, found[beside])
+                values, _, _ = search(jets[k].T, problem.p, unknowns[beside])
                 if np.isfinite(values).all():
-                    found[k], solved[k] = values, True
-    return found
+                    unknowns[k], solved[k] = values, True
+    return unknowns
 
 
 def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:

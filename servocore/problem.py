@@ -82,11 +82,11 @@ class ResolvedSystem:
             What else it takes; hashable.
         """
         key = (make, settings, tuple(named.items()))
-        found: Made = self._made.pop(key) if key in self._made else make(self, *settings, **named)
-        self._made[key] = found  # the last one now
+        made: Made = self._made.pop(key) if key in self._made else make(self, *settings, **named)
+        self._made[key] = made  # the last one now
         if len(self._made) > _MOST_MADE:
             del self._made[next(iter(self._made))]  # the one that was not asked for longest
-        return found
+        return made
 
     def suits(self, p: Array) -> bool:
         """Whether the structure found at the system's home is the structure at the parameter values `p` too."""
@@ -129,9 +129,9 @@ def _require_driving(system: MechanicalSystem) -> None:
     """Raise `InvalidModel`, naming them, if some inputs or outputs are dead or follow from others."""
     home, p = system.home_configuration()
     jacobians = ca.Function("jacobians", [system.q, system.p], [system.input_matrix, system.C])
-    found = [jacobians(*probe) for probe in probes(home, system.coordinates.nominal, p)]
+    jacobians_at_probes = [jacobians(*probe) for probe in probes(home, system.coordinates.nominal, p)]
     for k, (kind, quantities) in enumerate((("input", system.inputs), ("output", system.outputs))):
-        rows, names = [filled(each[k]) for each in found], [quantity.name for quantity in quantities]
+        rows, names = [filled(each[k]) for each in jacobians_at_probes], [quantity.name for quantity in quantities]
         require_driving(system.name, rows, names, kind)
 
 
@@ -278,6 +278,6 @@ class _AtRest(Reference):
         return cls(start_time=0.0, end_time=1.0, dimension=len(place), max_order=99, smoothness=99, place=place)
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
-        found = np.zeros((len(t), order + 1, self.dimension))
-        found[:, 0] = self.place
-        return found
+        derivatives = np.zeros((len(t), order + 1, self.dimension))
+        derivatives[:, 0] = self.place
+        return derivatives

@@ -44,7 +44,7 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
     point, p = np.sin(1.0 + np.arange(len(system.coordinates))), system.parameters.values()
     time = np.full(system.time.numel(), 0.7)
     observed = {quantity.name: expression for quantity, expression in system.observables.items()}
-    found = []
+    periodic = []
     for k, quantity in enumerate(system.coordinates.quantities):
         if quantity.unit != "rad" or not ca.is_equal(observed.get(quantity.name, system.q[k]), system.q[k]):
             continue
@@ -52,8 +52,8 @@ def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
         here, there, round_again = (evaluate(point + turn * aside, point, p, time)[0] for turn in (0.0, 1.0, 2 * np.pi))
         scale = 1e-9 * np.maximum(np.abs(here), np.abs(there))
         if ((np.abs(round_again - here) <= scale) & (np.abs(there - here) > 1e3 * scale)).any():
-            found.append(quantity.name)
-    return tuple(found)
+            periodic.append(quantity.name)
+    return tuple(periodic)
 
 
 def follow_angles(
@@ -157,10 +157,10 @@ def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: 
         return None
     state = ca.SX.sym("state", len(array.unknowns))
     rates = ca.jtimes(angles, system.q, system.v)
-    found = ca.substitute([angles, rates], [ca.vertcat(system.q, system.v)], [state[array.places(wanted)]])
-    used = sorted(set(ca.jacobian_sparsity(ca.vertcat(*found), state).get_col()))
+    substituted = ca.substitute([angles, rates], [ca.vertcat(system.q, system.v)], [state[array.places(wanted)]])
+    used = sorted(set(ca.jacobian_sparsity(ca.vertcat(*substituted), state).get_col()))
     # A state holds all derivatives of all unknowns, an angle needs a few of them.
-    results = [ca.densify(each) for each in found]
+    results = [ca.densify(each) for each in substituted]
     both = ca.Function("sc_angles", [state[used], system.p], results)
     alone = ca.Function("sc_angle_rates", [state[used], system.p], results[1:])
     return _Angular(

@@ -60,14 +60,14 @@ def _marked(values: Array, positive: list[int], peaks: Array | None = None) -> n
     bend -= values[:, 1:-1]
     bend += values[:, 2:]
     np.abs(bend, out=bend)
-    found = _standing_out(bend, _ROUND_OFF * (_peaks(values) if peaks is None else peaks))
-    found[positive] |= values[positive, 1:-1] <= bend[positive]
-    return found
+    marks = _standing_out(bend, _ROUND_OFF * (_peaks(values) if peaks is None else peaks))
+    marks[positive] |= values[positive, 1:-1] <= bend[positive]
+    return marks
 
 
 def _peaks(values: Array) -> Array:
-    found: Array = np.maximum(values.max(axis=1), -values.min(axis=1))
-    return found
+    peaks: Array = np.maximum(values.max(axis=1), -values.min(axis=1))
+    return peaks
 
 
 def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[int]) -> bool:
@@ -78,8 +78,8 @@ def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[
     known, ends = np.ascontiguousarray(values.T), 4 * _BESIDE[1]
     peaks, width = _peaks(known), 2 * _BESIDE[0] + 3
     inner = known.shape[1] - width + 1
-    (found,) = alarm(*(known[:, k : k + inner] for k in range(width)), _ROUND_OFF * peaks)
-    return bool(found.any()) or any(
+    (alarms,) = alarm(*(known[:, k : k + inner] for k in range(width)), _ROUND_OFF * peaks)
+    return bool(alarms.any()) or any(
         _marked(known[rows, part], positive, peaks[rows]).any() for part in (slice(ends), slice(-ends, None))
     )
 
@@ -88,17 +88,17 @@ def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], na
     """Compile (values at instants in a row, least) -> whether one stands out in the middle."""
     (columns, positive, coordinates), near = _watched(resolved, channels), _BESIDE[0]
     instants = [ca.SX.sym(f"at{k}", len(channels)) for k in range(2 * near + 3)]
-    least, found = ca.SX.sym("least", len(channels)), ca.SX(0)
+    least, any_alarm = ca.SX.sym("least", len(channels)), ca.SX(0)
     for row, k in enumerate([*columns, *coordinates]):
         before, here, after = (
             ca.fabs(((instants[at - 1][k] - instants[at][k]) - instants[at][k]) + instants[at + 1][k])
             for at in (1, 1 + near, 1 + 2 * near)
         )
         beside = _STANDS_OUT * ca.fmax(before, after)
-        found = ca.logic_or(found, ca.logic_and(here > least[k], here > beside))
+        any_alarm = ca.logic_or(any_alarm, ca.logic_and(here > least[k], here > beside))
         if row in positive:
-            found = ca.logic_or(found, instants[1 + near][k] <= here)
-    function = ca.Function("sc_alarm", [*instants, least], [ca.densify(found)])
+            any_alarm = ca.logic_or(any_alarm, instants[1 + near][k] <= here)
+    function = ca.Function("sc_alarm", [*instants, least], [ca.densify(any_alarm)])
     return Vectorized(function, [True] * len(instants) + [False], native, resolved.system.name)
 
 
@@ -108,17 +108,17 @@ def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
     Seldom does one stand out of its own row: a look at those nearest is enough for most runs.
     """
     near, far = _BESIDE
-    found = bend > least[:, None]
+    stands_out = bend > least[:, None]
     times = _STANDS_OUT * bend
-    found[:, near:] &= bend[:, near:] > times[:, :-near]
-    found[:, :-near] &= bend[:, :-near] > times[:, near:]
-    if found.any():
-        rows, places = np.nonzero(found)
+    stands_out[:, near:] &= bend[:, near:] > times[:, :-near]
+    stands_out[:, :-near] &= bend[:, :-near] > times[:, near:]
+    if stands_out.any():
+        rows, places = np.nonzero(stands_out)
         padded = np.pad(bend, ((0, 0), (far, far)))
         offsets = [far + sign * k for k in range(near, far + 1) for sign in (-1, 1)]
         beside = padded[rows[:, None], places[:, None] + offsets].max(axis=1)
-        found[rows, places] = bend[rows, places] > np.maximum(_STANDS_OUT * beside, least[rows])
-    return found
+        stands_out[rows, places] = bend[rows, places] > np.maximum(_STANDS_OUT * beside, least[rows])
+    return stands_out
 
 
 def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:

@@ -77,11 +77,11 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
         return []
     entries, nominal = _entries(problem, t, q), np.array(problem.system.coordinates.nominal)
-    found = []
+    losses = []
     for part in problem.resolved.once(constraint_entries).parts:
         if len(part.rows) and len(part.columns):
-            found += _losses(problem, t, q, part, part.dense(entries) * nominal[part.columns])
-    return sorted(found, key=lambda loss: loss.time)
+            losses += _losses(problem, t, q, part, part.dense(entries) * nominal[part.columns])
+    return sorted(losses, key=lambda loss: loss.time)
 
 
 def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) -> list[RankLoss]:
@@ -97,8 +97,8 @@ def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) 
     if not len(touching):
         return []
     motion = _Motion.of(problem, t, q, part, scale.ravel())
-    found = [_closest(motion, int(k)) for k in touching]
-    return [each for each in found if each is not None and each.condition > CONDITION_LIMIT]
+    closest = [_closest(motion, int(k)) for k in touching]
+    return [each for each in closest if each is not None and each.condition > CONDITION_LIMIT]
 
 
 def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
@@ -110,11 +110,11 @@ def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
     slope = (rise * before + fall * after) / (before + after)
     with np.errstate(divide="ignore", invalid="ignore"):
         minimum = here - slope**2 / (4.0 * curvature)
-    found = np.zeros(len(t), dtype=bool)
+    touches = np.zeros(len(t), dtype=bool)
     # Of two equal neighbours one is enough.
-    found[1:-1] = (here < left) & (here <= right) & (minimum <= _TOUCHES * np.maximum(left, right))
-    found[[0, -1]] = determinant[[0, -1]] < CONDITION_LIMIT**-2
-    return found
+    touches[1:-1] = (here < left) & (here <= right) & (minimum <= _TOUCHES * np.maximum(left, right))
+    touches[[0, -1]] = determinant[[0, -1]] < CONDITION_LIMIT**-2
+    return touches
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +140,16 @@ class _Motion:
             return cls(problem, t, q / nominal, nominal, row_scale, problem.resolved.once(constraint_rows), holonomic)
         rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
         evaluate = problem.resolved.once(constraint_rows, rows, columns)
-        own = nominal[part.columns]
-        return cls(problem, t, q[:, part.columns] / own, own, row_scale, evaluate, int(sum(part.rows < holonomic)))
+        magnitudes = nominal[part.columns]
+        return cls(
+            problem,
+            t,
+            q[:, part.columns] / magnitudes,
+            magnitudes,
+            row_scale,
+            evaluate,
+            int(sum(part.rows < holonomic)),
+        )
 
     def configuration(self, time: float, start: Array) -> Array | None:
         """Return q near `start` where the constraints hold at a time; None if there is none."""
@@ -149,8 +157,8 @@ class _Motion:
 
     def jacobian(self, time: float) -> Array | None:
         """Return the scaled Jacobian at a time; None if no configuration is found."""
-        found = self.configuration(time, self.interpolated(time))
-        return None if found is None else self._rows(time)(found)[1]
+        place = self.configuration(time, self.interpolated(time))
+        return None if place is None else self._rows(time)(place)[1]
 
     def interpolated(self, time: float) -> Array:
         """Return q between the instants."""
@@ -300,15 +308,15 @@ def _followed(motion: _Motion, begin: float, through: float, end: float, first: 
     """Follow a motion from `begin` to `end` in small steps, of which one has the time `through` in its middle."""
     step = (through - begin) / (_SUBSTEPS + 0.5)
     times = [begin, *np.arange(begin + step, end - 0.25 * step, step), end]
-    found = [first]
+    places = [first]
     for k in range(1, len(times)):
         known = slice(max(0, k - 3), k)
-        ahead = np.column_stack(found[known]) @ np.asarray(lagrange(times[known], [times[k]])).ravel()
+        ahead = np.column_stack(places[known]) @ np.asarray(lagrange(times[known], [times[k]])).ravel()
         x = motion.configuration(times[k], ahead)
         if x is None:
             return None
-        found.append(x)
-    return found[-1]
+        places.append(x)
+    return places[-1]
 
 
 def _has_kink(t: Array, x: Array, time: float) -> bool:

@@ -85,7 +85,7 @@ class Judge:
             known = np.ones(better.shape[1], dtype=bool)
             return Comparison(inputs, t, solution.values, better, known, self.basis)
         last: Array | None = None
-        found, failed = None, ServocoreError("no step was small enough")
+        comparison, failed = None, ServocoreError("no step was small enough")
         for halvings in range(_MOST_HALVINGS + 1):
             parts = 2**halvings
             fine = np.interp(np.arange((len(t) - 1) * parts + 1) / parts, np.arange(len(t)), t)
@@ -97,13 +97,13 @@ class Judge:
             if last is not None:
                 doubt, off = (np.abs(better - each).max(axis=0) for each in (last, solution.values))
                 known = (off >= _SURE * doubt) | (np.maximum(off, doubt) <= _FLOOR * np.abs(better).max(axis=0))
-                found = Comparison(inputs, t, solution.values, better, known, self.basis)
+                comparison = Comparison(inputs, t, solution.values, better, known, self.basis)
                 if known[: len(inputs)].all():
-                    return found
+                    return comparison
             last = better
-        if found is None:
+        if comparison is None:
             raise failed
-        return found
+        return comparison
 
     def estimate(self, problem: Problem, solution: Solution) -> ErrorEstimate:
         """Return how far the inputs of a solution are from better ones."""
@@ -161,10 +161,12 @@ def _closely(problem: Problem, judge: Judge, solution: Solution) -> Comparison:
     """Compare a solution with better values, at few instants only if that settles it and each of them is dear."""
     if judge.exact:
         return judge.compared(problem, solution)
-    found = judge.compared(problem, _thinned(solution, _FEW))
-    largest = found.estimate.largest
+    comparison = judge.compared(problem, _thinned(solution, _FEW))
+    largest = comparison.estimate.largest
     return (
-        found if largest is not None and largest < _SUSPICIOUS else judge.compared(problem, _thinned(solution, _MANY))
+        comparison
+        if largest is not None and largest < _SUSPICIOUS
+        else judge.compared(problem, _thinned(solution, _MANY))
     )
 
 

@@ -99,16 +99,16 @@ def _least_squares(evaluate: Callable[[Array], tuple[Array, Array]], start: Arra
     last: tuple[Array, tuple[Array, Array]] | None = None  # residuals and slopes are asked for at the same place
 
     def part(k: int) -> Callable[[Array], Array]:
-        def found(x: Array) -> Array:
+        def result(x: Array) -> Array:
             nonlocal last
             if last is None or not np.array_equal(last[0], x):
                 last = x.copy(), evaluate(x)
             return np.nan_to_num(last[1][k], nan=1e6, posinf=1e6, neginf=-1e6)
 
-        return found
+        return result
 
-    found = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
-    return found.x, evaluate(found.x)[0]
+    result = scipy.optimize.least_squares(part(0), start, part(1), xtol=1e-12, ftol=1e-12, gtol=1e-12, max_nfev=60)
+    return result.x, evaluate(result.x)[0]
 
 
 def out_of_reach(problem: Problem) -> str:
@@ -146,9 +146,9 @@ def _guess(problem: Problem, time: float) -> Array:
     gamma[:, : order + 1] = reference.jet(time, order).T
     evaluate = problem.resolved.once(_compiled_guess)
     guess = np.asarray(evaluate(gamma, problem.p)).ravel()
-    found: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
+    start: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
     nominal: Array = np.array(system.coordinates.nominal)
-    return found / nominal
+    return start / nominal
 
 
 def _compiled_guess(resolved: ResolvedSystem) -> ca.Function:
@@ -282,17 +282,19 @@ def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
     array, p = problem.array, problem.p
     if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):
         return ""
-    found = (
+    sentence = (
         values if np.isfinite(values).all() else np.asarray(problem.resolved.once(inversion).guess(jet.T, p)).ravel()
     )
     jacobian = problem.resolved.once(_jacobian_call)
-    J = jacobian(found, jet.T, p)[0]
+    J = jacobian(sentence, jet.T, p)[0]
     if condition_number(J) < SINGULAR_CONDITION:
         return ""
     places, n = array.places(unknown for unknown in array.unknowns if unknown[1]), len(problem.system.coordinates)
-    moving = np.array(found)
+    moving = np.array(sentence)
     moving[places] = np.random.default_rng(5).uniform(0.1, 0.3, len(places))
-    where = ", ".join(f"{name} = {found[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n]))
+    where = ", ".join(
+        f"{name} = {sentence[array.unknowns.index((k, 0))]:.4g}" for k, name in enumerate(array.names[:n])
+    )
     only = condition_number(jacobian(moving, jet.T, p)[0]) < SINGULAR_CONDITION
     if only:
         what = f"has no relative degree at rest, at t = {time:.6g} s ({where}): the system Jacobian is singular there"

@@ -65,8 +65,8 @@ class Comparison:
     def off(self) -> Array:
         """Distance of the inputs, shape (N, inputs)."""
         inputs = slice(len(self.inputs))
-        found: Array = np.abs(self.values[:, inputs] - self.better[:, inputs])
-        return found
+        differences: Array = np.abs(self.values[:, inputs] - self.better[:, inputs])
+        return differences
 
     @property
     def estimate(self) -> ErrorEstimate:
@@ -75,8 +75,8 @@ class Comparison:
         peaks = np.abs(self.better[:, : len(names)]).max(axis=0)
         largest = np.maximum(self.off.max(axis=0), np.finfo(float).eps * peaks)
         rows = zip(names, largest.tolist(), self.known.tolist(), strict=False)
-        found = {name: error if known else None for name, error, known in rows}
-        return ErrorEstimate(found, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
+        errors = {name: error if known else None for name, error, known in rows}
+        return ErrorEstimate(errors, dict(zip(names, peaks.tolist(), strict=True)), self.basis)
 
     def far_from_better(self, columns: list[int]) -> float | None:
         """Return the first time at which some columns are far from the better ones; None if there is none."""
@@ -90,14 +90,14 @@ def steps_that_stand_out(q: Array) -> npt.NDArray[np.intp]:
 
     A motion that changes branch has such a step, and one that hardly resolves its path.
     """
-    moved = np.diff(q, axis=0)
-    if len(moved) < 3:
-        return np.arange(len(moved))
+    steps = np.diff(q, axis=0)
+    if len(steps) < 3:
+        return np.arange(len(steps))
     # The first and the last step have neighbours on one side only, which are continued.
-    before = np.vstack([2.0 * moved[1] - moved[2], moved[:-1]])
-    after = np.vstack([moved[1:], 2.0 * moved[-2] - moved[-3]])
+    before = np.vstack([2.0 * steps[1] - steps[2], steps[:-1]])
+    after = np.vstack([steps[1:], 2.0 * steps[-2] - steps[-3]])
     beside = _BESIDE * np.maximum(np.abs(before), np.abs(after)) + _NOTICED * np.ptp(q, axis=0)
-    return np.flatnonzero((np.abs(moved - (before + after) / 2.0) > beside).any(axis=1))
+    return np.flatnonzero((np.abs(steps - (before + after) / 2.0) > beside).any(axis=1))
 
 
 def warn_of_wrong_inputs(

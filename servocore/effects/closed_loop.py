@@ -128,8 +128,8 @@ class Run:
     @property
     def error(self) -> float:
         """Largest distance of the output from the path while that lasts; infinite where the plant did not survive."""
-        moved = self.deviation[: self.moving + 1]
-        return float(np.linalg.norm(moved, axis=1).max()) if np.isfinite(moved).all() else np.inf
+        deviation = self.deviation[: self.moving + 1]
+        return float(np.linalg.norm(deviation, axis=1).max()) if np.isfinite(deviation).all() else np.inf
 
     @property
     def swing(self) -> float | None:
@@ -144,7 +144,7 @@ class Run:
 def run_loop(
     problem: Problem,
     driven: Driven,
-    own: Inverted,
+    inversion: Inverted,
     measured: tuple[str, ...],
     hanging: tuple[str, ...] = (),
     *,
@@ -159,7 +159,7 @@ def run_loop(
         The plant, with the path.
     driven : Driven
         What drives it.
-    own : Inverted
+    inversion : Inverted
         Where this plant would start and end under its own inputs: it starts there, and at its end it hangs at rest.
     measured : tuple of str
         What the drives measure in this plant.
@@ -176,7 +176,7 @@ def run_loop(
         If the plant is too stiff to be run, or its equations hold the time.
     """
     loop, gains, motion = problem.resolved.once(compile_loop, measured, hanging), driven.gains, driven.motion
-    start, both = own.start, np.concatenate([gains.position, gains.rate])
+    start, both = inversion.start, np.concatenate([gains.position, gains.rate])
     zero = loop.read(start)[0]
     signals = np.column_stack([driven.inputs, motion.positions, motion.rates])
     jacobian = loop.linear(start, signals[0], problem.p, both, zero)[0]
@@ -192,7 +192,7 @@ def run_loop(
     at = motion.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
     states = _integrated(loop, start, _sampled(motion.t, signals, at), (problem.p, both, zero), h)
     seen = _seen(loop, states, problem.p)
-    at_end = _seen(loop, np.concatenate([own.end, np.zeros(len(own.end))])[None], problem.p)[0]
+    at_end = _seen(loop, np.concatenate([inversion.end, np.zeros(len(inversion.end))])[None], problem.p)[0]
     count = len(problem.system.outputs)
     path = problem.reference.jet(at[::2], 0)[:, 0]
     return Run(moving, seen[:, :count] - path, seen[:, count:] - at_end[count:])
@@ -224,32 +224,32 @@ def linear_answers(
     import scipy.signal  # noqa: PLC0415 - kept out of the run time of an FMU
 
     loop, n = problem.resolved.once(compile_loop, measured, hanging), len(motion.end)
-    both, found = np.concatenate([gains.position, gains.rate]), []
+    both, errors = np.concatenate([gains.position, gains.rate]), []
     for q, u in ((motion.start[:n], motion.inputs[0]), (motion.end, motion.inputs[-1])):
         state = np.concatenate([q, np.zeros(n)])
         place, rate = loop.read(state)
         A, B, C = loop.linear(state, np.concatenate([u, 0 * place, rate]), problem.p, both, place)
         if not all(np.isfinite(each).all() for each in (A, B, C)):
             return np.full(2, np.inf)
-        _, moved, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, motion.t - motion.t[0])
-        found.append(np.linalg.norm(moved.reshape(len(change), -1), axis=1).max())
-    return np.array(found)
+        _, response, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, motion.t - motion.t[0])
+        errors.append(np.linalg.norm(response.reshape(len(change), -1), axis=1).max())
+    return np.array(errors)
 
 
 def _seen(loop: Loop, states: Array, p: Array) -> Array:
     """Return output and what hangs, shape (N, outputs + hanging)."""
-    found = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
-    return found.reshape(-1, len(states), order="F").T
+    observed = mapped(loop.seen, len(states))(states.T, np.tile(p[:, None], len(states)))[0]
+    return observed.reshape(-1, len(states), order="F").T
 
 
 def _sampled(t: Array, signals: Array, at: Array) -> Array:
     """Return signals at other times; those after the last one are the last ones, at rest."""
     import scipy.interpolate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    found: Array = scipy.interpolate.make_interp_spline(t, signals, k=5)(np.clip(at, t[0], t[-1]))
+    samples: Array = scipy.interpolate.make_interp_spline(t, signals, k=5)(np.clip(at, t[0], t[-1]))
     m = signals.shape[1] // 3
-    found[at > t[-1] + 1e-9 * (t[-1] - t[0]), 2 * m :] = 0.0
-    return found
+    samples[at > t[-1] + 1e-9 * (t[-1] - t[0]), 2 * m :] = 0.0
+    return samples
 
 
 def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Array, Array], h: float) -> Array:
@@ -261,7 +261,7 @@ def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Arr
     states, state = [start[:, None]], start
     for k in range(0, len(padded), _CHUNK):
         flat = padded[k : k + _CHUNK].reshape(3 * _CHUNK, -1).T
-        found = run(state, flat, *repeated, np.full(_CHUNK, h))[0].reshape(len(start), -1, order="F")
-        states.append(found)
-        state = found[:, -1]
+        block = run(state, flat, *repeated, np.full(_CHUNK, h))[0].reshape(len(start), -1, order="F")
+        states.append(block)
+        state = block[:, -1]
     return np.hstack(states)[:, : steps + 1].T

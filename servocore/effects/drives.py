@@ -75,11 +75,11 @@ def measured_in(system: MechanicalSystem, names: tuple[str, ...]) -> tuple[tuple
         raise InvalidModel(
             f"{system.name} has {len(system.inputs)} inputs, and drives that measure {', '.join(names) or 'nothing'}"
         )
-    found = [by_name[name] for name in names]
-    column = ca.vertcat(*(each for _, each in found))
+    expressions = [by_name[name] for name in names]
+    column = ca.vertcat(*(each for _, each in expressions))
     if ca.depends_on(column, ca.vertcat(system.v, system.lam, system.u, ca.vec(system.gamma))):
         raise InvalidModel(f"{system.name}: {', '.join(names)} are not all positions, which drives measure")
-    return tuple(each for each, _ in found), column
+    return tuple(each for each, _ in expressions), column
 
 
 def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Array, drives: Drives) -> Gains:
@@ -102,8 +102,8 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
     M, G, B, J = (np.asarray(matrix) for matrix in matrices(q, p))
     bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
     mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]
-    moved = np.diag(J @ mobility)  # acceleration of each position by its own input
-    if not (np.abs(moved) > 0.0).all():
-        name = names[int((~(np.abs(moved) > 0.0)).argmax())]
+    accelerations = np.diag(J @ mobility)  # acceleration of each position by its own input
+    if not (np.abs(accelerations) > 0.0).all():
+        name = names[int((~(np.abs(accelerations) > 0.0)).argmax())]
         raise InvalidModel(f"{system.name}: no input moves {name}, which its drive measures")
-    return Gains(drives.bandwidth**2 / moved, 2 * drives.damping * drives.bandwidth / moved)
+    return Gains(drives.bandwidth**2 / accelerations, 2 * drives.damping * drives.bandwidth / accelerations)

@@ -70,14 +70,14 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
         began = time.process_time()
         parts.append(at_instants(function, jets=jets, p=problem.p)[0])
         seconds = min(seconds, time.process_time() - began)
-    found = np.hstack(parts)[:, :count].T
-    unsolved = ~np.isfinite(found).all(axis=1)
+    rows = np.hstack(parts)[:, :count].T
+    unsolved = ~np.isfinite(rows).all(axis=1)
     if unsolved.any():
         raise IntegrationFailed(
             f"{problem.system.name}: the equations were not solved at t = {t[int(unsolved.argmax())]:.6g} s"
         )
     m, n = len(problem.system.inputs), len(problem.system.coordinates)
-    inputs, y, rates, q, v, signs = np.split(found, np.cumsum([m, m, m, n, n]), axis=1)
+    inputs, y, rates, q, v, signs = np.split(rows, np.cumsum([m, m, m, n, n]), axis=1)
     _require_signs(problem, t, signs)
     y[:, wraps] = np.unwrap(y[:, wraps], axis=0)
     return Inverted(t, inputs, y - y[0], rates, np.concatenate([q[0], v[0]]), q[-1], 1e6 * seconds / _CHUNK)
@@ -113,6 +113,6 @@ def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple
     gamma, p = (ca.MX.sym(name, *inverse.function.size_in(k)) for k, name in enumerate(("gamma", "p")))
     unknowns, _, residual = inverse.function(gamma, p)
     solved = ca.if_else(residual < np.inf, 0, np.nan)
-    *moved, positive = read(unknowns[q], unknowns[v], p)
-    row = ca.vertcat(unknowns[u], *moved, unknowns[q], unknowns[v], positive) + solved
+    *signals, positive = read(unknowns[q], unknowns[v], p)
+    row = ca.vertcat(unknowns[u], *signals, unknowns[q], unknowns[v], positive) + solved
     return ca.Function("sc_drive_signals", [gamma, p], [ca.densify(row)]), [quantity.wraps for quantity in quantities]

@@ -107,7 +107,7 @@ class EffectsReport:
         """What `Scene.with_effects` is given for the smallest model: effects to add, and effects to leave out."""
         declared = {effect.name: effect for effect in self.scene.effects.declared}
         added = [row.name for row in self.rows if row.needed and not row.left_out and row.name in declared]
-        covered = {own for name in added for own in declared[name].includes}
+        covered = {included for name in added for included in declared[name].includes}
         without = [each.name for each in self._spared if each.left_out]
         return tuple(effect for effect in added if effect not in covered), tuple(without)
 
@@ -136,9 +136,9 @@ class EffectsReport:
         unnamed = [each for each in self.needed if each not in declared]
         call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
         how = f"scene.with_effects({call})".replace("'", '"') if call else "the scene as it is"
-        told = f", with {', '.join(unnamed)} of your own" if unnamed else ""
+        addition = f", with {', '.join(unnamed)} of your own" if unnamed else ""
         return (
-            f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{told}: all that is left"
+            f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"
             f" out moves it by {_length(least, self.unit)} at most, errors added up."
             + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
@@ -171,9 +171,9 @@ class EffectsReport:
         laws: dict[str, list[str]] = {}
         for row in self.rows:
             laws.setdefault(row.law, []).append(row.name)
-        told = [f"{law}: {', '.join(names)}." for law, names in laws.items() if law]
+        by_law = [f"{law}: {', '.join(names)}." for law, names in laws.items() if law]
         reasons = [f"{line.name}: {line.reason}." for line in self.rows if line.reason]
-        return ["Path and duration are the scene's; the time law is as smooth as a row needs.", *told, *reasons,
+        return ["Path and duration are the scene's; the time law is as smooth as a row needs.", *by_law, *reasons,
                 self.verdict]  # fmt: skip
 
     def __str__(self) -> str:

@@ -28,12 +28,12 @@ def at_rest(problem: Problem, measured: tuple[str, ...]) -> Inverted:
     reference, system = problem.reference, problem.system
     ends = np.array([reference.start_time, reference.end_time])
     m, n = len(system.inputs), len(system.coordinates)
-    found = np.array([_equilibrium(problem, time) for time in ends])
+    equilibria = np.array([_equilibrium(problem, time) for time in ends])
     _, y = measured_in(system, measured)
-    positions = np.hstack([np.asarray(ca.Function("y", [system.q], [y])(each[:n])) for each in found]).T
+    positions = np.hstack([np.asarray(ca.Function("y", [system.q], [y])(each[:n])) for each in equilibria]).T
     still = np.zeros((2, m))
-    start = np.concatenate([found[0, :n], np.zeros(n)])
-    return Inverted(ends, found[:, -m:], positions - positions[0], still, start, found[1, :n], np.nan)
+    start = np.concatenate([equilibria[0, :n], np.zeros(n)])
+    return Inverted(ends, equilibria[:, -m:], positions - positions[0], still, start, equilibria[1, :n], np.nan)
 
 
 def _equilibrium(problem: Problem, time: float) -> Array:

@@ -121,12 +121,12 @@ def _in_words(drives: Drives | None) -> str:
 
 def _judged(rows: list[EffectRow], tolerance: float) -> tuple[EffectRow, ...]:
     """Return the rows worst first, with what is needed: the errors of all that is left out add up to less."""
-    found, total = [], 0.0
+    judged, total = [], 0.0
     for line in sorted(rows, key=lambda row: row.error):
         refused = line.how == REFUSED
         total += 0.0 if refused else line.error
-        found.append(replace(line, needed=total > tolerance and not refused))
-    return tuple(reversed(found))
+        judged.append(replace(line, needed=total > tolerance and not refused))
+    return tuple(reversed(judged))
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,34 +176,36 @@ class _Study:
             raise InvalidModel(f"the plant {name} must be a function that returns a model, not {described(factory)}")
         if name in {effect.name for effect in self.scene.effects.declared}:
             raise InvalidModel(f"{name} is an effect of {self.scene.name}; the plant needs another name")
-        found, model = factory(), self.scene.model()
-        require_kind(found, MechanicalSystem, f"what the plant {name} returns", "a MechanicalSystem", InvalidModel)
-        for what, own, expected in (
-            ("inputs", found.inputs, model.inputs),
-            ("outputs", found.outputs, model.outputs),
+        system, model = factory(), self.scene.model()
+        require_kind(system, MechanicalSystem, f"what the plant {name} returns", "a MechanicalSystem", InvalidModel)
+        for what, present, expected in (
+            ("inputs", system.inputs, model.inputs),
+            ("outputs", system.outputs, model.outputs),
         ):
-            names, known = ([quantity.name for quantity in quantities] for quantities in (own, expected))
+            names, known = ([quantity.name for quantity in quantities] for quantities in (present, expected))
             if len(names) != len(known):
                 raise InvalidModel(
                     f"the plant {name} has the {what} {', '.join(names)}, {self.scene.name} has {', '.join(known)}"
                 )
-        return found
+        return system
 
     def cases(self, plant: Mapping[str, ModelFactory]) -> list[_Case]:
         """Return all effects, declared ones first."""
-        own, found = self.scene.effects, []
-        base = self._extended(own) if own.declared else self.scene
-        for each in own.declared:
-            if not each.listed or each.name in own.added | own.left_out:
+        declared, collected = self.scene.effects, []
+        base = self._extended(declared) if declared.declared else self.scene
+        for each in declared.declared:
+            if not each.listed or each.name in declared.added | declared.left_out:
                 continue
             if each.left_out:
-                found.append(_Case(each.name, base, self._extended(own.with_((), [each.name])), own.measured, True))
+                collected.append(
+                    _Case(each.name, base, self._extended(declared.with_((), [each.name])), declared.measured, True)
+                )
             else:
-                extended = own.with_([each.name])
-                found.append(_Case(each.name, self._extended(extended), base, extended.measured))
+                extended = declared.with_([each.name])
+                collected.append(_Case(each.name, self._extended(extended), base, extended.measured))
         for name, factory in plant.items():
-            found.append(_Case(name, self._scene(factory), base, self.measured))
-        return found
+            collected.append(_Case(name, self._scene(factory), base, self.measured))
+        return collected
 
     def _extended(self, effects_: Effects) -> Scene:
         return self._scene(effects_.factory, effects_)
@@ -255,11 +257,11 @@ class _Study:
             row = replace(row, error=estimate.error, swing=estimate.swing, estimate=estimate.error)
             reason = self._weak(row)
             if not reason:
-                own, other = (
+                inversion, other = (
                     linear_answers(problem, motion, gains, measured, hanging, lacking)
                     for problem, motion, measured in ((model, without, self.measured), (plant, with_it, case.measured))
                 )
-                reason = "" if (np.abs(other - own) <= _OTHERWISE * own).all() else _ANSWERS
+                reason = "" if (np.abs(other - inversion) <= _OTHERWISE * inversion).all() else _ANSWERS
         if not reason:
             return row
         run = run_loop(plant, Driven(without, without.inputs, gains), with_it, case.measured, hanging, tail=tail)

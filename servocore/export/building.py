@@ -143,27 +143,27 @@ def _variables(
     problem: Problem, compiled: Mathematics, tracked: str, home: Array, feedback: SampledFeedback | None
 ) -> Sequence[Variable]:
     system, array = problem.system, problem.array
-    found = rows.path_variables(system.outputs, tracked, compiled.orders, home)
+    variables = rows.path_variables(system.outputs, tracked, compiled.orders, home)
     place = len(system.outputs) * compiled.orders
     if feedback is not None:
-        found += rows.measured_variables(feedback.measured, place)
+        variables += rows.measured_variables(feedback.measured, place)
         place += feedback.numbers
-    found += rows.output_variables(compiled.outputs, place)
+    variables += rows.output_variables(compiled.outputs, place)
     place += len(compiled.outputs)
-    found += rows.parameter_variables(system.parameters.declared, problem.p, place)
+    variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
     place += len(system.parameters)
     if feedback is not None:
-        found += rows.feedback_settings(system.inputs, feedback.distance, place)
+        variables += rows.feedback_settings(system.inputs, feedback.distance, place)
     if compiled.state_size:
-        found.append(rows.internal_step(place))
+        variables.append(rows.internal_step(place))
         place += 1
     if not problem.flat:
         quantities = {f"q.{quantity.name}": quantity for quantity in system.coordinates.quantities}
         units = [quantities[name].unit if name in quantities else "1" for name, _ in array.named_states]
-        found += rows.start_variables(array.named_states, units, place)
-        found += rows.state_variables(array.named_states, units, place + len(units))
-    require_different(problem, found, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
-    return found
+        variables += rows.start_variables(array.named_states, units, place)
+        variables += rows.state_variables(array.named_states, units, place + len(units))
+    require_different(problem, variables, ("input_time", "time", *(() if compiled.state_size else ("internal_step",))))
+    return variables
 
 
 def _own(compiled: Mathematics, components: int, feedback: SampledFeedback | None) -> dict[str, Any]:
@@ -194,8 +194,8 @@ def end_conditions(orders: int) -> list[list[float]]:
     The polynomial of degree 2 orders - 1 joins two instants at which a path and its derivatives are known.
     """
     falling = [[math.factorial(j) / math.factorial(j - k) for j in range(orders, 2 * orders)] for k in range(orders)]
-    found: list[list[float]] = np.linalg.inv(np.array(falling)).tolist()
-    return found
+    inverse: list[list[float]] = np.linalg.inv(np.array(falling)).tolist()
+    return inverse
 
 
 # The mathematics --------------------------------------------------------------------------------------------------
@@ -263,7 +263,7 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
     """
     path = [Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in problem.limits if e.of_path]
     hidden = [observable.name for observable in problem.system.observables if observable.name.startswith(HIDDEN)]
-    found = []
+    bounds_of_limits = []
     for row, (limit, name) in enumerate(zip((e for e in problem.limits if not e.of_path), hidden, strict=True)):
         if name.endswith("differenced") or counts_turns(limit.expression, limit.rate, problem.system):
             why = "the rate of a force" if name.endswith("differenced") else "an angle that counts full turns"
@@ -272,12 +272,12 @@ def bounds(problem: Problem) -> tuple[Bound, ...]:
                 f" instant, and that is {why}"
             )
         sides = [(limit.bound, 1.0), (limit.upper, -1.0)]
-        found += [
+        bounds_of_limits += [
             Bound(limit.quantity, limit.unit, limit.reason, bound, side, row, limit.rate)
             for bound, side in sides
             if math.isfinite(bound)
         ]
-    return (*path, *found)
+    return (*path, *bounds_of_limits)
 
 
 def _instantaneous(known: _Known, identifier: str) -> Mathematics:
@@ -299,10 +299,10 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     outputs, kept = seen(y, path, P)
     functions, none = {}, ca.MX.sym("start", 0)
     if inverse.expression is not None:
-        own, p = timed_path(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
-        found = seen(inverse.expression(own[:, :rows], p)[0], own, p)
+        jet, p = timed_path(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
+        results = seen(inverse.expression(jet[:, :rows], p)[0], jet, p)
         functions["quick"] = ca.Function(
-            f"{identifier}_quick", [system.path[:, :orders], p, time], list(found), {"cse": True}
+            f"{identifier}_quick", [system.path[:, :orders], p, time], list(results), {"cse": True}
         )
     begun = [ca.MX(0, 1), outputs]
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
@@ -346,24 +346,24 @@ def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX
     return ca.MX.sym("path", len(system.outputs), orders), ca.MX.sym("p", system.p.numel()), ca.MX.sym("time")
 
 
-def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, moved: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, offset: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return the first state, its internal states moved from where they rest, and the residual of the equations."""
     array, inverse, dae = problem.array, problem.resolved.once(inversion), problem.dae(Reduced())
     path = path[:, : order + 1]
     used = path[:, : array.reference_order + 1]
     if array.states:
         guess = inverse.guess(used, p)
-        guess[array.places(array.states)] += moved
-        found, _, residual = inverse.search(used, p, guess)
+        guess[array.places(array.states)] += offset
+        unknowns, _, residual = inverse.search(used, p, guess)
     else:
-        found, _, residual = inverse.function(used, p)
+        unknowns, _, residual = inverse.function(used, p)
     restart = compile_restart(array, inverse, dae, dae, discretized(dae, METHOD), order)
-    return restart(found, path, 0, p), residual
+    return restart(unknowns, path, 0, p), residual
 
 
 def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:
     """Which rows of a result depend on which numbers of the first argument."""
     pattern = function.jac_sparsity(result, 0)
-    found = np.zeros(pattern.shape, dtype=bool)
-    found[tuple(np.array(pattern.get_triplet(), dtype=np.intp))] = True
-    return found
+    depends = np.zeros(pattern.shape, dtype=bool)
+    depends[tuple(np.array(pattern.get_triplet(), dtype=np.intp))] = True
+    return depends

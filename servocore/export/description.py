@@ -201,17 +201,17 @@ def _causality(variable: Variable, fmi: int) -> dict[str, str]:
         return {"causality": variable.causality, "variability": "continuous", "initial": "calculated"}
     if variable.causality == "input":
         return {"causality": "input", "variability": "continuous"}
-    found = {"causality": "parameter", "variability": "fixed" if variable.fixed else "tunable"}
-    return found | ({"initial": "exact"} if fmi == 2 else {})
+    attributes = {"causality": "parameter", "variability": "fixed" if variable.fixed else "tunable"}
+    return attributes | ({"initial": "exact"} if fmi == 2 else {})
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
-    found = {"unit": variable.unit, **{name: repr(value) for name, value in variable.bounds.items()}}
+    attributes = {"unit": variable.unit, **{name: repr(value) for name, value in variable.bounds.items()}}
     if variable.unit in _SHOWN:
-        found["displayUnit"] = _SHOWN[variable.unit]
+        attributes["displayUnit"] = _SHOWN[variable.unit]
     if variable.nominal:
-        found["nominal"] = repr(float(variable.nominal))
-    return found
+        attributes["nominal"] = repr(float(variable.nominal))
+    return attributes
 
 
 def _places(variable: Variable) -> range:

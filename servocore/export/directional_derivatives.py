@@ -11,5 +11,5 @@ def tangent(name: str, arguments: Sequence[ca.MX], results: Sequence[ca.MX], by:
     """Compile (arguments, directions of some of them) -> derivatives of the results along them."""
     directions = [ca.MX.sym(f"d{k}", *each.shape) for k, each in enumerate(by)]
     x, direction = ca.veccat(*by), ca.veccat(*directions)
-    found = [ca.densify(ca.jtimes(result, x, direction)) if result.numel() else result for result in results]
-    return ca.Function(name, [*arguments, *directions], found)
+    tangents = [ca.densify(ca.jtimes(result, x, direction)) if result.numel() else result for result in results]
+    return ca.Function(name, [*arguments, *directions], tangents)

@@ -60,8 +60,8 @@ class SampledFeedback:
             With dense arguments and results.
         """
         names = [f"{each}_{time}" for time, _ in INPUT_TIME.items for each in ("begin", "feedback")]
-        found = {**{name: self.laws[name] for name in names}, "judge": self.judge}
-        return {name: renamed(each, f"{identifier}_{name}") for name, each in found.items()}
+        functions_by_name = {**{name: self.laws[name] for name in names}, "judge": self.judge}
+        return {name: renamed(each, f"{identifier}_{name}") for name, each in functions_by_name.items()}
 
     def own(self) -> dict[str, object]:
         """Return what the kernel needs to know.

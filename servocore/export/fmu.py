@@ -206,18 +206,18 @@ def contents(
 ) -> dict[str, bytes]:
     """Return all files of an FMU by their path in it."""
     describe = fmi2_description if fmi == 2 else fmi3_description
-    found = {
+    members = {
         "modelDescription.xml": describe(model, token_of(model, fmi)),
         "documentation/index.html": documentation(model, fmi, targets),
         **{f"sources/{name}": text.encode() for name, text in sources.items()},
         **built,
     }
     icon = (SHARED / "icon.png").read_bytes()
-    found["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
+    members["model.png" if fmi == 2 else "terminalsAndIcons/icon.png"] = icon
     if fmi == 3:
-        found["sources/buildDescription.xml"] = build_description(model)
-        found["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
-    return found
+        members["sources/buildDescription.xml"] = build_description(model)
+        members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals(model)
+    return members
 
 
 def archive(files: Mapping[str, bytes]) -> bytes:

@@ -17,16 +17,16 @@ _NAMES_TAKEN = ("main", "all", "clean", "help", "install", "package", "test")  #
 def identifier_of(name: str) -> str:
     """Return a name as an identifier of C, as short as functions' names have to be."""
     # CasADi takes no two underscores in a row.
-    found = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
-    if not found:
+    identifier = re.sub(r"[\W_]+", "_", name, flags=re.ASCII)[:_LONGEST_IDENTIFIER].strip("_")
+    if not identifier:
         return "model"
-    taken = not found[0].isalpha() or keyword.iskeyword(found) or found.lower() in _NAMES_TAKEN
-    return f"model_{found}" if taken else found
+    taken = not identifier[0].isalpha() or keyword.iskeyword(identifier) or identifier.lower() in _NAMES_TAKEN
+    return f"model_{identifier}" if taken else identifier
 
 
-def require_different(problem: Problem, found: Sequence[Variable], taken: Sequence[str]) -> None:
+def require_different(problem: Problem, variables: Sequence[Variable], taken: Sequence[str]) -> None:
     """Raise `InvalidModel` if two variables have one name, or one has a name that FMI does not know."""
-    names = [name for each in found for name in each.scalar_names]
+    names = [name for each in variables for name in each.scalar_names]
     every = [*names, *taken]
     repeated = sorted({name for name in every if every.count(name) > 1})
     if repeated:

@@ -138,8 +138,8 @@ def _used(problem: Problem, plant: Plant) -> list[Quantity]:
     system = problem.system
     left = {f"{quantity.name}_ddot" for quantity in system.outputs} | {quantity.name for quantity in system.inputs}
     known = {each.name: each for each in (*system.coordinates.quantities, *system.observables)}
-    found = [channel for channel in plant.channels if channel.name not in left]
-    return [replace(each, positive=each.name in known and known[each.name].positive) for each in found]
+    channels = [channel for channel in plant.channels if channel.name not in left]
+    return [replace(each, positive=each.name in known and known[each.name].positive) for each in channels]
 
 
 def _variables(
@@ -151,7 +151,7 @@ def _variables(
 ) -> tuple[Variable, ...]:
     system = problem.system
     m = len(system.inputs)
-    found = [
+    variables = [
         Variable(
             quantity.name,
             "input",
@@ -164,19 +164,19 @@ def _variables(
         for k, quantity in enumerate(system.inputs)
     ]
     servo = len(system.outputs)
-    found += rows.motion_variables(system.outputs, tracked, m)
-    found += rows.output_variables(outputs[2 * servo :], m + 2 * servo)
+    variables += rows.motion_variables(system.outputs, tracked, m)
+    variables += rows.output_variables(outputs[2 * servo :], m + 2 * servo)
     place = m + len(outputs)
-    found += rows.parameter_variables(system.parameters.declared, problem.p, place)
+    variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
     place += len(system.parameters)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
     settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
     for setting in settings:
-        found.append(rows.placed(setting, place))
+        variables.append(rows.placed(setting, place))
         place += setting.size or 1
-    return tuple(rows.with_starts(each, wishes.start) for each in found)
+    return tuple(rows.with_starts(each, wishes.start) for each in variables)
 
 
 def _limits(problem: Problem) -> tuple[tuple[Bound, ...], ca.Function]:
@@ -210,17 +210,17 @@ def _functions(
         more = [function(channels, d, p) for _, function in wishes.extra]
         return [ca.densify(ca.vertcat(channels[places], *more)), margins(channels[:servo], p)]
 
-    given: dict[str, tuple[list[ca.MX], list[ca.MX], list[ca.MX]]] = {
+    signatures: dict[str, tuple[list[ca.MX], list[ca.MX], list[ca.MX]]] = {
         "step": ([state, u, slope, d, p, h], [plant.step(state, u, slope, d, p, h)], [state, u, slope, p]),
         "held_step": ([state, d, p, h], [plant.held_step(state, d, p, h)], [state, p]),
         "observe": ([state, u, d, p], seen(plant.observe(state, u, d, p)), [state, u, p]),
         "held_observe": ([state, d, p], seen(plant.held_observe(state, d, p)), [state, p]),
     }
-    found = {"begin": _begin(problem, f"{identifier}_begin", offsets)}
-    for name, (arguments, results, by) in given.items():
-        found[name] = ca.Function(f"{identifier}_{name}", arguments, results)
-        found[f"{name}_tangent"] = tangent(f"{identifier}_{name}_tangent", arguments, results[:1], by)
-    return found
+    functions = {"begin": _begin(problem, f"{identifier}_begin", offsets)}
+    for name, (arguments, results, by) in signatures.items():
+        functions[name] = ca.Function(f"{identifier}_{name}", arguments, results)
+        functions[f"{name}_tangent"] = tangent(f"{identifier}_{name}_tangent", arguments, results[:1], by)
+    return functions
 
 
 def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) -> ca.Function:
@@ -234,11 +234,11 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) ->
     unknowns = problem.resolved.once(inversion).function(path, p)[0]
     coordinates = _coordinates(problem)
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
-    moved = [each for of in offsets.values() for each in of]
-    missing = [each for each in moved if each not in coordinates]
+    names = [each for of in offsets.values() for each in of]
+    missing = [each for each in names if each not in coordinates]
     if missing:
         raise InvalidModel(f"{problem.name} has no coordinate {missing[0]}")
-    added = ca.MX.sym("offsets", len(moved))
-    for k, each in enumerate(moved):
+    added = ca.MX.sym("offsets", len(names))
+    for k, each in enumerate(names):
         state[coordinates.index(each)] += added[k]
     return ca.Function(name, [place, speed, added, p], [ca.densify(ca.vertcat(*state))])

@@ -49,11 +49,11 @@ def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     """Return the mathematics, the tables and what steps it."""
     header, source = model.source()
     values = tables(model, token_of(model, fmi))
-    own = rendered(f"{model.kernel}_own.h.j2", **values)
+    own_header = rendered(f"{model.kernel}_own.h.j2", **values)
     return {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
-        "model.h": rendered("model.h.j2", **(values | {"own": own})),
+        "model.h": rendered("model.h.j2", **(values | {"own": own_header})),
         **{name: (SHARED / name).read_text(encoding="utf-8") for name in _headers(model)},
     }
 
@@ -142,7 +142,7 @@ def _numbers(variable: Variable) -> list[dict[str, Any]]:
 
 
 def _headers_folder() -> Path:
-    found = importlib.util.find_spec("fmpy")
-    if found is None or not found.submodule_search_locations:
+    spec = importlib.util.find_spec("fmpy")
+    if spec is None or not spec.submodule_search_locations:
         raise InvalidSetting("an FMU is built with FMI's headers as FMPy has them: install fmpy")
-    return Path(found.submodule_search_locations[0]) / "c-code"
+    return Path(spec.submodule_search_locations[0]) / "c-code"

@@ -139,13 +139,13 @@ def _variables(
 ) -> list[Variable]:
     path = scene.reference
     ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
-    found = rows.path_outputs(servo, scene.tracked, orders)
-    place = sum(each.size or 1 for each in found)
+    variables = rows.path_outputs(servo, scene.tracked, orders)
+    place = sum(each.size or 1 for each in variables)
     begin = line.start_time if line is not None else 0.0
     for setting in rows.line_settings(servo, scene.tracked, ends, path.duration, begin):
-        found.append(rows.with_starts(rows.placed(setting, place), wishes.start))
+        variables.append(rows.with_starts(rows.placed(setting, place), wishes.start))
         place += setting.size or 1
-    return found
+    return variables
 
 
 # Laws ----------------------------------------------------------------------------------------------------------------
@@ -188,11 +188,11 @@ def _covered(name: str, orders: int, on: ca.SX, duration: ca.SX, ramp: ca.SX) ->
     return list(ca.substitute(_by_time([share], x, y, duration, orders), [x, y], [on / duration, 1 - on / duration]))
 
 
-def _by_time(found: list[ca.SX], x: ca.SX, y: ca.SX, span: ca.SX, orders: int) -> list[ca.SX]:
+def _by_time(slopes: list[ca.SX], x: ca.SX, y: ca.SX, span: ca.SX, orders: int) -> list[ca.SX]:
     """Differentiate by a time of which x is the share of a span that is over, and y the share that is left."""
-    while len(found) < orders:
-        found.append((ca.gradient(found[-1], x) - ca.gradient(found[-1], y)) / span)
-    return found
+    while len(slopes) < orders:
+        slopes.append((ca.gradient(slopes[-1], x) - ca.gradient(slopes[-1], y)) / span)
+    return slopes
 
 
 # Paths ---------------------------------------------------------------------------------------------------------------

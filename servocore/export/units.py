@@ -29,9 +29,9 @@ def per_time(unit: str, order: int) -> str:
     """Return the unit of a derivative by time: ``m`` becomes ``m/s``, ``m/s2``; ``N.m/s`` becomes ``N.m/s2``."""
     if order == 0:
         return unit
-    found = re.fullmatch(r"(.*)/s(\d*)", unit)
-    if found:
-        unit, order = found[1], order + int(found[2] or 1)
+    match = re.fullmatch(r"(.*)/s(\d*)", unit)
+    if match:
+        unit, order = match[1], order + int(match[2] or 1)
     if "/" in unit:  # N/m becomes N/(m.s), which FMI spells with a negative exponent
         return f"{unit}.s{order if order > 1 else ''}"
     return f"{unit}/s{order if order > 1 else ''}"
@@ -46,10 +46,10 @@ def base_units(unit: str) -> dict[str, int] | None:
     above, _, below = unit.partition("/")
     for part, sign in ((above, 1), (below, -1)):
         for factor in filter(None, part.split(".")):
-            found = _FACTOR.fullmatch(factor)
-            if found is None or found[1] not in _SYMBOLS:
+            match = _FACTOR.fullmatch(factor)
+            if match is None or match[1] not in _SYMBOLS:
                 return None
-            times = sign * int(found[2] or 1)
-            for base, exponent in _SYMBOLS[found[1]].items():
+            times = sign * int(match[2] or 1)
+            for base, exponent in _SYMBOLS[match[1]].items():
                 exponents[base] = exponents.get(base, 0) + times * exponent
     return {base: exponent for base, exponent in exponents.items() if exponent}

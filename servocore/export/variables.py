@@ -75,8 +75,8 @@ class Variable:
     @property
     def bounds(self) -> dict[str, float]:
         """The bounds that there are, by the name of FMI's attribute."""
-        found = {"min": self.low, "max": self.high}
-        return {name: value for name, value in found.items() if abs(value) < _MOST_DISPLAYED}
+        attributes = {"min": self.low, "max": self.high}
+        return {name: value for name, value in attributes.items() if abs(value) < _MOST_DISPLAYED}
 
 
 @dataclass(frozen=True)
@@ -129,20 +129,20 @@ def path_variables(outputs: Sequence[Quantity], tracked: str, orders: int, home:
     Where the scene has a word for what follows the path and all components have one unit, they are vectors
     (``load.position``); otherwise every component has a name of its own (``y.position``).
     """
-    count, found = len(outputs), []
+    count, variables = len(outputs), []
     for order in range(orders):
         starts = [float(value) if order == 0 else 0.0 for value in home]
         what = order_name(order)
         if together(outputs, tracked):
             text = f"{what} wanted of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
             unit = per_time(outputs[0].unit, order)
-            found.append(Variable(f"{tracked}.{what}", "input", unit, text, order * count, tuple(starts), count))
+            variables.append(Variable(f"{tracked}.{what}", "input", unit, text, order * count, tuple(starts), count))
             continue
         for k, quantity in enumerate(outputs):
             meant = f" ({quantity.description})" if quantity.description else ""
             text, unit = f"{what} wanted of {quantity.name}{meant}", per_time(quantity.unit, order)
-            found.append(Variable(f"{quantity.name}.{what}", "input", unit, text, order * count + k, (starts[k],)))
-    return found
+            variables.append(Variable(f"{quantity.name}.{what}", "input", unit, text, order * count + k, (starts[k],)))
+    return variables
 
 
 def output_variables(quantities: Sequence[Quantity], place: int) -> list[Variable]:
@@ -201,19 +201,19 @@ def state_variables(names: Sequence[tuple[str, int]], units: Sequence[str], plac
 
 def measured_variables(measured: Sequence[tuple[Quantity, int | None]], place: int) -> list[Variable]:
     """Return the inputs of what is measured; all zero, there is no feedback."""
-    found = []
+    variables = []
     for each, size in measured:
         text = f"measured {each.description or each.name}; all zero: no feedback"
-        found.append(
+        variables.append(
             Variable(f"measured.{each.name}", "input", each.unit, text, place, (0.0,) * (size or 1), size=size)
         )
         place += size or 1
-    return found
+    return variables
 
 
 def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -> list[Variable]:
     """Return the parameters of a feedback, in the order in which the kernel finds them."""
-    found = [
+    variables = [
         _setting("feedback", "1", "share of the feedback in the outputs, where motion is measured", (1.0,), 0.0, 1.0),
         _setting(
             "feedback_distance",
@@ -228,7 +228,7 @@ def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -
             for e in drives
         ),
     ]
-    return [placed(each, place + k) for k, each in enumerate(found)]
+    return [placed(each, place + k) for k, each in enumerate(variables)]
 
 
 # Of a plant ----------------------------------------------------------------------------------------------------------
@@ -241,19 +241,19 @@ def together(outputs: Sequence[Quantity], tracked: str) -> bool:
 
 def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> list[Variable]:
     """Return position and velocity of the servo output as outputs."""
-    found, count = [], len(outputs)
+    variables, count = [], len(outputs)
     for order in range(2):
         what, first = order_name(order), place + order * count
         if together(outputs, tracked):
             text = f"{what} of the {tracked}, components {', '.join(quantity.name for quantity in outputs)}"
             unit = per_time(outputs[0].unit, order)
-            found.append(Variable(f"{tracked}.{what}", "output", unit, text, first, size=count))
+            variables.append(Variable(f"{tracked}.{what}", "output", unit, text, first, size=count))
             continue
-        found += [
+        variables += [
             Variable(f"{e.name}.{what}", "output", per_time(e.unit, order), f"{what} of {e.name}", first + k)
             for k, e in enumerate(outputs)
         ]
-    return found
+    return variables
 
 
 def plant_settings(
@@ -282,12 +282,12 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     return replace(_setting(name, units[0], text, (0.0,) * len(units)), size=size, fixed=True)
 
 
-def with_starts(variable: Variable, given: Mapping[str, float]) -> Variable:
+def with_starts(variable: Variable, start_values: Mapping[str, float]) -> Variable:
     """Return a variable with those start values that are given by the names of its numbers."""
     if not variable.starts:
         return variable
     values = zip(variable.scalar_names, variable.starts, strict=True)
-    return replace(variable, starts=tuple(float(given.get(name, value)) for name, value in values))
+    return replace(variable, starts=tuple(float(start_values.get(name, value)) for name, value in values))
 
 
 def _pushing(name: str, outputs: Sequence[Quantity], tracked: str) -> list[Variable]:
@@ -322,10 +322,10 @@ def _setting(
 
 def path_outputs(outputs: Sequence[Quantity], tracked: str, orders: int) -> list[Variable]:
     """Return a path and its derivatives as outputs, named as the inputs of an inverse model."""
-    found = path_variables(outputs, tracked, orders, np.zeros(len(outputs)))
+    variables = path_variables(outputs, tracked, orders, np.zeros(len(outputs)))
     return [
         replace(each, causality="output", starts=(), description=each.description.replace(" wanted of", " of"))
-        for each in found
+        for each in variables
     ]
 
 
@@ -333,23 +333,23 @@ def line_settings(
     outputs: Sequence[Quantity], tracked: str, ends: Array, duration: float, start_time: float
 ) -> list[Variable]:
     """Return the parameters of a line from rest to rest, in the order in which the kernel finds them."""
-    found = []
+    variables = []
     for name, values in zip(("start", "end"), ends, strict=True):
         text = f"{name} of the path"
         if together(outputs, tracked):
             whole = _setting(name, outputs[0].unit, text, tuple(map(float, values)))
-            found.append(replace(whole, size=len(outputs)))
+            variables.append(replace(whole, size=len(outputs)))
             continue
-        found += [
+        variables += [
             _setting(f"{name}.{e.name}", e.unit, f"{text}, {e.name}", (float(value),))
             for e, value in zip(outputs, values, strict=True)
         ]
-    found += [
+    variables += [
         _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9),
         _setting("start_time", "s", "when the motion starts; the path rests before", (start_time,), -1e9, 1e9),
         _setting("ramp", "s", "time to accelerate, for three-phase; 0: a quarter of the duration", (0.0,), 0.0, 1e9),
     ]
-    return [replace(each, fixed=True) for each in found]
+    return [replace(each, fixed=True) for each in variables]
 
 
 def placed(variable: Variable, place: int) -> Variable:

@@ -93,20 +93,20 @@ def loader_beside(file: Path) -> Path:
 
 def wasm_module(scene: Scene, model: str | None = None) -> bytes:
     """Return the module as bytes; see `export_wasm`."""
-    found = inverse_model(scene, model)
-    mathematics = found.mathematics.only(_INVERTING) if not found.mathematics.state_size else None
+    model_to_export = inverse_model(scene, model)
+    mathematics = model_to_export.mathematics.only(_INVERTING) if not model_to_export.mathematics.state_size else None
     problem = followed(Problem.of(scene, model))
     try:
-        marched = marching(problem, found.identifier)
+        marched = marching(problem, model_to_export.identifier)
     except InvalidModel:
         if mathematics is None:
             raise
         marched = None
-    orders = max(found.mathematics.orders, marched.orders if marched else 0)
+    orders = max(model_to_export.mathematics.orders, marched.orders if marched else 0)
     home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
     path = path_variables(problem.system.outputs, scene.tracked, orders, home)
-    about = described(found, path, marched)
-    compiled = _compiled(_source(found, mathematics, marched, orders), found.title)
+    about = described(model_to_export, path, marched)
+    compiled = _compiled(_source(model_to_export, mathematics, marched, orders), model_to_export.title)
     return compiled + custom_section(SECTION, json.dumps(about, separators=(",", ":")).encode())
 
 
@@ -135,11 +135,11 @@ def custom_section(name: str, content: bytes) -> bytes:
 
 def _counted(content: bytes) -> bytes:
     """Put the length before some bytes, seven bits a byte, the lowest first."""
-    length, found = len(content), bytearray()
+    length, encoded = len(content), bytearray()
     while length > 127:
-        found.append(length & 127 | 128)
+        encoded.append(length & 127 | 128)
         length >>= 7
-    return bytes(found) + bytes([length]) + content
+    return bytes(encoded) + bytes([length]) + content
 
 
 def _source(model: InverseModel, mathematics: Mathematics | None, marched: Marching | None, orders: int) -> str:

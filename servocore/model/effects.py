@@ -135,24 +135,24 @@ class Effects:
     @property
     def measured(self) -> tuple[str, ...]:
         """What the drives measure in the model."""
-        found = list(self.drives)
+        names = list(self.drives)
         for name in self.added:
-            found = [self[name].drives.get(each, each) for each in found]
-        return tuple(found)
+            names = [self[name].drives.get(each, each) for each in names]
+        return tuple(names)
 
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters of all declared effects by name."""
-        return {own.name: own for each in self.declared for own in each.parameters}
+        return {parameter.name: parameter for each in self.declared for parameter in each.parameters}
 
 
 NO_EFFECTS = Effects()
 """Of a scene that declares none."""
 
 
-def parameters_with(own: Parameters, effects: Iterable[Effect]) -> Parameters:
+def parameters_with(base: Parameters, effects: Iterable[Effect]) -> Parameters:
     """Return the parameters of a model with some effects; what several of them need is there once."""
-    found = {each.name: each for each in own.declared}
+    by_name = {each.name: each for each in base.declared}
     for effect in effects:
-        found |= {parameter.name: parameter for parameter in effect.parameters if parameter.name not in found}
-    return Parameters(*found.values())
+        by_name |= {parameter.name: parameter for parameter in effect.parameters if parameter.name not in by_name}
+    return Parameters(*by_name.values())

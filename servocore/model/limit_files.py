@@ -23,17 +23,17 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     InvalidSetting
         If a text is none, or a name is given twice.
     """
-    found: dict[str, Bounds] = {}
+    by_name: dict[str, Bounds] = {}
     for text in texts:
         name, equals, bounds = (each.strip() for each in text.partition("="))
         lower, pair, upper = (each.strip() for each in bounds.partition(".." if ".." in bounds else ":"))
-        if not (name and equals and bounds) or name in found:
+        if not (name and equals and bounds) or name in by_name:
             raise InvalidSetting(
                 f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, each name once, such as F=60, M_w=-104..-92,"
                 f" swing=5deg or s.rate=1.2"
             )
-        found[name] = (lower or None, upper or None) if pair else lower
-    return found
+        by_name[name] = (lower or None, upper or None) if pair else lower
+    return by_name
 
 
 def limits_given(texts: Iterable[str] | None, file: Path | None) -> dict[str, Bounds]:
@@ -77,15 +77,15 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     InvalidSetting
         If a text is none.
     """
-    found: dict[str, tuple[float, float]] = {}
+    factors: dict[str, tuple[float, float]] = {}
     for text in texts:
         name, _, both = (each.strip() for each in text.partition("="))
         low, _, high = both.partition("..")
         try:
-            found[name] = (float(low), float(high))
+            factors[name] = (float(low), float(high))
         except ValueError:
             raise InvalidSetting(f"--robust {text!r} is not NAME=LOW..HIGH, such as load_mass=0.9..1.1") from None
-    return found
+    return factors
 
 
 def read_limits(path: Path) -> dict[str, Bounds]:
@@ -110,13 +110,13 @@ def read_limits(path: Path) -> dict[str, Bounds]:
     inner = table.get("limits")
     if isinstance(inner, Mapping) and len(table) == 1:
         table = dict(inner)
-    found: dict[str, Bounds] = {}
+    limits: dict[str, Bounds] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):  # TOML takes s.rate for a table s
-            found |= {f"{name}.{each}": _bounds(path, f"{name}.{each}", inside) for each, inside in value.items()}
+            limits |= {f"{name}.{each}": _bounds(path, f"{name}.{each}", inside) for each, inside in value.items()}
         else:
-            found[name] = _bounds(path, name, value)
-    return found
+            limits[name] = _bounds(path, name, value)
+    return limits
 
 
 def _bounds(path: Path, name: str, value: object) -> Bounds:

@@ -98,12 +98,12 @@ class Limit:
             If the expression is no number.
         """
         evaluate: Callable[..., ca.SX] = self.expression
-        given = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
+        arguments = (system.gamma, system.parameters) if _arguments(self.expression) == 2 else (system,)
         whose = f"{system.name}: the limit of {self.quantity}" if self.quantity else f"{system.name}: a limit"
-        found = as_expression(evaluate(*given), whose)
-        if found.shape != (1, 1):
-            raise InvalidModel(f"{whose} has shape {found.shape}, not (1, 1)")
-        return found
+        expression = as_expression(evaluate(*arguments), whose)
+        if expression.shape != (1, 1):
+            raise InvalidModel(f"{whose} has shape {expression.shape}, not (1, 1)")
+        return expression
 
 
 def _arguments(function: Callable[..., Any]) -> int:

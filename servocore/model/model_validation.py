@@ -105,11 +105,11 @@ def require_sound(system: Written) -> None:
     home = _home(system, guess, start)
     points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
     rest = [np.sin(2.0 + np.arange(each.numel())).reshape(each.shape) for each in (lam, u, gamma)]
-    found = [_arrays(still.call([*point, clock])) for point in points]
-    _require_finite(system, at_rest, found)
+    evaluated = [_arrays(still.call([*point, clock])) for point in points]
+    _require_finite(system, at_rest, evaluated)
     _require_finite(system, moving, [_arrays(forces.call([each, rates, values, clock])) for each, values in points])
     _require_finite(system, seen, [_arrays(observe.call([each, rates, values, *rest])) for each, values in points[-2:]])
-    masses = [each[0] for each in found]
+    masses = [each[0] for each in evaluated]
     _require_symmetric(system.name, masses)
     require_mass(system.name, masses[:3], system.names("coordinates"))
 
@@ -131,12 +131,12 @@ def _require_names(system: Written) -> None:
             if name == _TIME_COLUMN or name.endswith(_RATE):
                 meant = "the column of the times in tables" if name == _TIME_COLUMN else "the limit of a rate"
                 raise InvalidModel(f"{system.name}: one of the {kind} is called {name}, which is {meant}")
-            other, found = seen.setdefault(name, (kind, expression))
-            if other == kind and found is not expression:
+            other, same_expression = seen.setdefault(name, (kind, expression))
+            if other == kind and same_expression is not expression:
                 raise InvalidModel(
                     f"{system.name}: two of the {kind} are called {name}, one of them needs another name"
                 )
-            if other != kind and not _same(found, expression):
+            if other != kind and not _same(same_expression, expression):
                 raise InvalidModel(
                     f"{system.name}: {name} is the name of two quantities, one of the {other} and one of the {kind};"
                     " one of them needs another name"
@@ -177,15 +177,15 @@ def _home(system: Written, fields: Mapping[str, ca.SX], guess: ca.Function) -> A
     """Return the configuration at home."""
     gamma = np.zeros(guess.size_in(0))
     gamma[:, 0] = system.home
-    found = np.asarray(guess(gamma, system.home_parameters))
-    _require_finite(system, fields, [[found]])
-    lost = np.flatnonzero(~np.isfinite(found.ravel()))
+    configuration = np.asarray(guess(gamma, system.home_parameters))
+    _require_finite(system, fields, [[configuration]])
+    lost = np.flatnonzero(~np.isfinite(configuration.ravel()))
     if len(lost):
         raise InvalidModel(
             f"{system.name}: the guess at home = {system.home} has no value for {system.names('coordinates')[lost[0]]};"
             f" home must be a value of {', '.join(system.names('outputs'))} that the system can take"
         )
-    return found.ravel()
+    return configuration.ravel()
 
 
 def probes(home: Array, nominal: Sequence[float], p: Array) -> list[tuple[Array, Array]]:

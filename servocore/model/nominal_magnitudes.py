@@ -69,10 +69,10 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, stands still
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
         system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
-    found = [np.abs(np.asarray(evaluate(each, home, p)[0]).ravel() - home) for each in gamma]
+    changes = [np.abs(np.asarray(evaluate(each, home, p)[0]).ravel() - home) for each in gamma]
     rows = np.asarray(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
         outputs = np.eye(len(rows))[:, len(rows) - len(extent) :] * extent
-        found.append(np.abs(np.linalg.pinv(rows, rcond=1e-9) @ outputs).max(axis=1))
-    largest: Array = np.nan_to_num(np.max(found, axis=0), nan=0.0, posinf=0.0)
+        changes.append(np.abs(np.linalg.pinv(rows, rcond=1e-9) @ outputs).max(axis=1))
+    largest: Array = np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0)
     return largest

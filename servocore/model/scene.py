@@ -132,16 +132,16 @@ class Scene:
             raise InvalidModel(f"{self.name} has no model {name}; it has {', '.join(self.models)}")
         factory = self.models[name]
         try:
-            found: object = _made(factory) if isinstance(factory, Hashable) else factory()
+            system: object = _made(factory) if isinstance(factory, Hashable) else factory()
         except TypeError as error:
             if "required positional argument" not in str(error):
                 raise
             raise InvalidModel(f"{self.name}: the factory of {name} is called without arguments: {error}") from None
-        if not isinstance(found, MechanicalSystem):
+        if not isinstance(system, MechanicalSystem):
             raise InvalidModel(
-                f"{self.name}: the factory of {name} returned {described(found)}, not a MechanicalSystem"
+                f"{self.name}: the factory of {name} returned {described(system)}, not a MechanicalSystem"
             )
-        return found
+        return system
 
     def with_reference(self, reference: Reference) -> Scene:
         """Return the scene with another path; raises `InvalidReference` if its dimension does not fit.
@@ -261,14 +261,14 @@ class Scene:
         True
         """
         model = self.model()
-        given = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
-        own = {
+        new_limits = tuple(limit_named(model, name, bound) for name, bound in bounds.items() if bound is not None)
+        same = {
             limit.expression.name + RATE * limit.rate: limit
             for limit in self.limits
             if isinstance(limit.expression, Named)
         }
-        replaced = [limit for name, limit in own.items() if name in bounds]
-        return replace(self, limits=(*(limit for limit in self.limits if limit not in replaced), *given))
+        replaced = [limit for name, limit in same.items() if name in bounds]
+        return replace(self, limits=(*(limit for limit in self.limits if limit not in replaced), *new_limits))
 
     def parameter_values(self) -> dict[str, float]:
         """All parameters by name.

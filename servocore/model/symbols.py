@@ -185,10 +185,10 @@ class Coordinates:
         Coordinates
             New coordinates; these stay as they are.
         """
-        found = copy.copy(self)
+        copied = copy.copy(self)
         pairs = zip(self.quantities, magnitudes, strict=True)
-        object.__setattr__(found, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
-        return found
+        object.__setattr__(copied, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
+        return copied
 
     def __len__(self) -> int:
         return len(self.quantities)

@@ -177,11 +177,15 @@ class MechanicalSystem:
         for each in _EXPRESSIONS:
             given = getattr(self, each)
             if given is not DERIVED:
-                found = as_expression(given, f"{self.name}: {each}")
-                one_row = each == "input_matrix" and found is not given and found.shape == (len(self.coordinates), 1)
+                expression = as_expression(given, f"{self.name}: {each}")
+                one_row = (
+                    each == "input_matrix"
+                    and expression is not given
+                    and expression.shape == (len(self.coordinates), 1)
+                )
                 if each in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
-                    found = ca.sparsify(found)
-                taken[each] = found.T if one_row else found
+                    expression = ca.sparsify(expression)
+                taken[each] = expression.T if one_row else expression
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
             each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
@@ -235,9 +239,9 @@ class MechanicalSystem:
         for attribute, shape in shapes.items():
             if attribute == "gyroscopic":
                 self._fill(attribute, gyroscopic_forces(self.mass, self.q, self.v))
-            found = getattr(self, attribute).shape
-            if found != shape:
-                raise InvalidModel(f"{self.name}: {attribute} has shape {found}, expected {shape}")
+            actual = getattr(self, attribute).shape
+            if actual != shape:
+                raise InvalidModel(f"{self.name}: {attribute} has shape {actual}, expected {shape}")
             if attribute in _SYMBOLS and not getattr(self, attribute).is_valid_input():
                 raise InvalidModel(f"{self.name}: {attribute} must be symbols of casadi.SX.sym, not expressions")
         rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))
@@ -270,16 +274,16 @@ class MechanicalSystem:
     def _require_freedom(self, n: int, m: int, m_h: int) -> None:
         if m <= n - m_h:
             return  # even if all constraints were independent
-        found = self._rank_at_home
-        if not found.assembled:
+        rank = self._rank_at_home
+        if not rank.assembled:
             raise InvalidModel(
                 f"{self.name}: {m} inputs are too many for {n} coordinates with {m_h} holonomic constraints, unless"
                 " these are redundant in part; no configuration that satisfies them was found from the guess at home"
             )
-        if m > n - found.rank:
+        if m > n - rank.rank:
             raise InvalidModel(
-                f"{self.name}: {m} inputs exceed the {n - found.rank} degrees of freedom"
-                f" ({n} coordinates, {found.rank} independent ones of {m_h} holonomic constraints)"
+                f"{self.name}: {m} inputs exceed the {n - rank.rank} degrees of freedom"
+                f" ({n} coordinates, {rank.rank} independent ones of {m_h} holonomic constraints)"
             )
 
     @property
@@ -330,11 +334,11 @@ class MechanicalSystem:
 
     def require_independent_constraints(self) -> None:
         """Raise `InvalidModel`, naming rows that follow from others, if some holonomic constraints are redundant."""
-        found = self._rank_at_home
-        if found.redundant:
+        rank = self._rank_at_home
+        if rank.redundant:
             raise InvalidModel(
-                f"{self.name}: {len(found.redundant)} of the {found.rows} holonomic constraints are redundant (rank"
-                f" {found.rank}): {self.listed_constraints(found.redundant)}; solve and analyse leave them out"
+                f"{self.name}: {len(rank.redundant)} of the {rank.rows} holonomic constraints are redundant (rank"
+                f" {rank.rank}): {self.listed_constraints(rank.redundant)}; solve and analyse leave them out"
             )
 
     @property
@@ -376,13 +380,13 @@ class MechanicalSystem:
             If C loses rank at home.
         """
         C = np.asarray(ca.Function("C", [self.q, self.p], [self.C])(*self.home_configuration()))
-        found = last_good_columns(C * self.coordinates.nominal)
-        if found is None:
+        columns = last_good_columns(C * self.coordinates.nominal)
+        if columns is None:
             raise InvalidModel(
                 f"{self.name}: the servo outputs are dependent at the home configuration, that of the guess at"
                 f" {self.home}; give a home where they are not"
             )
-        return found
+        return columns
 
     def require_full_rank(self, q: Array, p: Array) -> None:
         """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""

@@ -60,13 +60,13 @@ def in_unit(text: str, unit: str, what: str) -> float:
     InvalidSetting
         If it is no number with a unit, or its unit is that of another kind of quantity.
     """
-    found = _QUANTITY.fullmatch(text)
-    if found is None:
+    match = _QUANTITY.fullmatch(text)
+    if match is None:
         raise InvalidSetting(f"{what} is given as {text!r}, which is no number with a unit, such as '2 {unit}'")
-    number, given = float(found[1]), (found[2] or unit).strip()
-    (factor, kind), (own_factor, own_kind) = _dimension(given, what), _dimension(unit, what)
+    number, own_unit = float(match[1]), (match[2] or unit).strip()
+    (factor, kind), (own_factor, own_kind) = _dimension(own_unit, what), _dimension(unit, what)
     if kind != own_kind:
-        raise InvalidSetting(f"{what} is given in {given}, but its unit is {unit}")
+        raise InvalidSetting(f"{what} is given in {own_unit}, but its unit is {unit}")
     return number * factor / own_factor
 
 
@@ -76,11 +76,11 @@ def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
     numerators, *denominators = unit.replace("²", "2").replace("³", "3").split("/")
     for text, sign in ((numerators, 1), *((denominator, -1) for denominator in denominators)):
         for label in re.split(r"[.·*\s]+", text.strip().strip("()")):
-            found = _FACTOR.fullmatch(label)
-            if found is None or found[1] not in _UNITS:
+            match = _FACTOR.fullmatch(label)
+            if match is None or match[1] not in _UNITS:
                 raise InvalidSetting(f"{what} is given in {unit}, which is no unit known here: {', '.join(_UNITS)}")
-            size, of = _UNITS[found[1]]
-            power = sign * int(found[2] or 1)
+            size, of = _UNITS[match[1]]
+            power = sign * int(match[2] or 1)
             factor *= size**power
             for name, exponent in of.items():
                 powers[name] += power * exponent

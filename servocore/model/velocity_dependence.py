@@ -24,19 +24,19 @@ def require_positions(system: str, v: ca.SX, outputs: Named, constraints: Named)
         What the rows are called, and the rows.
     """
     for name, expression in _rows(*outputs):
-        found = _listed(expression, v)
-        if found:
+        velocities = _listed(expression, v)
+        if velocities:
             raise InvalidModel(
-                f"{system}: the output {name} depends on velocities ({found}), but a servo constraint prescribes a"
+                f"{system}: the output {name} depends on velocities ({velocities}), but a servo constraint prescribes a"
                 " function of the coordinates alone; where the output is the rate of such a function, prescribe that"
                 " function, along the integral of the path"
             )
     for name, expression in _rows(*constraints):
-        found = _listed(expression, v)
-        if found:
+        velocities = _listed(expression, v)
+        if velocities:
             raise InvalidModel(
-                f"{system}: the constraint {name} depends on velocities ({found}), and nonholonomic constraints are not"
-                " solved; give its integral if it has one (rolling along a line has), or let a force f(q, v) oppose"
+                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints are"
+                " not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v) oppose"
                 " what it forbids"
             )
 

@@ -10,5 +10,5 @@ Array = npt.NDArray[np.float64]
 
 def wrapped_angle(angle: Array) -> Array:
     """Return angles (rad) less the full turns in them: in [-pi, pi)."""
-    found: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
-    return found
+    wrapped: Array = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    return wrapped

@@ -23,9 +23,9 @@ def largest_assignment(weights: npt.NDArray[np.int64]) -> npt.NDArray[np.intp]:
     row_of = np.full(size, -1)
     for row in range(size):
         _augment(weights, of_row, of_column, row_of, row)
-    found = np.empty(size, dtype=np.intp)
-    found[row_of] = np.arange(size)
-    return found
+    columns = np.empty(size, dtype=np.intp)
+    columns[row_of] = np.arange(size)
+    return columns
 
 
 def _augment(

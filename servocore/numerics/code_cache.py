@@ -49,18 +49,18 @@ class CodeCache:
     def refusal(self) -> str:
         """Say why nothing is loaded from this folder or stored there; empty if it is as it should be, or not there."""
         try:
-            found = self.folder.lstat()
+            status = self.folder.lstat()
         except FileNotFoundError:
             return ""
         except OSError as error:
             return f"{self.folder} cannot be looked at: {error.strerror}"
-        if not stat.S_ISDIR(found.st_mode):
+        if not stat.S_ISDIR(status.st_mode):
             return f"{self.folder} is no folder"
         if hasattr(os, "getuid"):
-            if found.st_uid != os.getuid():
+            if status.st_uid != os.getuid():
                 return f"{self.folder} belongs to another user"
-            if stat.S_IMODE(found.st_mode) != 0o700:
-                mode = stat.S_IMODE(found.st_mode)
+            if stat.S_IMODE(status.st_mode) != 0o700:
+                mode = stat.S_IMODE(status.st_mode)
                 return f"{self.folder} has mode {mode:04o}: it must be its user's alone, mode 0700"
         return ""
 
@@ -137,8 +137,8 @@ class CodeCache:
 
     def _libraries(self, pattern: str) -> list[Path]:
         """Return files, and no links to files, in no order."""
-        found = self.folder.glob(f"{pattern}{_SUFFIX}") if self.folder.is_dir() else ()
-        return [each for each in found if each.is_file() and not each.is_symlink()]
+        libraries = self.folder.glob(f"{pattern}{_SUFFIX}") if self.folder.is_dir() else ()
+        return [each for each in libraries if each.is_file() and not each.is_symlink()]
 
     def _trim(self, more: int) -> None:
         """Remove what was not used longest until `more` bytes have room."""

@@ -124,8 +124,8 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
         The results of the instants side by side.
     """
     count = len(jets)
-    found = mapped(function, count)(*columns, side_by_side(jets), np.tile(p[:, None], count))
-    return tuple(each.reshape(function.size1_out(k), -1, order="F") for k, each in enumerate(found))
+    results = mapped(function, count)(*columns, side_by_side(jets), np.tile(p[:, None], count))
+    return tuple(each.reshape(function.size1_out(k), -1, order="F") for k, each in enumerate(results))
 
 
 def mapped(function: ca.Function, count: int) -> Call:

@@ -38,9 +38,9 @@ class Part:
 
     def dense(self, entries: Array) -> Array:
         """Return the part at N instants, shape (N, rows, columns), from all entries of the matrix, shape (nnz, N)."""
-        found = np.zeros((entries.shape[1], len(self.rows), len(self.columns)))
-        found[:, self.places[0], self.places[1]] = entries[self.entries].T
-        return found
+        matrices = np.zeros((entries.shape[1], len(self.rows), len(self.columns)))
+        matrices[:, self.places[0], self.places[1]] = entries[self.entries].T
+        return matrices
 
 
 def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
@@ -55,41 +55,41 @@ def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     members = []
     for k, (first, last) in enumerate(pairwise(ends)):
         each = np.sort(np.array(order[first:last], dtype=np.intp))
-        own = each[each < height], each[each >= height] - height
+        places = each[each < height], each[each >= height] - height
         number[each] = k
-        place[own[0]], place[own[1] + height] = np.arange(len(own[0])), np.arange(len(own[1]))
-        members.append(own)
+        place[places[0]], place[places[1] + height] = np.arange(len(places[0])), np.arange(len(places[1]))
+        members.append(places)
     by_part = np.argsort(number[rows], kind="stable")
     entries = np.split(by_part, np.cumsum(np.bincount(number[rows], minlength=len(members)))[:-1])
     return tuple(
-        Part(*own, its, (place[rows[its]], place[columns[its] + height]))
-        for own, its in zip(members, entries, strict=True)
+        Part(*places, its, (place[rows[its]], place[columns[its] + height]))
+        for places, its in zip(members, entries, strict=True)
     )
 
 
 def of_one_shape(parts: Sequence[Part]) -> list[list[Part]]:
     """Return the parts in groups of equal numbers of rows and columns."""
-    found: dict[tuple[int, int], list[Part]] = {}
+    groups: dict[tuple[int, int], list[Part]] = {}
     for part in parts:
-        found.setdefault((len(part.rows), len(part.columns)), []).append(part)
-    return list(found.values())
+        groups.setdefault((len(part.rows), len(part.columns)), []).append(part)
+    return list(groups.values())
 
 
 def filled(matrix: ca.DM) -> Array:
     """Return a sparse matrix with its zeros: CasADi itself goes through all of them one by one."""
-    found = np.zeros(matrix.shape)
-    found[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
-    return found
+    array = np.zeros(matrix.shape)
+    array[tuple(np.array(matrix.sparsity().get_triplet(), dtype=np.intp))] = matrix.nonzeros()
+    return array
 
 
 def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
     places = (each.tolist() for each in np.nonzero(matrix))
     parts = [part for part in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(part.entries)]
-    found = [
+    of_parts = [
         np.linalg.svd(np.stack([matrix[np.ix_(each.rows, each.columns)] for each in same]), compute_uv=False).ravel()
         for same in of_one_shape(parts)
     ]
     # Empty rows and columns are singular values of zero, which no part brings.
-    values = np.sort(np.concatenate([*found, np.zeros(min(matrix.shape))]))[::-1]
+    values = np.sort(np.concatenate([*of_parts, np.zeros(min(matrix.shape))]))[::-1]
     return np.asarray(values[: min(matrix.shape)])

@@ -79,14 +79,14 @@ def constraint_rank(
     scale = np.asarray(nominal, dtype=np.float64)
     rows = _balanced(scaled_rows(constraints, q, p, values, scale), [np.asarray(start) / scale for start in starts])
     for start in starts:
-        found = _neighbours(rows, np.asarray(start) / scale, _APART)
-        if found:
+        configurations = _neighbours(rows, np.asarray(start) / scale, _APART)
+        if configurations:
             break
     else:
         return ConstraintRank(count, count, assembled=False)
-    ranks = [_rank(rows(x)[1]) for x in found]
+    ranks = [_rank(rows(x)[1]) for x in configurations]
     rank = max(ranks)
-    x = found[ranks.index(rank)]
+    x = configurations[ranks.index(rank)]
     redundant = _dependent(rows(x)[1], rank)
     kept = [k for k in range(count) if k not in redundant]
     if redundant and not _implied(rows, kept, x):
@@ -150,7 +150,7 @@ def assembled(rows: Rows, x: Array) -> Array | None:
 
 def _neighbours(rows: Rows, x: Array, distance: float) -> list[Array]:
     """Return assembled configurations near `x`: the nearest first, then from starts some `distance` off it."""
-    return [found for found in (assembled(rows, start) for start in (x, *_around(x, distance))) if found is not None]
+    return [place for place in (assembled(rows, start) for start in (x, *_around(x, distance))) if place is not None]
 
 
 def _around(x: Array, distance: float) -> list[Array]:
@@ -192,5 +192,5 @@ def _implied(rows: Rows, kept: list[int], x: Array) -> bool:
         return residual[kept], jacobian[kept]
 
     lengths = np.maximum(np.linalg.norm(rows(x)[1], axis=1), 1.0)
-    found = _neighbours(fewer, x, _APART / 5)
-    return all(float(np.abs(rows(each)[0] / lengths).max()) <= _IMPLIED for each in found)
+    configurations = _neighbours(fewer, x, _APART / 5)
+    return all(float(np.abs(rows(each)[0] / lengths).max()) <= _IMPLIED for each in configurations)

@@ -64,24 +64,24 @@ def as_expression(value: object, what: str) -> ca.SX:
 
 def _stacked(rows: Sequence[object], what: str) -> ca.SX:
     """Put rows below one another; those that are lists themselves are laid out flat."""
-    found = []
+    columns = []
     for k, row in enumerate(rows):
         listed = row.tolist() if isinstance(row, np.ndarray) else row
         if isinstance(listed, list | tuple):
-            found.append(ca.horzcat(*[_scalar(each, f"{what}[{k}, {j}]") for j, each in enumerate(listed)]))
+            columns.append(ca.horzcat(*[_scalar(each, f"{what}[{k}, {j}]") for j, each in enumerate(listed)]))
         else:
-            found.append(as_expression(listed, f"{what}[{k}]"))
-    lengths = [each.size2() for each in found]
+            columns.append(as_expression(listed, f"{what}[{k}]"))
+    lengths = [each.size2() for each in columns]
     if len(set(lengths)) > 1:
         raise InvalidModel(f"the rows of {what} have different lengths: {', '.join(map(str, lengths))}")
-    return ca.vertcat(ca.SX(0, lengths[0] if lengths else 1), *found)
+    return ca.vertcat(ca.SX(0, lengths[0] if lengths else 1), *columns)
 
 
 def _scalar(value: object, what: str) -> ca.SX:
-    found = as_expression(value, what)
-    if found.numel() != 1:
-        raise InvalidModel(f"{what} has shape {found.shape}, one number or expression belongs there")
-    return found
+    expression = as_expression(value, what)
+    if expression.numel() != 1:
+        raise InvalidModel(f"{what} has shape {expression.shape}, one number or expression belongs there")
+    return expression
 
 
 def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:

@@ -39,10 +39,10 @@ def lagrange(nodes: npt.ArrayLike, points: Iterable[float] | Iterable[ca.SX]) ->
 def _weights(nodes: Array, point: float | ca.SX) -> list[float | ca.SX]:
     """Value at a point of each polynomial that is one at its own node and zero at the others."""
     weights = []
-    for i, own in enumerate(nodes):
+    for i, node in enumerate(nodes):
         others = np.delete(nodes, i)
         # Whole products first: between equidistant nodes they are whole numbers, and their quotient is exact.
         weights.append(
-            prod((point - float(other) for other in others), start=point * 0.0 + 1.0) / float(prod(own - others))
+            prod((point - float(other) for other in others), start=point * 0.0 + 1.0) / float(prod(node - others))
         )
     return weights

@@ -49,17 +49,17 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     if not candidates:
         return []
     places = {entry.element_hash(): k for k, entry in enumerate(ca.vertsplit(givens) if givens.numel() else ())}
-    found: dict[str, IsomorphicParts] = {}
+    groups: dict[str, IsomorphicParts] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
         expressions = [residual[rows], *(each[columns] for each in beside[:-1]), beside[-1][rows]]
         hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
         known = sorted(places[key] for key in hashes if key in places)
         # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
-        group = found.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
+        group = groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)
         group.givens.append(known)
-    return [each for each in found.values() if len(each.parts) > 1]
+    return [each for each in groups.values() if len(each.parts) > 1]
 
 
 def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:

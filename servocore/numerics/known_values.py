@@ -62,8 +62,8 @@ class KnownValues:
         What is `common` to subexpressions is computed once, if that is asked for.
         """
         symbols, values = self.needed(*expressions)
-        found: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
-        return found
+        results: list[ca.MX] = ca.Function(name, [symbols], list(expressions), {"cse": common}).call([values])
+        return results
 
     def counts(self) -> ca.MX:
         """Return the iterations of the slowest block, and the factorizations of all."""
@@ -94,8 +94,8 @@ def substituted(pairs: list[tuple[ca.SX, ca.SX]], *expressions: ca.SX) -> list[c
     if not pairs:
         return list(expressions)
     symbols, values = (ca.vertcat(*column) for column in zip(*pairs, strict=True))
-    found: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
-    return found
+    results: list[ca.SX] = ca.substitute(list(expressions), [symbols], [values])
+    return results
 
 
 def _symbols(expressions: tuple[ca.SX, ...]) -> list[int]:

@@ -54,22 +54,22 @@ def evaluate(function: ca.Function, points: Sequence[Sequence[Array]]) -> tuple[
 def _run(program: Program, arguments: list[list[float]], size: int) -> list[Bounded]:
     """Go through the operations at one point, in plain numbers: arrays of a few points take far longer."""
     work, results = [(0.0, 0.0)] * size, {}
-    for operation, to, given, constant in program:
+    for operation, to, operands, constant in program:
         if operation == ca.OP_CONST:
             work[to[0]] = constant, 0.0 if constant.is_integer() else UNIT * abs(constant)
         elif operation == ca.OP_INPUT:
-            value = arguments[given[0]][given[1]]
-            work[to[0]] = value, UNIT * abs(value) if given[0] == len(arguments) - 1 else 0.0
+            value = arguments[operands[0]][operands[1]]
+            work[to[0]] = value, UNIT * abs(value) if operands[0] == len(arguments) - 1 else 0.0
         elif operation == ca.OP_OUTPUT:
-            results[to[1]] = work[given[0]]
+            results[to[1]] = work[operands[0]]
         else:
-            work[to[0]] = _result(operation, [work[each] for each in given])
+            work[to[0]] = _result(operation, [work[each] for each in operands])
     return [results[k] for k in sorted(results)]
 
 
-def _result(operation: int, given: list[Bounded]) -> Bounded:
+def _result(operation: int, operands: list[Bounded]) -> Bounded:
     """Return value and error of one operation from those of its arguments."""
-    (a, a_error), (b, b_error) = given[0], given[-1]
+    (a, a_error), (b, b_error) = operands[0], operands[-1]
     if operation == ca.OP_NEG:
         return -a, a_error
     if operation == ca.OP_ADD:
@@ -79,7 +79,7 @@ def _result(operation: int, given: list[Bounded]) -> Bounded:
     elif operation in (ca.OP_MUL, ca.OP_SQ):
         # First order in the errors, whose product is 1e-30 relative.
         value, error = a * b, abs(a) * b_error + abs(b) * a_error
-    elif len(given) == 1:
+    elif len(operands) == 1:
         value = _elementary(operation, a)
         # By difference rather than by derivative: right as well where the derivative is infinite, as of sqrt at 0.
         error = abs(_elementary(operation, a + a_error) - value)

@@ -189,21 +189,27 @@ class _Statements:
         self._along, self._chained = along, chained
         values: dict[int, tuple[str, bool]] = {}  # by place: its name, and whether it is one for all instants
         for k in range(function.n_instructions()):
-            operation, given = _NAMES[function.instruction_id(k)], function.instruction_input(k)
+            operation, operands = _NAMES[function.instruction_id(k)], function.instruction_input(k)
             made = function.instruction_output(k)
             if operation == "OUTPUT":
-                name, single = values[given[0]]
+                name, single = values[operands[0]]
                 self.results.append((made[0], made[1], f"all({name})" if single else name))
             else:
-                values[made[0]] = self._state(f"a{k}", operation, given, values, function, k)
+                values[made[0]] = self._state(f"a{k}", operation, operands, values, function, k)
 
     def _state(
-        self, name: str, operation: str, given: list[int], values: dict[int, tuple[str, bool]], of: ca.Function, k: int
+        self,
+        name: str,
+        operation: str,
+        arguments: list[int],
+        values: dict[int, tuple[str, bool]],
+        of: ca.Function,
+        k: int,
     ) -> tuple[str, bool]:
         if operation == "CONST":
             return _number(float(of.instruction_constant(k))), True
         if operation == "INPUT":
-            argument, i = given
+            argument, i = arguments
             if self._chained and argument == 0:
                 self.block.append(f"const vec {name} = state[{i}];")
                 return name, False
@@ -212,7 +218,7 @@ class _Statements:
                 return name, False
             self.once.append(f"const double {name} = in{argument}[{i}];")
             return name, True
-        operands = [values[each] for each in given]
+        operands = [values[each] for each in arguments]
         single = all(each for _, each in operands)
         taken = [f"all({value})" if one and not single else value for value, one in operands]
         if operation in _LIBRARY:

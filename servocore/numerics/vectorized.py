@@ -138,8 +138,8 @@ class Vectorized:
             if argument.ndim == 2 + along:
                 cases, batch = len(argument), True
         if self.ready(count * cases, called=True) and count:
-            found = self._in_machine_code(arguments, cases, count)
-            return found if batch else [each[0] for each in found]
+            results = self._in_machine_code(arguments, cases, count)
+            return results if batch else [each[0] for each in results]
         if not batch:
             return self.interpreted(*arguments)
         parts = [self.interpreted(*self._of_case(arguments, case)) for case in range(cases)]
@@ -152,9 +152,11 @@ class Vectorized:
             return [np.empty((size, 0)) for size in self._sizes]
         evaluate = (chained if self._in_a_row else mapped)(self.function, count)
         pairs = zip(arguments, self._along, strict=True)
-        given = [a if along or (self._in_a_row and not k) else np.tile(a, count) for k, (a, along) in enumerate(pairs)]
-        found = evaluate(*given)
-        return [each.reshape(-1, count, order="F") for each in found]
+        columns = [
+            a if along or (self._in_a_row and not k) else np.tile(a, count) for k, (a, along) in enumerate(pairs)
+        ]
+        results = evaluate(*columns)
+        return [each.reshape(-1, count, order="F") for each in results]
 
     def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
@@ -230,9 +232,9 @@ class Extremes(Vectorized):
 
 def extremes_of(rows: Array) -> Array:
     """Return highest and lowest values (..., 2, rows) of rows (..., rows, N), NaN where one is no finite number."""
-    found = np.stack([rows.max(axis=-1), rows.min(axis=-1)], axis=-2)
-    found[~np.isfinite(found).all(axis=-2, keepdims=True).repeat(2, axis=-2)] = np.nan
-    return found
+    extremes = np.stack([rows.max(axis=-1), rows.min(axis=-1)], axis=-2)
+    extremes[~np.isfinite(extremes).all(axis=-2, keepdims=True).repeat(2, axis=-2)] = np.nan
+    return extremes
 
 
 def _addresses(arrays: list[Array]) -> list[int]:

@@ -21,9 +21,9 @@ _ACTIVE = 0.01  # of the range: so near to its bound a quantity holds the plan b
 
 def certify(problems: tuple[Problem, ...]) -> Certificate:
     """Look at the path of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
-    found = [_certify(problem) for problem in problems]
-    worst = max(found, key=lambda each: each.violation)
-    active = tuple(dict.fromkeys(each for one in found for each in one.active))
+    certificates = [_certify(problem) for problem in problems]
+    worst = max(certificates, key=lambda each: each.violation)
+    active = tuple(dict.fromkeys(each for one in certificates for each in one.active))
     return Certificate(worst.violation, worst.worst, _INSTANTS, active)
 
 

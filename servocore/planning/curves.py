@@ -84,9 +84,9 @@ def along(reference: Reference) -> PiecewisePolynomial:
 def _distance(curve: PiecewisePolynomial, places: Array, s: Array) -> Array:
     """Return how far places are from a curve, across it: where along it each belongs is known to a little only."""
     for _ in range(3):
-        found = curve.jet(np.clip(s, 0.0, 1.0), 1)
-        away = places - found[:, 0]
-        s = s + np.sum(away * found[:, 1], axis=1) / np.sum(found[:, 1] ** 2, axis=1)
+        jet = curve.jet(np.clip(s, 0.0, 1.0), 1)
+        away = places - jet[:, 0]
+        s = s + np.sum(away * jet[:, 1], axis=1) / np.sum(jet[:, 1] ** 2, axis=1)
     return np.asarray(np.linalg.norm(places - curve.jet(np.clip(s, 0.0, 1.0), 0)[:, 0], axis=1))
 
 
@@ -130,10 +130,10 @@ def slopes_at(curve: PiecewisePolynomial, s: ca.SX, order: int) -> list[ca.SX]:
     length = piecewise(np.diff(knots))
     u = (s - piecewise((knots[1:] + knots[:-1]) / 2.0)) / length
     terms = [ca.vertcat(*[piecewise(factors[:, k, row]) for row in range(curve.dimension)]) for k in range(degree + 1)]
-    found = []
+    slopes = []
     for nu in range(order + 1):
         value = ca.SX.zeros(curve.dimension)
         for k in range(degree, nu - 1, -1):
             value = value * u + terms[k] * (factorial(k) // factorial(k - nu))
-        found.append(value / length**nu)
-    return found
+        slopes.append(value / length**nu)
+    return slopes

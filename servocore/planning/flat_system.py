@@ -133,9 +133,9 @@ class _Maps:
         places += [(n + system.lam.numel() + k, 0) for k in range(m)]
         flag, flow = (problem.resolved.once(each) for each in (_flag, _flow))
         inverse = Call(problem.resolved.once(inversion).function)
-        found = np.array(array.places(places), dtype=np.intp)
+        indices = np.array(array.places(places), dtype=np.intp)
         return cls(
-            system.parameters.names, problem.p, Call(flag), Call(flow), inverse, found, 2 * n, array.reference_order
+            system.parameters.names, problem.p, Call(flag), Call(flow), inverse, indices, 2 * n, array.reference_order
         )
 
     def forward(self, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> list[Array]:
@@ -148,10 +148,10 @@ class _Maps:
         gamma = np.array([np.asarray(each, dtype=float) for each in zflag])
         if gamma.ndim != 2 or gamma.shape[1] <= self.order:
             raise InvalidSetting(f"a flag has derivatives up to order {self.order} of each output")
-        found, _, residual = self.inverse(gamma[:, : self.order + 1], self._values(params))
-        if not np.isfinite(residual).all() or not np.isfinite(found).all():
+        unknowns, _, residual = self.inverse(gamma[:, : self.order + 1], self._values(params))
+        if not np.isfinite(residual).all() or not np.isfinite(unknowns).all():
             raise IntegrationFailed(f"no state belongs to the outputs {gamma[:, 0].tolist()} and their derivatives")
-        chosen = found[self.places]
+        chosen = unknowns[self.places]
         return chosen[: self.states], chosen[self.states :]
 
     def rate(self, _: float, x: npt.ArrayLike, u: npt.ArrayLike, params: Parameters = None) -> Array:

@@ -71,12 +71,12 @@ class Grid:
 
     def block(self, most: int) -> tuple[int, ...]:
         """Return the shape of blocks of at most so many cases: whole dimensions from the last one on, as they fit."""
-        found: list[int] = []
+        sizes: list[int] = []
         left = max(most, 1)
         for length in reversed(self.shape):
-            found.insert(0, max(1, min(length, left)))
+            sizes.insert(0, max(1, min(length, left)))
             left //= length
-        return tuple(found)
+        return tuple(sizes)
 
     def blocks(self, shape: Sequence[int]) -> Iterator[tuple[int, Slices]]:
         """Yield number and place of all blocks of a shape."""
@@ -87,15 +87,15 @@ class Grid:
     def values(self, name: str, block: Slices) -> Array:
         """Return the values of what varies for all cases of a block, in C order."""
         dimension, values = self.columns[name]
-        found: Array = self._spread(values, list(self.dimensions).index(dimension), block)
-        return found
+        spread: Array = self._spread(values, list(self.dimensions).index(dimension), block)
+        return spread
 
     def paths(self, block: Slices) -> npt.NDArray[np.intp]:
         """Return which path each case of a block has."""
         if PATH not in self.dimensions:
             return np.zeros(prod(each.stop - each.start for each in block), dtype=np.intp)
-        found: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
-        return found
+        spread: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
+        return spread
 
     def case(self, block: Slices, k: int) -> dict[str, float]:
         """Return what varies, by name, for case k of a block."""
@@ -132,12 +132,12 @@ def _table(varied: Any) -> dict[str, Any] | None:
 
 def _numbers(name: str, values: Any) -> Array:
     try:
-        found = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        numbers = np.atleast_1d(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError):
-        found = np.array([np.nan])
-    if found.ndim != 1 or not found.size or not np.isfinite(found).all():
+        numbers = np.array([np.nan])
+    if numbers.ndim != 1 or not numbers.size or not np.isfinite(numbers).all():
         raise InvalidSetting(f"what is swept, {name}, must be a row of finite numbers")
-    return found
+    return numbers
 
 
 def _some(dimensions: Mapping[str, int]) -> dict[str, int]:

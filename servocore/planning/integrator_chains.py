@@ -29,13 +29,13 @@ def advanced(states: list[Any], u: Any, change: Any, part: Any, h: Any) -> list[
         Where, between 0 and 1, and how long the interval is.
     """
     K, tau = len(states), part * h
-    found = []
+    after = []
     for d in range(K + 1):
         q = K - d
         terms = [states[d + j] * (tau**j / factorial(j)) for j in range(q)]
         terms += [u * (tau**q / factorial(q)), change * (part * tau**q / factorial(q + 1))]
-        found.append(sum(terms[1:], terms[0]))
-    return [*found, change / h]
+        after.append(sum(terms[1:], terms[0]))
+    return [*after, change / h]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +74,9 @@ class Law:
         states, u = self.states(), self.snaps
         h = self.duration / self.intervals
         columns = [state[:-1, None, :] for state in states]
-        found = advanced(columns, u[:-1, None, :], np.diff(u, axis=0)[:, None, :], parts[None, :, None], h)
+        derivatives = advanced(columns, u[:-1, None, :], np.diff(u, axis=0)[:, None, :], parts[None, :, None], h)
         shape = (self.intervals, len(parts), len(self.start))
-        return np.stack([np.broadcast_to(each, shape).reshape(-1, shape[2]) for each in found]).transpose(2, 0, 1)
+        return np.stack([np.broadcast_to(each, shape).reshape(-1, shape[2]) for each in derivatives]).transpose(2, 0, 1)
 
     def resting(self) -> Law:
         """Return the law with the smallest change of snaps after which it ends where it shall, at rest."""
@@ -122,11 +122,11 @@ class Law:
 def _states(start: Array, snaps: Array, length: int, duration: float) -> Array:
     h = duration / (len(snaps) - 1)
     here = [np.array(start, dtype=np.float64), *(np.zeros(len(start)) for _ in range(length - 1))]
-    found = [here]
+    columns = [here]
     for u, change in zip(snaps[:-1], np.diff(snaps, axis=0), strict=True):
         here = advanced(here, u, change, 1.0, h)[:length]
-        found.append(here)
-    return np.array(found).transpose(1, 0, 2)
+        columns.append(here)
+    return np.array(columns).transpose(1, 0, 2)
 
 
 def sampled_law(jets: Array, duration: float, length: int) -> Law:

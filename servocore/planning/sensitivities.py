@@ -60,8 +60,8 @@ class Sensitivities:
         known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:
             raise KeyError(f"{quantity}, {parameter}; there are {', '.join(known)} by {', '.join(self.parameters)}")
-        found: Array = self.values[:, known.index(quantity), self.parameters.index(parameter)]
-        return found
+        derivatives: Array = self.values[:, known.index(quantity), self.parameters.index(parameter)]
+        return derivatives
 
     def table(self) -> str:
         """Return time and all derivatives as a CSV file; ``F/load_mass`` is that of F by the load's mass.
@@ -149,14 +149,14 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
     """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
     array, system = problem.array, problem.system
     n, m = len(system.coordinates), len(system.inputs)
-    found = exact_states(problem, prepared_table(problem))(t)
+    states = exact_states(problem, prepared_table(problem))(t)
     jets = problem.reference.jet(t, array.reference_order)
-    (slopes,) = at_instants(problem.resolved.once(_implicit), found, jets=jets, p=problem.p)
-    slopes = slopes.reshape(len(found), len(t), -1)[:, :, columns]
+    (slopes,) = at_instants(problem.resolved.once(_implicit), states, jets=jets, p=problem.p)
+    slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]
     rows = [*((j, 0) for j in range(n)), *((j, 1) for j in range(n))]
     rows += [(n + system.lam.numel() + k, 0) for k in range(m)]
     places = array.places(rows)
-    return found[places], slopes[places[2 * n :]].transpose(1, 0, 2), slopes[places[: 2 * n], 0]
+    return states[places], slopes[places[2 * n :]].transpose(1, 0, 2), slopes[places[: 2 * n], 0]
 
 
 def _implicit(resolved: ResolvedSystem) -> ca.Function:
@@ -166,9 +166,9 @@ def _implicit(resolved: ResolvedSystem) -> ca.Function:
     terms = ca.Function(
         "sc_by_p", [column, gamma, system.p], [ca.jacobian(array.residual, each) for each in (column, system.p)]
     )
-    given = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
-    J, right = terms(*given)
-    return ca.Function("sc_implicit", given, [ca.densify(ca.solve(J, -right, "qr"))])
+    symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
+    J, right = terms(*symbols)
+    return ca.Function("sc_implicit", symbols, [ca.densify(ca.solve(J, -right, "qr"))])
 
 
 def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: list[int]) -> Array:
@@ -178,9 +178,9 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
     """
     n = len(problem.system.coordinates)
     function = problem.resolved.once(_linearized)
-    found = [instant.reshape(instant.shape[0], len(t), -1).transpose(1, 0, 2) for instant in at_instants(
+    matrices = [instant.reshape(instant.shape[0], len(t), -1).transpose(1, 0, 2) for instant in at_instants(
         function, motion[: 2 * n], motion[2 * n :], jets=np.zeros((len(t), 1, 1)), p=problem.p)]  # fmt: skip
-    A, b, C, d = found[0], found[1][:, :, columns], found[2], found[3][:, :, columns]
+    A, b, C, d = matrices[0], matrices[1][:, :, columns], matrices[2], matrices[3][:, :, columns]
     S, steps = start, np.diff(t[::2])
     held = [C[0] @ S + d[0]]
     for k, h in enumerate(steps):
@@ -198,8 +198,8 @@ def _linearized(resolved: ResolvedSystem) -> ca.Function:
     system, rate = resolved.system, forward_rate(resolved.system, held=False)
     state, u, p = (ca.MX.sym(*each) for each in (
         ("x", 2 * len(system.coordinates)), ("u", len(system.inputs)), ("p", system.p.numel())))  # fmt: skip
-    moved = rate(state, u, ca.DM.zeros(len(system.outputs)), p)[0]
+    rates = rate(state, u, ca.DM.zeros(len(system.outputs)), p)[0]
     output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)
-    results = [ca.jacobian(moved, state), ca.jacobian(moved, p), ca.jacobian(output, state), ca.jacobian(output, p)]
+    results = [ca.jacobian(rates, state), ca.jacobian(rates, p), ca.jacobian(output, state), ca.jacobian(output, p)]
     nothing = ca.MX.sym("nothing", 1, 1)
     return ca.Function("sc_linearized", [state, u, nothing, p], [ca.densify(result) for result in results])

@@ -15,17 +15,17 @@ def rounded(expression: ca.SX) -> ca.SX:
     result = ca.SX(0)
     for k in range(function.n_instructions()):
         operation, into = function.instruction_id(k), function.instruction_output(k)
-        given = function.instruction_input(k)
+        operands = function.instruction_input(k)
         if operation == ca.OP_INPUT:
-            work[into[0]] = symbols[given[0]][given[1]]
+            work[into[0]] = symbols[operands[0]][operands[1]]
         elif operation == ca.OP_CONST:
             work[into[0]] = ca.SX(function.instruction_constant(k))
         elif operation == ca.OP_OUTPUT:
-            result = work[given[0]]
+            result = work[operands[0]]
         elif operation == ca.OP_SQRT:
-            work[into[0]] = ca.sqrt(work[given[0]] + _ROUNDED**2)
-        elif len(given) == 1:
-            work[into[0]] = ca.SX.unary(operation, work[given[0]])
+            work[into[0]] = ca.sqrt(work[operands[0]] + _ROUNDED**2)
+        elif len(operands) == 1:
+            work[into[0]] = ca.SX.unary(operation, work[operands[0]])
         else:
-            work[into[0]] = ca.SX.binary(operation, work[given[0]], work[given[1]])
+            work[into[0]] = ca.SX.binary(operation, work[operands[0]], work[operands[1]])
     return result

@@ -229,24 +229,24 @@ class Space:
         """
         columns = jets[:, 0].T, jets[:, 2].T
         places = self._places(*columns, gravity, _CHECKED)
-        found = [float(body.distance(np.stack(place, axis=-1)).min()) for body in self.keep_out for place in places]
-        return min(found, default=np.inf)
+        distances = [float(body.distance(np.stack(place, axis=-1)).min()) for body in self.keep_out for place in places]
+        return min(distances, default=np.inf)
 
     def _places(self, load: Any, force: Any, gravity: Any, count: int) -> list[list[Any]]:
         """Return the points looked at, by coordinates: expressions, or arrays for many instants."""
         dimension = load.shape[0]
         here = [load[k] for k in range(dimension)]
-        found = [here] if "load" in self.parts else []
+        places = [here] if "load" in self.parts else []
         if not set(self.parts) - {"load"}:
-            return found
+            return places
         reach = -here[-1] / (gravity + force[dimension - 1])
         above = [*(here[k] + reach * force[k] for k in range(dimension - 1)), 0.0 * here[-1]]
         parts = np.linspace(0.0, 1.0, count)
         if "rope" in self.parts:
-            found += [[(1 - f) * a + f * b for a, b in zip(here, above, strict=True)] for f in parts[1:].tolist()]
+            places += [[(1 - f) * a + f * b for a, b in zip(here, above, strict=True)] for f in parts[1:].tolist()]
         if "bridge" in self.parts:
-            found += [[f * each for each in above] for f in parts.tolist()]
-        return found
+            places += [[f * each for each in above] for f in parts.tolist()]
+        return places
 
 
 def _body(text: str, dimension: int) -> Body:

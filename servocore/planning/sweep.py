@@ -125,8 +125,8 @@ def sweep(
     todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     try:
-        for number, block, found in _computed(swept, work, todo, executor):
-            _put(sink, number, block, found, store)
+        for number, block, answers in _computed(swept, work, todo, executor):
+            _put(sink, number, block, answers, store)
             done += _count(block)
             if progress is not None:
                 progress(done, swept.grid.size)
@@ -159,10 +159,10 @@ def _sink(
     return kind.opened(Path(store), swept, settings, shape, resume)
 
 
-def _put(sink: Sink, number: int, block: Slices, found: Mapping[str, Any], store: str | Path | None) -> None:
+def _put(sink: Sink, number: int, block: Slices, answers: Mapping[str, Any], store: str | Path | None) -> None:
     """Write a block; raises `InvalidSetting` if that fails, as on a full disk."""
     try:
-        sink.put(number, block, found)
+        sink.put(number, block, answers)
     except OSError as error:
         why = error.strerror or error
         raise InvalidSetting(f"cannot write {store}: {why}; a resumed sweep goes on after what is there") from error
@@ -196,8 +196,8 @@ def _computed(
         for number, block in todo:
             yield number, block, _one_by_one(swept, block)
         return
-    with ThreadPoolExecutor(os.cpu_count() or 1) as own:
-        pool = pool_of(executor or own)
+    with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
+        pool = pool_of(executor or threads)
         waiting, left = dict[Any, tuple[int, Slices]](), iter(todo)
         try:
             while True:
@@ -225,8 +225,8 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
             numbers[:, 1 + names.index(name)] = values
     order, jets = problem.array.reference_order, {}
     for path in np.unique(which).tolist():
-        own = swept.references[path]
-        at = own.jet(np.linspace(own.start_time, own.end_time, swept.instants), order)
+        own_path = swept.references[path]
+        at = own_path.jet(np.linspace(own_path.start_time, own_path.end_time, swept.instants), order)
         jets[path] = np.ascontiguousarray(at.reshape(len(at), -1).T)
     return Cases(jets, which, numbers)
 
@@ -234,11 +234,11 @@ def _cases(swept: SweepSettings, block: Slices) -> Cases:
 # Cases that fail, and cases by themselves ----------------------------------------------------------------------------
 
 
-def _with_sentences(swept: SweepSettings, block: Slices, found: dict[str, Array]) -> dict[str, Any]:
-    failures = np.full(len(found["solved"]), "", dtype=object)
-    for k in np.flatnonzero(found["solved"] == 0.0):
+def _with_sentences(swept: SweepSettings, block: Slices, answers: dict[str, Array]) -> dict[str, Any]:
+    failures = np.full(len(answers["solved"]), "", dtype=object)
+    for k in np.flatnonzero(answers["solved"] == 0.0):
         failures[k] = _sentence(swept, block, int(k))
-    return {**found, "failure": failures}
+    return {**answers, "failure": failures}
 
 
 def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
@@ -251,10 +251,10 @@ def _sentence(swept: SweepSettings, block: Slices, k: int) -> str:
 
 
 def _solved(swept: SweepSettings, block: Slices, k: int) -> Any:
-    given = swept.grid.case(block, k)
+    case = swept.grid.case(block, k)
     path = swept.references[int(swept.grid.paths(block)[k])]
-    law = in_time(path, given.pop(DURATION)) if DURATION in given else path
-    scene = swept.scene.with_reference(law).with_parameters(**given)
+    law = in_time(path, case.pop(DURATION)) if DURATION in case else path
+    scene = swept.scene.with_reference(law).with_parameters(**case)
     unlimited = replace(scene, limits=tuple(limit for limit in scene.limits if limit.of_path))
     return solve(unlimited, step=law.duration / (swept.instants - 1), model=swept.model)
 
@@ -263,28 +263,28 @@ def _one_by_one(swept: SweepSettings, block: Slices) -> dict[str, Any]:
     """Solve every case of a block, as `solve` does by default."""
     system, count = swept.problem.system, _count(block)
     m, limits = len(system.inputs), len(swept.limits)
-    found: dict[str, Any] = {
+    answers: dict[str, Any] = {
         "peaks": np.full((count, m), np.nan),
         "swing": np.full(count, np.nan),
         "margins": np.full((count, limits), np.nan),
         "failure": np.full(count, "", dtype=object),
     }
     if swept.inputs:
-        found["inputs"] = np.full((count, swept.instants, m), np.nan)
+        answers["inputs"] = np.full((count, swept.instants, m), np.nan)
     for k in range(count):
         try:
             solution = _solved(swept, block, k)
         except ServocoreError as error:
-            found["failure"][k] = str(error)
+            answers["failure"][k] = str(error)
             continue
         for i, quantity in enumerate(system.inputs):
-            found["peaks"][k, i] = np.abs(solution[quantity.name]).max()
+            answers["peaks"][k, i] = np.abs(solution[quantity.name]).max()
             if swept.inputs:
-                found["inputs"][k, :, i] = solution[quantity.name]
+                answers["inputs"][k, :, i] = solution[quantity.name]
         if SWING in solution:
-            found["swing"][k] = np.abs(solution[SWING]).max()
+            answers["swing"][k] = np.abs(solution[SWING]).max()
         for i, limit in enumerate(swept.limits):
             if limit.quantity in solution:
                 values = solution[limit.quantity]
-                found["margins"][k, i] = min((values - limit.bound).min(), (limit.upper - values).min())
-    return found
+                answers["margins"][k, i] = min((values - limit.bound).min(), (limit.upper - values).min())
+    return answers

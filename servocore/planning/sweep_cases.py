@@ -120,12 +120,14 @@ def _in_time(function: ca.Function) -> ca.Function:
 
 
 def _stretched(function: ca.Function, kind: type[_Expression]) -> ca.Function:
-    gamma, given = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
-    rate, powers = 1.0 / given[0], [kind(1.0)]
+    gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
+    rate, powers = 1.0 / numbers[0], [kind(1.0)]
     for _ in range(gamma.size2() - 1):
         powers.append(powers[-1] * rate)
     columns = [column * power for column, power in zip(ca.horzsplit(gamma), powers, strict=True)]
-    return ca.Function("sc_in_time", [gamma, given], function.call([ca.horzcat(*columns), given[1:]]), {"cse": True})
+    return ca.Function(
+        "sc_in_time", [gamma, numbers], function.call([ca.horzcat(*columns), numbers[1:]]), {"cse": True}
+    )
 
 
 def _limited(problem: Problem, limit: Limit) -> ca.SX:
@@ -161,13 +163,13 @@ def evaluated(work: Work, cases: Cases) -> dict[str, Array]:
         for case in np.flatnonzero(~np.isfinite(extremes).all(axis=(1, 2))):
             jets = cases.jets[int(cases.path[case])]
             extremes[case] = extremes_of(_rows(functions, jets, cases.numbers[case : case + 1]))[0]
-    found = _told(work, extremes)
+    answers = _told(work, extremes)
     if work.kept:
-        found["inputs"] = np.empty((len(extremes), next(iter(cases.jets.values())).shape[1], work.inputs))
+        answers["inputs"] = np.empty((len(extremes), next(iter(cases.jets.values())).shape[1], work.inputs))
         for some, rows in parts:
-            found["inputs"][some] = rows.transpose(0, 2, 1)
-        found["inputs"][found["solved"] == 0.0] = np.nan
-    return found
+            answers["inputs"][some] = rows.transpose(0, 2, 1)
+        answers["inputs"][answers["solved"] == 0.0] = np.nan
+    return answers
 
 
 def _told(work: Work, extremes: Array) -> dict[str, Array]:

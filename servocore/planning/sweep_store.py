@@ -31,7 +31,7 @@ class Sink(Protocol):
     def has(self, number: int, /) -> bool:
         """Whether a block is there."""
 
-    def put(self, number: int, block: Slices, found: Mapping[str, Any], /) -> None:
+    def put(self, number: int, block: Slices, answers: Mapping[str, Any], /) -> None:
         """Take the results of a block."""
 
     def dataset(self) -> Any:
@@ -53,20 +53,20 @@ class Variable:
 def variables_of(swept: SweepSettings) -> list[Variable]:
     """Return the variables of a sweep's dataset."""
     system, quantities = swept.problem.system, swept.problem.system.inputs
-    found = [
+    variables = [
         Variable(f"peak_{e.name}", "peaks", k, e.unit, f"largest magnitude of {e.name}")
         for k, e in enumerate(quantities)
     ]
     swing = next((observable for observable in system.observables if observable.name == "swing"), None)
     if swing is not None:
-        found.append(Variable("swing", "swing", None, swing.unit, "largest swing angle"))
-    found += [
+        variables.append(Variable("swing", "swing", None, swing.unit, "largest swing angle"))
+    variables += [
         Variable(f"margin_{e.quantity}", "margins", k, e.unit, f"least distance of {e.quantity} from its limit")
         for k, e in enumerate(swept.limits)
     ]
     if swept.inputs:
-        found += [Variable(e.name, "inputs", k, e.unit, e.description, True) for k, e in enumerate(quantities)]
-    return [*found, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
+        variables += [Variable(e.name, "inputs", k, e.unit, e.description, True) for k, e in enumerate(quantities)]
+    return [*variables, Variable("failure", "failure", None, "", "why the case is not solved; empty where it is")]
 
 
 def units_of(swept: SweepSettings) -> dict[str, str]:
@@ -76,20 +76,20 @@ def units_of(swept: SweepSettings) -> dict[str, str]:
 
 def _coordinates(swept: SweepSettings) -> dict[str, tuple[str, Any, dict[str, str]]]:
     units = units_of(swept)
-    found: dict[str, tuple[str, Any, dict[str, str]]] = {
+    coordinates: dict[str, tuple[str, Any, dict[str, str]]] = {
         name: (dimension, values, {"units": units[name]}) for name, (dimension, values) in swept.grid.columns.items()
     }
     for name in (PATH, CASE):
         if name in swept.grid.dimensions:
-            found[name] = (name, np.arange(swept.grid.dimensions[name]), {})
+            coordinates[name] = (name, np.arange(swept.grid.dimensions[name]), {})
     if swept.inputs:
-        found[INSTANT] = (INSTANT, np.linspace(0.0, 1.0, swept.instants), {"units": "1"})
-    return found
+        coordinates[INSTANT] = (INSTANT, np.linspace(0.0, 1.0, swept.instants), {"units": "1"})
+    return coordinates
 
 
-def placed(swept: SweepSettings, variable: Variable, found: Mapping[str, Any], block: Slices) -> Any:
+def placed(swept: SweepSettings, variable: Variable, answers: Mapping[str, Any], block: Slices) -> Any:
     """Return the values of a variable for a block, in its shape."""
-    values = found[variable.result]
+    values = answers[variable.result]
     values = values if variable.column is None else values[..., variable.column]
     shape = tuple(each.stop - each.start for each in block)
     return values.reshape(*shape, swept.instants) if variable.over_time else values.reshape(shape)
@@ -125,10 +125,10 @@ class Memory:
         """Nothing is there before it is put."""
         return False
 
-    def put(self, _: int, block: Slices, found: Mapping[str, Any]) -> None:
+    def put(self, _: int, block: Slices, answers: Mapping[str, Any]) -> None:
         """Take the results of a block."""
         for variable in variables_of(self._swept):
-            self.take(variable, block, placed(self._swept, variable, found, block))
+            self.take(variable, block, placed(self._swept, variable, answers, block))
 
     def take(self, variable: Variable, block: Slices, values: Any) -> None:
         """Take the values of one variable for a block, in whatever shape."""
@@ -187,12 +187,12 @@ class Zarr:
         """Whether a block is complete."""
         return bool(self._known[number])
 
-    def put(self, number: int, block: Slices, found: Mapping[str, Any]) -> None:
+    def put(self, number: int, block: Slices, answers: Mapping[str, Any]) -> None:
         """Write a block, and then that it is there."""
         with _quiet():
             for variable in variables_of(self._swept):
-                if variable.result != "failure" or found["failure"].any():  # a store has empty sentences by itself
-                    self._arrays[variable.name][block] = placed(self._swept, variable, found, block)
+                if variable.result != "failure" or answers["failure"].any():  # a store has empty sentences by itself
+                    self._arrays[variable.name][block] = placed(self._swept, variable, answers, block)
         self._done[number] = 1
 
     def dataset(self) -> Any:
@@ -240,8 +240,8 @@ def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
-    found = {"long_name": variable.described}
-    return found if variable.result == "failure" else {**found, "units": variable.unit}
+    attributes = {"long_name": variable.described}
+    return attributes if variable.result == "failure" else {**attributes, "units": variable.unit}
 
 
 def _zarr() -> Any:

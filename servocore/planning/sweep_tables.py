@@ -55,28 +55,28 @@ class Parquet:
             If there is one already that is not to be resumed, or its settings are other ones.
         """
         held, file = {**settings, "block": list(shape)}, path / _SETTINGS
-        found = cls(path, swept, held, shape)
+        table = cls(path, swept, held, shape)
         if path.exists():
             require_settings(path, held, lambda: file.read_text(encoding="utf-8"), resume)
-            return found
+            return table
         try:
             path.mkdir(parents=True)
             file.write_text(json.dumps(held), encoding="utf-8")
         except OSError as error:
             raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error
-        return found
+        return table
 
     def has(self, number: int) -> bool:
         """Whether a block is complete."""
         return number in self._known
 
-    def put(self, number: int, block: Slices, found: Mapping[str, Any]) -> None:
+    def put(self, number: int, block: Slices, answers: Mapping[str, Any]) -> None:
         """Write a block beside its place, and then put it there."""
         grid, arrow = self._swept.grid, self._pyarrow
         columns: dict[str, Any] = {PATH: grid.paths(block)} if PATH in grid.dimensions else {}
         columns |= {name: grid.values(name, block) for name in grid.columns}
         for variable in variables_of(self._swept):
-            values = placed(self._swept, variable, found, block).reshape(len(found["failure"]), -1)
+            values = placed(self._swept, variable, answers, block).reshape(len(answers["failure"]), -1)
             columns[variable.name] = list(values) if variable.over_time else values[:, 0]
         units = {**units_of(self._swept), **{each.name: each.unit for each in variables_of(self._swept)}}
         fields = [

@@ -43,16 +43,18 @@ def peaks(shape: Shape, order: int) -> Array:
 
 def law_of(task: Task, shape: Shape, duration: float, intervals: int) -> Law:
     """Return a law of one shape for all chains, on a grid."""
-    found = shape(np.linspace(0.0, 1.0, intervals + 1), task.length).T / duration ** np.arange(task.length + 1)[:, None]
-    jets = found[:, :, None] * (task.end - task.start)
+    columns = (
+        shape(np.linspace(0.0, 1.0, intervals + 1), task.length).T / duration ** np.arange(task.length + 1)[:, None]
+    )
+    jets = columns[:, :, None] * (task.end - task.start)
     jets[0] += task.start
     return sampled_law(jets, duration, task.length)
 
 
 def polynomial_path(path: TimedPath, duration: float, length: int) -> TimedPath:
     """Return the curve of a path with the polynomial law in another duration, for pictures: nearly exact."""
-    found = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, _DRAWN + 1), length).T
-    jets = found[:, :, None] / duration ** np.arange(length + 1)[:, None, None]
+    columns = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, _DRAWN + 1), length).T
+    jets = columns[:, :, None] / duration ** np.arange(length + 1)[:, None, None]
     return TimedPath.of(path.curve, sampled_law(jets, duration, length).path())
 
 
@@ -87,13 +89,13 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
 
 def shortest_three_phase(task: Task, near: float) -> tuple[float, float]:
     """Return the shortest duration of a three-phase law and the ramp's share of it; `near` is that of another law."""
-    found = dict[float, float]()
+    durations = dict[float, float]()
     low, high = _RAMPS
     for _ in range(_ROUNDS):
         for ramp in np.linspace(low, high, _TRIED_RAMPS).tolist():
-            if ramp not in found:
-                found[ramp] = _shortest_near(task, shape_of(three_phase(ramp)), near)
-        best = min(found, key=lambda each: found[each])
+            if ramp not in durations:
+                durations[ramp] = _shortest_near(task, shape_of(three_phase(ramp)), near)
+        best = min(durations, key=lambda each: durations[each])
         reach = (high - low) / (_TRIED_RAMPS - 1)
         low, high = max(best - reach, _RAMPS[0]), min(best + reach, _RAMPS[1])
     return shortest(task, shape_of(three_phase(best))), best
@@ -121,8 +123,8 @@ def _instants(task: Task) -> tuple[int, int]:
 
 def _jets(task: Task, shape: Shape, count: int) -> Array:
     """Return the chains' derivatives at duration one, shape (C, orders, count)."""
-    found = shape(np.linspace(0.0, 1.0, count), task.orders - 1).T
-    jets = (task.end - task.start)[:, None, None] * found
+    derivatives = shape(np.linspace(0.0, 1.0, count), task.orders - 1).T
+    jets = (task.end - task.start)[:, None, None] * derivatives
     jets[:, 0] += task.start[:, None]
     return np.asarray(jets)
 

@@ -51,18 +51,18 @@ class Inner:
 
     def at(self, jets: Array) -> Array:
         """Return the unknowns (size, n) of jets (C, orders, n)."""
-        given = jets.transpose(0, 2, 1)
-        count = given.shape[1]
-        return mapped(self.start, count)(given.reshape(len(given), -1))[0].reshape(-1, count, order="F")
+        columns = jets.transpose(0, 2, 1)
+        count = columns.shape[1]
+        return mapped(self.start, count)(columns.reshape(len(columns), -1))[0].reshape(-1, count, order="F")
 
     def scales(self, jets: Array) -> tuple[Array, Array]:
         """Return what unknowns and equations are divided by: their sizes along jets (C, orders, n)."""
-        found = self.at(jets)
-        sizes = np.nanmax(np.abs(found), axis=1, initial=0.0)
+        rows = self.at(jets)
+        sizes = np.nanmax(np.abs(rows), axis=1, initial=0.0)
         sizes = np.where(sizes > _NOTHING, sizes, 1.0)
         jet, unknowns = ca.SX.sym("jet", *self.local.size_in(0)), ca.SX.sym("unknowns", self.size)
         slopes = ca.Function("sc_slopes", [jet, unknowns], [ca.jacobian(self.local(jet, unknowns)[1], unknowns)])
-        each = [np.abs(np.asarray(slopes(jets[:, :, k], found[:, k]))) @ sizes for k in range(found.shape[1])]
+        each = [np.abs(np.asarray(slopes(jets[:, :, k], rows[:, k]))) @ sizes for k in range(rows.shape[1])]
         large = np.nanmax(np.array(each), axis=0, initial=0.0)
         return sizes, np.where(large > 0.0, large, 1.0)
 
@@ -106,9 +106,9 @@ class Task:
 
     def values(self, jets: Array) -> Array:
         """Return the rows (rows, n) of jets (C, K + 2, n)."""
-        given = jets[:, : self.orders].transpose(0, 2, 1)
-        count = given.shape[1]
-        return mapped(self.rows, count)(given.reshape(len(given), -1))[0].reshape(-1, count, order="F")
+        columns = jets[:, : self.orders].transpose(0, 2, 1)
+        count = columns.shape[1]
+        return mapped(self.rows, count)(columns.reshape(len(columns), -1))[0].reshape(-1, count, order="F")
 
     def excess(self, jets: Array) -> Array:
         """Return by how much rows are beyond their bounds (rows, n); infinite where there is no number."""
@@ -185,7 +185,7 @@ class Transcription:
         defects = np.zeros(zeros)
         low = (self.task.lower[:, None] + tightened).ravel(order="F")
         high = (self.task.upper[:, None] - tightened).ravel(order="F")
-        found = self._solver(
+        result = self._solver(
             x0=np.clip(self._packed(start), lower, upper),
             lbx=lower,
             ubx=upper,
@@ -193,7 +193,7 @@ class Transcription:
             ubg=np.append(defects, high),
         )
         statistics = self._solver.stats()
-        law = self._unpacked(np.asarray(found["x"]).ravel())
+        law = self._unpacked(np.asarray(result["x"]).ravel())
         return Outcome(law, str(statistics["return_status"]), int(statistics["iter_count"]))
 
     def _scales(self) -> Array:
@@ -206,8 +206,8 @@ class Transcription:
         path = np.append((states / self._scales()[:, None]).transpose(1, 2, 0).ravel(), law.duration / self.scale)
         if self.task.inner is None or self._sizes is None:
             return path
-        found = self.task.inner.at(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
-        return np.append(path, np.nan_to_num(found).ravel(order="F"))
+        inner = self.task.inner.at(_looked_at(self.task, law, self.checks)) / self._sizes[:, None]
+        return np.append(path, np.nan_to_num(inner).ravel(order="F"))
 
     def _unpacked(self, unknowns: Array) -> Law:
         task = self.task
@@ -266,9 +266,9 @@ def _program(
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
     inside = ca.MX.sym("inside", size * checks, intervals)
     length = ca.repmat(theta * (scale / intervals), 1, intervals)
-    given = knots[:, :-1], knots[:, 1:], length
-    steps = step.map(intervals)(*given)
-    held, local_rows = local.map(intervals)(*given, inside)
+    arguments = knots[:, :-1], knots[:, 1:], length
+    steps = step.map(intervals)(*arguments)
+    held, local_rows = local.map(intervals)(*arguments, inside)
     return {
         "x": ca.vertcat(ca.vec(knots), theta, ca.vec(inside)),
         "f": ca.log(theta),

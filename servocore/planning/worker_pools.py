@@ -99,8 +99,10 @@ class _Cluster(Pool):
         from distributed import wait as first_of  # noqa: PLC0415 - an extra
 
         with self._connected():
-            found = self._patiently(lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED"))
-            done: Collection[Any] = found.done
+            finished = self._patiently(
+                lambda wait: first_of(list(waiting), timeout=wait, return_when="FIRST_COMPLETED")
+            )
+            done: Collection[Any] = finished.done
             return done
 
     def forget(self, waiting: Collection[Any]) -> None:

@@ -54,7 +54,7 @@ def either(a: Values, b: Values) -> Values:
 
 def powers(x: Values, highest: int) -> list[Values]:
     """Return 1, x, x^2, ..., each a product: a library's power has other last digits on every machine."""
-    found = [1.0]
+    monomials = [1.0]
     for _ in range(highest):
-        found.append(found[-1] * x if len(found) > 1 else x)
-    return found
+        monomials.append(monomials[-1] * x if len(monomials) > 1 else x)
+    return monomials

@@ -37,12 +37,12 @@ class Disagreement(NamedTuple):
     component: int
 
 
-def disagreement(given: FloatArray, found: FloatArray, duration: float) -> Disagreement:
+def disagreement(expected: FloatArray, actual: FloatArray, duration: float) -> Disagreement:
     """Find the entry that differs most between two tables of derivatives of the same path.
 
     Parameters
     ----------
-    given, found : ndarray, shape (n, order+1, dimension)
+    expected, actual : ndarray, shape (n, order+1, dimension)
         Plain derivatives.
     duration : float
         Time that the table spans, in s.
@@ -52,7 +52,7 @@ def disagreement(given: FloatArray, found: FloatArray, duration: float) -> Disag
     Disagreement
         The worst entry.
     """
-    fraction = np.abs(given - found) / _peaks(np.concatenate([given, found]), duration)
+    fraction = np.abs(expected - actual) / _peaks(np.concatenate([expected, actual]), duration)
     row, order, component = np.unravel_index(int(np.argmax(fraction)), fraction.shape)
     return Disagreement(float(fraction[row, order, component]), int(row), int(order), int(component))
 
@@ -89,10 +89,10 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     while 2 * pieces < len(t):
         kept = np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)
         path = _through_rows(t[kept], rows[kept], rests, taylor)
-        found = path.jet(t, order)
-        worst = disagreement(rows, found, duration)
+        derivatives_of_path = path.jet(t, order)
+        worst = disagreement(rows, derivatives_of_path, duration)
         if best is None or worst.fraction < 2.0 * best[1].fraction:
-            error = float(np.linalg.norm(rows[:, 0] - found[:, 0], axis=1).max())
+            error = float(np.linalg.norm(rows[:, 0] - derivatives_of_path[:, 0], axis=1).max())
             best = replace(path, fit_error=error), worst
         pieces *= 2
     if best is None:

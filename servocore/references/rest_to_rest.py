@@ -65,9 +65,9 @@ class RestToRest(Reference):
         def numbers(order: int) -> list[float]:
             return [*ends, self.start_time, self.end_time, *profile.numbers(self.duration, order)]
 
-        def jet(t: ca.SX, given: list[ca.SX], order: int) -> list[ca.SX]:
-            first, last, way = (ca.vertcat(*given[k * size : (k + 1) * size]) for k in range(3))
-            s, outside = _law(profile, t, given[3 * size :], order)
+        def jet(t: ca.SX, arguments: list[ca.SX], order: int) -> list[ca.SX]:
+            first, last, way = (ca.vertcat(*arguments[k * size : (k + 1) * size]) for k in range(3))
+            s, outside = _law(profile, t, arguments[3 * size :], order)
             place = ca.if_else(s[0] > 0.5, last - (1.0 - s[0]) * way, s[0] * way + first)
             return [place, *(ca.if_else(outside, 0.0, each) * way for each in s[1:])]
 
@@ -76,10 +76,10 @@ class RestToRest(Reference):
 
 def _law(profile: Profile, t: Values, numbers: list[Values], order: int) -> tuple[list[Values], Values]:
     """Return s and its derivatives, and where the path rests; `numbers` are start, end and those of the profile."""
-    start, end, *own = numbers
+    start, end, *law_numbers = numbers
     duration = end - start
     elapsed, remaining = (least(most(each, 0.0), duration) for each in (t - start, end - t))
-    return profile.law(elapsed, remaining, own, order), either(t < start, t >= end)
+    return profile.law(elapsed, remaining, law_numbers, order), either(t < start, t >= end)
 
 
 def rest_to_rest(

@@ -45,6 +45,6 @@ class Stretched(Reference):
         return np.array([self.start_time, *inner, self.end_time])
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
-        own = self.start_time + (t - self.start_time) / self.factor
-        own = np.where(t >= self.end_time, np.maximum(own, self.path.end_time), own)
-        return self.path.jet(own, order) / self.factor ** np.arange(order + 1)[:, None]
+        original = self.start_time + (t - self.start_time) / self.factor
+        original = np.where(t >= self.end_time, np.maximum(original, self.path.end_time), original)
+        return self.path.jet(original, order) / self.factor ** np.arange(order + 1)[:, None]

@@ -72,8 +72,8 @@ def chained(slopes: list[Any], inner: list[Any]) -> list[Any]:
             terms = [comb(n - 1, i - 1) * inner[i] * partial[n - i][k - 1] for i in range(1, n - k + 2)]
             row.append(sum(terms[1:], terms[0]))
         partial.append(row)
-    found = [slopes[0]]
+    derivatives = [slopes[0]]
     for n in range(1, len(inner)):
         terms = [slopes[k] * partial[n][k] for k in range(1, n + 1)]
-        found.append(sum(terms[1:], terms[0]))
-    return found
+        derivatives.append(sum(terms[1:], terms[0]))
+    return derivatives

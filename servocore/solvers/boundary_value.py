@@ -256,9 +256,9 @@ def _damped(evaluate: Callable[[Array], Array], y: Array, residual: Array, chang
     size, length = float(np.linalg.norm(residual)), 1.0
     while True:
         tried = y + length * change
-        found = evaluate(tried)
-        if np.linalg.norm(found) <= size * (1.0 + 1e-6) + 1e-9 or length < 1e-3:
-            return tried, found, length
+        tried_residual = evaluate(tried)
+        if np.linalg.norm(tried_residual) <= size * (1.0 + 1e-6) + 1e-9 or length < 1e-3:
+            return tried, tried_residual, length
         length /= 2.0
 
 
@@ -323,8 +323,8 @@ def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, array.reference_order)
     start = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     start[array.places(array.states)] = states.T
-    found = inverse.searched(side_by_side(jets), problem.p, start)
-    values: Array = found[array.places((*array.states, *array.determined))]
+    unknowns = inverse.searched(side_by_side(jets), problem.p, start)
+    values: Array = unknowns[array.places((*array.states, *array.determined))]
     return values
 
 

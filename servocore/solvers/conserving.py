@@ -162,17 +162,17 @@ def _places(t: Array, step: float) -> npt.NDArray[np.intp]:
     if not 0.0 < step < float("inf"):
         raise InvalidSetting(f"the step must be positive and finite, not {step} s")
     exact = (t - t[0]) / step
-    found: npt.NDArray[np.intp] = np.round(exact).astype(np.intp)
-    off = np.abs(exact - found)
+    places: npt.NDArray[np.intp] = np.round(exact).astype(np.intp)
+    off = np.abs(exact - places)
     if off.max() > _ON_GRID:
         k = int(off.argmax())
         raise InvalidSetting(
             f"energy-momentum reports whole steps, but t = {t[k]:.9g} s is {exact[k]:.6g} steps of {step:g} s after the"
             " start"
         )
-    if found[-1] > _MOST_STEPS:
-        raise InvalidSetting(f"steps of {step:g} s are {found[-1]:.2g} in all, more than {_MOST_STEPS:.0e}")
-    return found
+    if places[-1] > _MOST_STEPS:
+        raise InvalidSetting(f"steps of {step:g} s are {places[-1]:.2g} in all, more than {_MOST_STEPS:.0e}")
+    return places
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,9 +197,9 @@ def _stepped(
         length = min(CHUNK, int(kept[-1]) - done)
         middles = np.minimum(begin + step * (done + 0.5 + np.arange(length)), float(t[-1]))
         arguments = (values_at(inputs, middles).T, np.full((1, length), step), np.tile(problem.p[:, None], length))
-        found, counts, residual, work = chained(scheme.step, length)(state, *arguments)
-        found = found.reshape(len(state), -1, order="F")
-        bad = ~np.isfinite(found).all(axis=0)
+        states_after, counts, residual, work = chained(scheme.step, length)(state, *arguments)
+        states_after = states_after.reshape(len(state), -1, order="F")
+        bad = ~np.isfinite(states_after).all(axis=0)
         if bad.any():
             at = begin + step * (done + int(bad.argmax()))
             raise IntegrationFailed(
@@ -209,9 +209,9 @@ def _stepped(
             )
         wanted = kept[(kept > done) & (kept <= done + length)] - done - 1
         so_far = total + np.cumsum(work.ravel())
-        states.append(found[:, wanted])
+        states.append(states_after[:, wanted])
         works.append(so_far[wanted])
         counted += float(counts.reshape(2, -1, order="F")[0].sum())
         worst = max(worst, float(residual.max()))
-        state, total, done = found[:, -1], float(so_far[-1]), done + length
+        state, total, done = states_after[:, -1], float(so_far[-1]), done + length
     return _Run(kept, np.hstack(states), np.concatenate(works), counted, worst)

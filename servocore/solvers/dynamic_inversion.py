@@ -142,10 +142,10 @@ class DynamicInversion:
                 f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
                 f" {reference.end_time:g} s, not from {flat.min():g} s to {flat.max():g} s"
             )
-        found = self._integrated(flat, self.steps)
-        if not (found[len(self.inputs) :] > 0.0).all() or not np.isfinite(found).all():
+        inputs = self._integrated(flat, self.steps)
+        if not (inputs[len(self.inputs) :] > 0.0).all() or not np.isfinite(inputs).all():
             raise IntegrationFailed(f"{self._problem.system.name}: the inputs belong to no motion that can be")
-        return found[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
+        return inputs[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
 
     def _integrated(self, t: Array, count: int) -> Array:
         """Return inputs and what must be positive, (columns, N), by some number of steps."""
@@ -224,7 +224,7 @@ class DynamicCases:
         count = len(p) if p.ndim == 2 else len(references)
         p = np.broadcast_to(p, (count, p.shape[-1]))
         paths = [*references] if len(references) == count else [references[0]] * count
-        found = np.full((count, len(self.names), len(t)), np.nan)
+        inputs = np.full((count, len(self.names), len(t)), np.nan)
         groups: dict[object, list[int]] = {}
         for case, path in enumerate(paths):
             if len(t) and not (t.min() >= path.start_time and t.max() <= path.end_time):
@@ -235,12 +235,12 @@ class DynamicCases:
             groups.setdefault((path.formula, path.start_time, path.end_time), []).append(case)
         for group in groups.values():
             alone = all(paths[case] is paths[group[0]] for case in group)
-            own = [paths[group[0]]] if alone else [paths[case] for case in group]
-            self._solve(found, np.array(group), own, t, np.ascontiguousarray(p[group]))
-        return found
+            group_paths = [paths[group[0]]] if alone else [paths[case] for case in group]
+            self._solve(inputs, np.array(group), group_paths, t, np.ascontiguousarray(p[group]))
+        return inputs
 
-    def _solve(self, found: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
-        """Write into `found` what cases with paths of one kind give; steps are doubled for those that need it."""
+    def _solve(self, inputs: Array, cases: Cases, paths: list[Reference], t: Array, p: Array) -> None:
+        """Write into `inputs` what cases with paths of one kind give; steps are doubled for those that need it."""
         start, count = self._starts(paths, p), self.steps
         left = np.flatnonzero(np.isfinite(start).all(axis=1))
         for _ in range(_MOST_DOUBLINGS):
@@ -249,7 +249,7 @@ class DynamicCases:
             if len(taken):
                 values = self._read(_of(paths, taken), t, count, p[taken], start[taken])
                 signs, wanted = np.split(values[:, len(self.problem.system.inputs) :], [-len(self.names)], axis=1)
-                found[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
+                inputs[cases[taken]] = np.where((signs > 0.0).all(axis=(1, 2), keepdims=True), wanted, np.nan)
             left, count = left[~good], 2 * count
             if not len(left):
                 return
@@ -275,18 +275,18 @@ class DynamicCases:
         problem, size = self.problem, len(self.problem.array.states)
         program = program_of(problem, *_FORM)
         if problem.start:
-            found = np.full((len(p), size), np.nan)
+            starts = np.full((len(p), size), np.nan)
             for case, values in enumerate(p):
-                own = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
+                case_problem = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
                 with suppress(InconsistentStart):
-                    found[case] = first_state(own, program, 0.0, prescribed_start_of(*_FORM))[0][:size]
-            return found
+                    starts[case] = first_state(case_problem, program, 0.0, prescribed_start_of(*_FORM))[0][:size]
+            return starts
         instants = len(program.start_instants)
         jets = np.concatenate([path.jet(np.full(instants, path.start_time), program.start_order) for path in paths])
         jets = np.tile(jets, (len(p) // len(paths), 1, 1))
         states, _, residual = mapped(program.start, len(p))(side_by_side(jets), np.zeros(len(p)), p.T)
-        found = states.reshape(-1, len(p), order="F")[:size].T
-        return np.where(np.isfinite(residual).reshape(-1, 1), found, np.nan)
+        starts = states.reshape(-1, len(p), order="F")[:size].T
+        return np.where(np.isfinite(residual).reshape(-1, 1), starts, np.nan)
 
 
 def _of(paths: list[Reference], cases: Cases) -> list[Reference]:

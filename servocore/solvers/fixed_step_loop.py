@@ -130,22 +130,22 @@ def advance_chunk(
     # All chunks are of one length, so that one compiled loop serves them: to build another costs more than padding.
     ends = t[np.minimum(np.arange(1, length + 1), used)]
     nodes = (ends[:, None] - (1.0 - np.array(program.nodes)) * step).ravel()
-    found, counts, worst = chained(program.step, length)(
+    states_after, counts, worst = chained(program.step, length)(
         state,
         side_by_side(problem.reference.jet(nodes, program.order)),
         np.full((1, length), step),
         np.tile(problem.p[:, None], length),
     )
-    found, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (found, counts))
+    states_after, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (states_after, counts))
     worst = worst.ravel()[:used]
     # CasADi reports no failure from within a loop: a step that is not solved answers NaN.
-    failed = ~np.isfinite(found).all(axis=0) | ~np.isfinite(worst)
+    failed = ~np.isfinite(states_after).all(axis=0) | ~np.isfinite(worst)
     good = int(failed.argmax()) if failed.any() else used
     if good == 0 and length > 1:
         # Where CasADi gives up, all of the loop is lost; step by step it ends at the last good state.
         return _one_by_one(problem, program, t, step, state)
     iterations, factorisations = counts[:, :good].sum(axis=1)
-    states = np.hstack([state[:, None], found[:, :good]])
+    states = np.hstack([state[:, None], states_after[:, :good]])
     return Run(states, round(iterations), round(factorisations), float(worst[:good].max(initial=0.0))), good == used
 
 

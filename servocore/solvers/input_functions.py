@@ -115,11 +115,11 @@ class CheckedInputs:
 
     def __call__(self, time: float) -> Array:
         """Return the inputs at a time, shape (m,)."""
-        given, names = self.inputs(time), [quantity.name for quantity in self.system.inputs]
+        answer, names = self.inputs(time), [quantity.name for quantity in self.system.inputs]
         try:
-            values = np.asarray(() if given is None else given, dtype=np.float64).reshape(-1)
+            values = np.asarray(() if answer is None else answer, dtype=np.float64).reshape(-1)
         except (TypeError, ValueError):
-            raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(given)}") from None
+            raise InvalidSetting(f"the inputs at t = {time:.6g} s must be numbers, not {described(answer)}") from None
         if len(values) != len(names):
             raise InvalidSetting(
                 f"the function of time returns {len(values)} inputs at t = {time:.6g} s, {self.system.name} has"
@@ -135,9 +135,9 @@ class CheckedInputs:
 
     def many(self, t: Array) -> Array:
         """Return the inputs at times (N,), shape (N, m): looked at together, and one by one where something is off."""
-        given = [self.inputs(time) for time in t.tolist()]
+        answers = [self.inputs(time) for time in t.tolist()]
         with suppress(TypeError, ValueError):
-            values = np.array(given, dtype=np.float64)
+            values = np.array(answers, dtype=np.float64)
             if values.shape == (len(t), len(self.system.inputs)) and np.isfinite(values).all():
                 return values
         return np.array([self(time) for time in t.tolist()]).reshape(len(t), -1)

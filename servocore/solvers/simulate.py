@@ -122,19 +122,19 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     require_number(step, "the step of the energy-momentum scheme", "a time in s")
     scheme_of(problem, method)  # first of all: what cannot be conserved needs no start
     start = _initial_state(problem, float(t[0]))
-    found = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
+    motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
     u = values_at(inputs, t)
-    known = _report(problem, _Motion(t, found.states, found.multipliers, u), found.steps, found.iterations)
+    known = _report(problem, _Motion(t, motion.states, motion.multipliers, u), motion.steps, motion.iterations)
     statistics = replace(
         known.statistics,
-        newton_iterations=found.iterations,
-        factorisations=found.iterations,
-        worst_residual=found.worst,
+        newton_iterations=motion.iterations,
+        factorisations=motion.iterations,
+        worst_residual=motion.worst,
     )
     return replace(
         known,
         channels=(*known.channels, *BALANCE),
-        values=np.column_stack([known.values, found.balance]),
+        values=np.column_stack([known.values, motion.balance]),
         route=f"{problem.system.name}, {method.name}",
         statistics=statistics,
     )
@@ -183,8 +183,8 @@ def _inverted(problem: Problem, time: float) -> Array:
     array, system = problem.array, problem.system
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
     invert = problem.resolved.once(inversion).function
-    found, _, residual = invert(problem.reference.jet(time, array.reference_order).T, problem.p)
-    state: Array = np.asarray(found).ravel()[places]
+    unknowns, _, residual = invert(problem.reference.jet(time, array.reference_order).T, problem.p)
+    state: Array = np.asarray(unknowns).ravel()[places]
     if not np.isfinite(state).all() or not np.isfinite(float(residual)):
         raise InconsistentStart(f"{system.name}: no consistent initial state at t = {time:.6g} s")
     return state

@@ -109,10 +109,10 @@ def solve(
     if problem.start:
         require_start(problem)
     route = chosen_route(problem, form, method or BackwardEuler(), step, native, checks)
-    own = route is method  # such a route brings no checks of its own, and chooses its instants
-    checked = checks or own
+    is_route = route is method  # such a route brings no checks of its own, and chooses its instants
+    checked = checks or is_route
     if checked:
-        require_feasible(problem, None if own else times, _native(route, times))
+        require_feasible(problem, None if is_route else times, _native(route, times))
     run = run_within_limits if checked else _run
     try:
         solution = run(problem, lambda each: route.run(each, times, progress))

@@ -124,13 +124,15 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
         chosen = [j for j in candidates if (j, d[j] - level) not in array.states]
         if rows and len(chosen) < len(candidates):
             # Derivatives that are no states are solved for: their columns must stay far from singular.
-            own, best = (np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates))
-            worst = np.minimum(worst, np.divide(own, best, out=np.zeros(len(J)), where=best > 0.0))
+            present, best = (
+                np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates)
+            )
+            worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
     return worst
 
 
 def _jacobians(problem: Problem, t: Array, values: Array) -> Array:
     """Return the system Jacobian (N, size, size) for unknowns of the derivative array (unknowns, N) at instants."""
     jets, size = problem.reference.jet(t, problem.array.reference_order), len(problem.array.names)
-    (found,) = at_instants(problem.resolved.once(system_jacobian), values, jets=jets, p=problem.p)
-    return found.reshape(size, len(t), size).transpose(1, 0, 2)
+    (jacobians,) = at_instants(problem.resolved.once(system_jacobian), values, jets=jets, p=problem.p)
+    return jacobians.reshape(size, len(t), size).transpose(1, 0, 2)

@@ -74,11 +74,11 @@ class Sundials:
         first, _ = first_state(problem, program, step_of(times), prescribed_start_of(*how))
         size = len(array.states)
         x0, z0 = first[:size], first[size : len(array.unknowns)]
-        given = np.concatenate([formula.numbers(array.reference_order), problem.p])
+        numbers = np.concatenate([formula.numbers(array.reference_order), problem.p])
         settings = self.rtol, self.atol or self.rtol / 1000.0, tuple(times.tolist())
         integrate = problem.resolved.once(_integrator, formula, *settings)
         try:
-            states, _ = integrate(x0, z0, given)
+            states, _ = integrate(x0, z0, numbers)
         except RuntimeError as error:  # SUNDIALS gives up
             raise IntegrationFailed(f"{problem.name}: SUNDIALS gave up: {str(error).splitlines()[-1]}") from None
         jets = side_by_side(problem.reference.jet(times, array.reference_order))
@@ -110,5 +110,5 @@ def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, atol: f
     options = {"reltol": rtol, "abstol": atol, "max_num_steps": _MOST_STEPS, "show_eval_warnings": False}
     made = ca.integrator("sc_sundials", "idas", equations, times[0], list(times[1:]), options)
     x0, z0, p = (ca.MX.sym(name, *made.size_in(name)) for name in ("x0", "z0", "p"))
-    found = made(x0=x0, z0=z0, p=p)
-    return Call(ca.Function("sc_sundials_run", [x0, z0, p], [found["xf"], found["zf"][:, -1]]))
+    result = made(x0=x0, z0=z0, p=p)
+    return Call(ca.Function("sc_sundials_run", [x0, z0, p], [result["xf"], result["zf"][:, -1]]))

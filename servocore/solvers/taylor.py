@@ -63,12 +63,12 @@ class Taylor:
         miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
         for each in miss if wraps else ():
             each[self.wraps] = wrapped_angle(each[self.wraps])
-        moved = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
-        moved += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
+        travel = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
+        travel += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
         worst = np.maximum(*np.abs(miss))
         # Not <=, so that NaN counts as apart.
-        found: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * moved, SLIGHT * scale[:, None])).all(axis=0)
-        return found
+        are_apart: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * travel, SLIGHT * scale[:, None])).all(axis=0)
+        return are_apart
 
     def compile_together(self, size: int) -> ca.Function:
         """Compile (first (size,), last, h, scale) -> one where neighbours are not `apart`."""
@@ -81,30 +81,30 @@ class Taylor:
                 for side, step in ((first, h), (last, -h))
             )
             misses = [ahead - last[q], behind - first[q]]
-            moved = ca.fabs(h) * (ca.fabs(first[rate]) + ca.fabs(last[rate]))
+            travel = ca.fabs(h) * (ca.fabs(first[rate]) + ca.fabs(last[rate]))
             if self.wraps[k]:
                 misses = [miss - 2 * np.pi * ca.floor((miss + np.pi) / (2 * np.pi)) for miss in misses]
             else:
-                moved += ca.fabs(last[q] - first[q])
-            allowed = ca.fmax(_APART * moved, SLIGHT * scale[k])
+                travel += ca.fabs(last[q] - first[q])
+            allowed = ca.fmax(_APART * travel, SLIGHT * scale[k])
             together = ca.logic_and(together, ca.logic_and(*(ca.fabs(miss) <= allowed for miss in misses)))
         return ca.Function("sc_together", [first, last, h, scale], [ca.densify(together)], {"cse": True})
 
 
 def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Powers:
     place = {unknown: k for k, unknown in enumerate(array.unknowns)}
-    found = []
+    powers = []
     for power in range(max(order for _, order in array.unknowns) + 1):
         known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]
         to, of = (np.array(each, dtype=np.intp) for each in zip(*known, strict=True)) if known else (_NONE, _NONE)
-        found.append((to, of))
-    return tuple(found)
+        powers.append((to, of))
+    return tuple(powers)
 
 
 def _summed(powers: Powers, y: Array, h: Array | float, size: int) -> Array:
     """Return the sums of `powers` at `h`, shape (size, N)."""
-    found, factor = np.zeros((size, y.shape[1])), 1.0 + 0.0 * np.asarray(h)
+    total, factor = np.zeros((size, y.shape[1])), 1.0 + 0.0 * np.asarray(h)
     for power, (to, of) in enumerate(powers):
         factor = factor * h / power if power else factor
-        found[to] += y[of] * factor
-    return found
+        total[to] += y[of] * factor
+    return total

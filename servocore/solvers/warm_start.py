@@ -27,10 +27,10 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
     jets = side_by_side(problem.reference.jet(times, array.reference_order))
-    found = problem.resolved.once(inversion).searched(jets, problem.p, aside)
+    unknowns = problem.resolved.once(inversion).searched(jets, problem.p, aside)
     inputs = problem.system.inputs
     places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
-    return Solution(times, inputs, found[places].T, "the exact inversion, solved again")
+    return Solution(times, inputs, unknowns[places].T, "the exact inversion, solved again")
 
 
 def _exact_states(problem: Problem, t: Array) -> Array:

@@ -69,13 +69,13 @@ def require_exact_within_limits(problem: Problem, table: BranchTable | None) -> 
 
 def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Margin]:
     """Return what limits leave of their quantities, known at instants `t`, by name."""
-    found = {}
+    margins = {}
     for limit, values in limited:
         left = np.minimum(values - limit.bound, limit.upper - values)
         least = int(np.nanargmin(left))
         bound = limit.bound if values[least] - limit.bound < limit.upper - values[least] else limit.upper
-        found[limit.quantity] = Margin(float(left[least]), float(t[least]), float(values[least]), bound, limit.unit)
-    return found
+        margins[limit.quantity] = Margin(float(left[least]), float(t[least]), float(values[least]), bound, limit.unit)
+    return margins
 
 
 def exact_states(problem: Problem, table: BranchTable | None) -> States:

@@ -122,8 +122,8 @@ def _inverse(resolved: ResolvedSystem, formulation: Formulation) -> tuple[Deriva
     if isinstance(formulation, Reduced):
         array = formulation.array(resolved.system)
     # The usual states share one inversion with everything else that asks for it.
-    own = resolved.once(inversion) if array.states == resolved.array.states else compile_inversion(array)
-    return array, own, resolved.dae(Reduced(states=array.named_states))
+    inverse = resolved.once(inversion) if array.states == resolved.array.states else compile_inversion(array)
+    return array, inverse, resolved.dae(Reduced(states=array.named_states))
 
 
 def discretized(dae: Dae, method: Method) -> Discretisation:
@@ -164,8 +164,8 @@ def _compile_following_step(array: DerivativeArray, inverse: Inversion, order: i
     ahead = [
         value + h * known.get((j, k + 1), 0) + h**2 / 2 * known.get((j, k + 2), 0) for (j, k), value in known.items()
     ]
-    found = inverse.search(gamma[:, : array.reference_order + 1], p, ca.vertcat(*ahead))
-    return ca.Function("sc_step", [state, gamma, h, p], list(found))
+    results = inverse.search(gamma[:, : array.reference_order + 1], p, ca.vertcat(*ahead))
+    return ca.Function("sc_step", [state, gamma, h, p], list(results))
 
 
 def _compile_pointwise_step(compile_it: Callable[[], ca.Function]) -> ca.Function:

@@ -60,8 +60,8 @@ def compile_conserving_step(system: MechanicalSystem, update: RotationUpdate | N
     _require_conservable(system)
     q, v = system.q, system.v
     energy = ca.dot(v, ca.mtimes(system.mass, v)) / 2 + ca.SX(system.potential)
-    told = ca.Function("sc_energy", [q, v, system.p], [energy, angular_momentum(system)], {"cse": True})
-    return ConservingStep(_compile_step(system) if update is None else compile_rotation_step(system), told)
+    conserved = ca.Function("sc_energy", [q, v, system.p], [energy, angular_momentum(system)], {"cse": True})
+    return ConservingStep(_compile_step(system) if update is None else compile_rotation_step(system), conserved)
 
 
 def _compile_step(system: MechanicalSystem) -> ca.Function:
@@ -143,19 +143,19 @@ def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
         stem, axis = name[:-1], name[-1:]
         if axis in _AXES and stem[-1:] in ("", "_", "."):
             places.setdefault(stem, {})[axis] = k
-    found = [tuple(place.get(axis) for axis in _AXES) for place in places.values()]
-    return tuple(each for each in found if each[0] is not None and each[1] is not None)
+    triples = [tuple(place.get(axis) for axis in _AXES) for place in places.values()]
+    return tuple(each for each in triples if each[0] is not None and each[1] is not None)
 
 
 def angular_momentum(system: MechanicalSystem) -> ca.SX:
     """Return the angular momentum about the origin, shape (3,): of the vectors that the coordinates are."""
-    momentum, found = ca.mtimes(system.mass, system.v), ca.SX.zeros(3)
+    momentum, total = ca.mtimes(system.mass, system.v), ca.SX.zeros(3)
     for places in vectors(system.coordinates):
         arm, share = (
             ca.vertcat(*[ca.SX(0) if k is None else each[k] for k in places]) for each in (system.q, momentum)
         )
-        found += ca.cross(arm, share)
-    return found
+        total += ca.cross(arm, share)
+    return total
 
 
 def _turned(coordinates: Coordinates, axis: int, q: Array) -> Array:

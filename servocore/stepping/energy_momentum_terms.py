@@ -76,9 +76,9 @@ def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
     q, middle = system.q, (q0 + q1) / 2
     quadratic, stored = summands(system.potential)
     # Of a quadratic function the gradient in the middle is a discrete gradient already.
-    found = ca.substitute(ca.gradient(quadratic, q), q, middle)
+    force = ca.substitute(ca.gradient(quadratic, q), q, middle)
     for each in stored:
         before, after = (ca.substitute(each.invariant, q, place) for place in (q0, q1))
         # Gonzalez: the difference quotient of W along its invariant makes the balance of energy exact for any step.
-        found += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
-    return found
+        force += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
+    return force

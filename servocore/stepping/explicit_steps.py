@@ -86,14 +86,16 @@ class Between:
 
     def states(self, values: Array, rates: Array, h: float) -> Array:
         """Return states (..., states, N) from those of the run and their rates (..., states, count + 1)."""
-        found: Array
+        interpolated: Array
         if self.matrices is not None:
             # Contiguous, for products of matrices that lie otherwise round otherwise.
             of_values, of_rates = self.matrices
-            found = np.ascontiguousarray(values) @ of_values + np.ascontiguousarray(h * rates) @ of_rates
-            return found
-        found = (values[..., self.beside] * self.of_values + rates[..., self.beside] * (h * self.of_rates)).sum(axis=-2)
-        return found
+            interpolated = np.ascontiguousarray(values) @ of_values + np.ascontiguousarray(h * rates) @ of_rates
+            return interpolated
+        interpolated = (values[..., self.beside] * self.of_values + rates[..., self.beside] * (h * self.of_rates)).sum(
+            axis=-2
+        )
+        return interpolated
 
 
 class Along(NamedTuple):
@@ -195,8 +197,8 @@ def compile_explicit_steps(
     InvalidModel
         If the equations do not give the rates of the states without iterations.
     """
-    found, array, system = resolved.once(compile_explicit), resolved.array, resolved.system
-    if found is None:
+    explicit, array, system = resolved.once(compile_explicit), resolved.array, resolved.system
+    if explicit is None:
         raise InvalidModel(f"{system.name}: the rates of its internal dynamics take iterations; sc.solve steps them")
     order, count = array.reference_order, len(array.states)
     x, hp = ca.SX.sym("x", count), ca.SX.sym("hp", 1 + system.p.numel())
@@ -214,13 +216,13 @@ def compile_explicit_steps(
     rates = list[ca.SX]()
     for k in stages:
         inner = sum((float(a) * rate for a, rate in zip(method.A[k], rates, strict=False) if a), ca.SX.zeros(count))
-        rates.append(_rates(array, found(jet(k), p, x + hp[0] * inner)))
+        rates.append(_rates(array, explicit(jet(k), p, x + hp[0] * inner)))
     after = x + hp[0] * sum((float(b) * rate for b, rate in zip(method.b, rates, strict=True)), ca.SX.zeros(count))
     path = time if formula else ca.vertcat(*map(ca.vec, tables))
     step = ca.Function("sc_explicit_step", [x, path, numbers, hp], [after, rates[0]], {"cse": True})
     q = ca.SX.sym("p", system.p.numel())
     now = tables[0] if formula is None else ca.horzcat(*formula.jet(time, ca.vertsplit(numbers), order))
-    results = _read_off(resolved, found(now, q, x), now, q, names)
+    results = _read_off(resolved, explicit(now, q, x), now, q, names)
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )

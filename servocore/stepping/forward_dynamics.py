@@ -100,15 +100,15 @@ def forward_rate(system: MechanicalSystem, *, held: bool) -> ca.Function:
     corner = ca.SX(bordered.size1(), bordered.size1())
     # [M A^T; A 0] is regular for a singular M as well if M is definite on ker A; eliminating by M^-1 is not.
     matrix = ca.blockcat([[system.mass, bordered.T], [bordered, corner]])
-    state, given, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
-    terms = ca.Function("sc_plant_terms", [state, *given, d, system.p, *clock], [matrix, -right], {"cse": True})
+    state, inputs, clock = ca.vertcat(q, v), [] if held else [system.u], [system.time] if system.time.numel() else []
+    terms = ca.Function("sc_plant_terms", [state, *inputs, d, system.p, *clock], [matrix, -right], {"cse": True})
     arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
     bordered_mass, forces_on_it = terms(*arguments)
     # As an expression of SX the solution would be written out entry by entry; MX calls a sparse QR.
-    found = ca.solve(bordered_mass, forces_on_it, "qr")
+    solution = ca.solve(bordered_mass, forces_on_it, "qr")
     n = len(system.coordinates)
-    forces = found[n + m_h : n + m_h + m] if held else arguments[1]
-    results = [ca.vertcat(arguments[0][n:], found[:n]), found[n : n + m_h], forces]
+    forces = solution[n + m_h : n + m_h + m] if held else arguments[1]
+    results = [ca.vertcat(arguments[0][n:], solution[:n]), solution[n : n + m_h], forces]
     return ca.Function("sc_plant_rate", arguments, results)
 
 

@@ -49,13 +49,13 @@ def compile_restart(
     gamma = ca.MX.sym("gamma", system.gamma.size1(), (order + 1) * len(start_instants(array, step)))
     h, p = ca.MX.sym("h"), ca.MX.sym("p", system.p.numel())
     jets = [block[:, : array.reference_order + 1] for block in ca.horzsplit(gamma, order + 1)]
-    found = [first]
+    columns = [first]
     if array.states:
-        found += _backwards(array, reduced, first, jets[1:], h, p)
+        columns += _backwards(array, reduced, first, jets[1:], h, p)
     else:
-        found += [inversion.function(jet, p)[0] for jet in jets[1:]]
+        columns += [inversion.function(jet, p)[0] for jet in jets[1:]]
     places = [array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
-    values = ca.horzcat(*[each[places] for each in found])
+    values = ca.horzcat(*[each[places] for each in columns])
     rates = ca.vertcat(
         ca.MX(0, 1),
         *[_rate(array, unknown.variable, unknown.order + 1, first) for unknown in dae.unknowns[: dae.x.numel()]],
@@ -81,11 +81,11 @@ def _backwards(array: DerivativeArray, dae: Dae, first: ca.MX, jets: list[ca.MX]
     from_dae = [entries.index(unknown) for unknown in array.unknowns]
     begin = ca.Function("sc_begin", [step.start.values, step.start.rates], [step.first_state])
     state: ca.MX = begin(first[to_dae], ca.MX(dae.x.numel(), 1))
-    found = []
+    history = []
     stages = _BACKWARDS.stages
     for k in range(0, len(jets), stages):
         gamma = [jet[:, : dae.reference_order + 1] for jet in jets[k : k + stages]]
         state = solve(ca.vertcat(state, ca.vec(ca.horzcat(*gamma)), -h, p))[0]
         # A start whose step is not known yet (h = 0) takes the present for the past.
-        found.append(ca.if_else(h == 0, first, state[: len(entries)][from_dae]))
-    return found
+        history.append(ca.if_else(h == 0, first, state[: len(entries)][from_dae]))
+    return history

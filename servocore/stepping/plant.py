@@ -120,8 +120,8 @@ class Plant:
         dict of str to float
             In the units of `channels`.
         """
-        found = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
-        return dict(zip((channel.name for channel in self.channels), map(float, found[0]), strict=True))
+        observed = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
+        return dict(zip((channel.name for channel in self.channels), map(float, observed[0]), strict=True))
 
     def linearised(self, state: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
         """Return the Jacobians of the rate by state, inputs and disturbance, and of the servo output by state.

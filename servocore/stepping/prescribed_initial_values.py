@@ -57,15 +57,15 @@ def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, orde
     values = guess(now, problem.p)[0]
     # Pinned: with these as states the array determines all others from them.
     values[problem.array.places(states)] = list(problem.start.values())
-    found, _, residual = search(now, problem.p, values)
-    if not np.isfinite(found).all():
+    unknowns, _, residual = search(now, problem.p, values)
+    if not np.isfinite(unknowns).all():
         time = problem.reference.start_time
         raise InconsistentStart(
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
     make, formulation, method = how
     restart = problem.resolved.once(make, formulation, method, order)
-    return restart(found, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
+    return restart(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
 
 
 def require_start(problem: Problem) -> None:
@@ -75,9 +75,9 @@ def require_start(problem: Problem) -> None:
     try:
         problem.resolved.once(_search, tuple((array.names[j], order) for j, order in states))
     except InvalidModel as error:
-        own = ", ".join(_plain(*state) for state in array.named_states)
+        names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
-            f"{name}: {', '.join(problem.start)} cannot all be chosen, the path determines one of them; {own} can"
+            f"{name}: {', '.join(problem.start)} cannot all be chosen, the path determines one of them; {names} can"
         ) from error
 
 
@@ -93,9 +93,9 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
     known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
     wrong = [each for each in start if each not in known]
     if wrong or len(start) != len(array.states):
-        own = ", ".join(_plain(*state) for state in array.named_states)
+        names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
-            f"{name}: a start gives the {len(array.states)} states of the internal dynamics, such as {own},"
+            f"{name}: a start gives the {len(array.states)} states of the internal dynamics, such as {names},"
             f" not {', '.join(wrong or start)}"
             if array.states
             else f"{name} has no internal dynamics: its motion follows from the path, and takes no start"
@@ -138,33 +138,33 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     wrong = [each for each in start if each not in names]
     if wrong:
         raise InvalidSetting(f"{system.name}: a start gives coordinates and their rates, not {', '.join(wrong)}")
-    free, moved = np.array([name not in start for name in names]), state.copy()
-    moved[~free] = [start[name] for name in names if name in start]
+    free, consistent = np.array([name not in start for name in names]), state.copy()
+    consistent[~free] = [start[name] for name in names if name in start]
     if not system.lam.numel():
-        return moved
+        return consistent
     n, nominal = len(system.coordinates), np.array(system.coordinates.nominal)
     rows, rates = problem.resolved.once(_constraint_rows)
     clock = problem.reference.jet(time, 1).T
-    for function, own in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
+    for function, part in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
         # Positions first: the constraints of velocities hold G at the positions.
-        moves = free[own] * nominal
+        moves = free[part] * nominal
         for _ in range(_ITERATIONS):
-            residual, jacobian = function(moved, clock, problem.p)
+            residual, jacobian = function(consistent, clock, problem.p)
             # Rows of one length, in units of nominal magnitudes, so that one tolerance serves metres and radians.
             scale = np.maximum(np.abs(jacobian * nominal).max(axis=1, initial=0.0), 1e-300)
             jacobian = jacobian * moves / scale[:, None]
             # The least-norm step; redundant rows make the Jacobian rank deficient, which lstsq tolerates.
             change = moves * np.linalg.lstsq(jacobian, -residual.ravel() / scale, rcond=1e-12)[0]
-            moved[own] += change
-            if not np.abs(change).max(initial=0.0) > 1e-15 * np.abs(moved[own]).max(initial=0.0):
+            consistent[part] += change
+            if not np.abs(change).max(initial=0.0) > 1e-15 * np.abs(consistent[part]).max(initial=0.0):
                 break
-        residual = function(moved, clock, problem.p)[0].ravel() / scale
-        if not np.abs(residual).max(initial=0.0) <= _CLOSED * max(1.0, np.abs(moved[own] / nominal).max()):
+        residual = function(consistent, clock, problem.p)[0].ravel() / scale
+        if not np.abs(residual).max(initial=0.0) <= _CLOSED * max(1.0, np.abs(consistent[part] / nominal).max()):
             worst = system.listed_constraints([int(np.abs(residual).argmax())])
             raise InconsistentStart(
                 f"{system.name}: with {_listed(start)} at t = {time:.6g} s the holonomic constraint {worst} cannot hold"
             )
-    return moved
+    return consistent
 
 
 def _constraint_rows(resolved: ResolvedSystem) -> tuple[Call, Call]:

@@ -66,25 +66,25 @@ class _Unknowns:
 
     def change(self, q: ca.SX, w: ca.SX) -> ca.SX:
         """Return by how much the unknowns change a configuration, shape (n,)."""
-        found = ca.SX.zeros(q.numel())
-        found[self.plain] = w[: len(self.plain)]
+        moves = ca.SX.zeros(q.numel())
+        moves[self.plain] = w[: len(self.plain)]
         for k, places in enumerate(self.frames):
             theta = self._rotation(w, k)
             for d in (places[:3], places[3:6], places[6:]):
                 across = ca.cross(theta, q[d])
-                found[d] = 4 / (4 + ca.sumsqr(theta)) * (across + ca.cross(theta, across) / 2)
-        return found
+                moves[d] = 4 / (4 + ca.sumsqr(theta)) * (across + ca.cross(theta, across) / 2)
+        return moves
 
     def basis(self, q: ca.SX) -> ca.SX:
         """Return P, shape (n, count): the velocities of which the unknowns are the sizes."""
-        found = ca.SX(q.numel(), self.count)
+        directions = ca.SX(q.numel(), self.count)
         for column, place in enumerate(self.plain):
-            found[place, column] = 1
+            directions[place, column] = 1
         for k, places in enumerate(self.frames):
             first = len(self.plain) + 3 * k
             for d in (places[:3], places[3:6], places[6:]):
-                found[d, first : first + 3] = -ca.skew(q[d])
-        return found
+                directions[d, first : first + 3] = -ca.skew(q[d])
+        return directions
 
     def guess(self, q: ca.SX, change: ca.SX) -> ca.SX:
         """Return unknowns that change a configuration by as much, to first order."""
@@ -127,16 +127,16 @@ def _orthonormality(system: MechanicalSystem, places: list[int]) -> list[int]:
     """Return constraints on nine directions that hold after every rotation: told at two of them."""
     pattern = np.asarray(ca.DM(ca.jacobian_sparsity(system.constraints, system.q), 1))
     others = np.setdiff1d(range(pattern.shape[1]), places)
-    own = [k for k in range(len(pattern)) if not pattern[k, others].any() and pattern[k].any()]
-    look = ca.Function("sc_rows", [system.q, system.p], [ca.densify(system.constraints[own])])
-    worst = np.zeros(len(own))
+    rows = [k for k in range(len(pattern)) if not pattern[k, others].any() and pattern[k].any()]
+    look = ca.Function("sc_rows", [system.q, system.p], [ca.densify(system.constraints[rows])])
+    worst = np.zeros(len(rows))
     for seed in (1.0, 2.0):
         turn, _ = np.linalg.qr(np.sin(seed + 7.0 * np.arange(9)).reshape(3, 3))
         q = np.zeros(len(system.coordinates))
         q[places] = turn.ravel()
-        found = np.asarray(look(q, system.parameters.values())).ravel()
-        worst = np.maximum(worst, np.abs(found))
-    return [k for k, value in zip(own, worst, strict=True) if value < _ROUND_OFF]
+        residual = np.asarray(look(q, system.parameters.values())).ravel()
+        worst = np.maximum(worst, np.abs(residual))
+    return [k for k, value in zip(rows, worst, strict=True) if value < _ROUND_OFF]
 
 
 def compile_rotation_step(system: MechanicalSystem) -> ca.Function:
@@ -150,13 +150,13 @@ def compile_rotation_step(system: MechanicalSystem) -> ca.Function:
     unknowns, n, terms = _unknowns_of(system), len(system.coordinates), step_terms(system)
     sizes = (2 * n + system.lam.numel(), len(system.inputs), 1, system.p.numel())
     state, *others = (ca.MX.sym(name, size) for name, size in zip(("state", "u", "h", "p"), sizes, strict=True))
-    given = ca.vertcat(state[: 2 * n], *others)
-    root, iterations, residual = _solved(unknowns, terms, given)
+    givens = ca.vertcat(state[: 2 * n], *others)
+    root, iterations, residual = _solved(unknowns, terms, givens)
     w, q0, v0, h = ca.SX.sym("w", unknowns.count), terms.q0, terms.v0, terms.h
     change = unknowns.change(q0, w)
     at_end = ca.substitute([terms.momentum, terms.G, ca.dot(terms.push, terms.change)], [terms.change], [change])
     end = ca.Function("sc_rotated", [w, terms.givens], [q0 + change, 2 * change / h - v0, *at_end], {"cse": True})
-    q, v, momentum, G, work = end(root, given)
+    q, v, momentum, G, work = end(root, givens)
     L = 2 * _multipliers(G, momentum) if system.lam.numel() else ca.MX(0, 1)
     after = ca.vertcat(q, v, L)
     counts = ca.vertcat(iterations, iterations)
@@ -168,18 +168,18 @@ def _multipliers(G: ca.MX, momentum: ca.MX) -> ca.MX:
     return -ca.solve(ca.mtimes(G, G.T), ca.mtimes(G, momentum), "qr")
 
 
-def _solved(unknowns: _Unknowns, terms: StepTerms, given: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+def _solved(unknowns: _Unknowns, terms: StepTerms, givens: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
     """Return the unknowns of a step, Newton iterations, and the largest scaled residual."""
-    start, scale = _begin(unknowns, terms)(given)
+    start, scale = _begin(unknowns, terms)(givens)
     size = unknowns.count
-    x, p = ca.MX.sym("x", size + 1), ca.MX.sym("p", given.numel() + size)
-    equations, J = _projected(unknowns, terms, x[:size], p[: given.numel()], p[given.numel() :])
+    x, p = ca.MX.sym("x", size + 1), ca.MX.sym("p", givens.numel() + size)
+    equations, J = _projected(unknowns, terms, x[:size], p[: givens.numel()], p[givens.numel() :])
     late = ca.exp(-x[size] / _TICK)  # the clock of `square_systems`: every correction is a tick
     g = ca.vertcat(equations, late)
     look = ca.Function("sc_look", [x, p], [ca.diagcat(J, -late / _TICK), g], ["x", "p"], ["J", "g"])
     options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "max_iter": MAX_ITERATIONS}
     newton = ca.rootfinder("sc_turn", "fast_newton", {"x": x, "p": p, "g": g}, {**options, "jacobian_function": look})
-    handed = ca.vertcat(given, scale)
+    handed = ca.vertcat(givens, scale)
     root = newton(ca.vertcat(start, 0), handed)
     ticks = root[size] / _TICK
     _, left = look(root, handed)
@@ -195,7 +195,7 @@ def _begin(unknowns: _Unknowns, terms: StepTerms) -> ca.Function:
     return ca.Function("sc_begin", [terms.givens], [start, scale], {"cse": True})
 
 
-def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, given: ca.MX, scale: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, givens: ca.MX, scale: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return the projected equations and their Jacobian; what is scaled is in units of the heaviest inertia.
 
     Rows and unknowns are weighed by the roots of their inertias, joints by the sizes of their rows, so that the
@@ -222,14 +222,14 @@ def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, given: ca.MX, sc
     bend = ca.Function(
         "sc_bend", [*arguments, lam], [ca.densify(ca.jacobian(r + ca.mtimes(A.T, lam), step))], {"cse": True}
     )
-    handed = ca.vertcat(given, scale)
-    found, across, along, gap, slope = look(x, handed)
+    handed = ca.vertcat(givens, scale)
+    residual, across, along, gap, slope = look(x, handed)
     if not rows:
-        return found, bend(x, handed, ca.MX(0, 1))
+        return residual, bend(x, handed, ca.MX(0, 1))
     reduce = ca.solve(ca.mtimes(along, across.T), along, "qr")
-    K = bend(x, handed, -ca.mtimes(reduce, found))
+    K = bend(x, handed, -ca.mtimes(reduce, residual))
     # Twice: round-off of the forces along A0 would be taken for a gap of the joints.
-    left = _without(across, reduce, _without(across, reduce, found))
+    left = _without(across, reduce, _without(across, reduce, residual))
     return left + ca.mtimes(along.T, gap), _without(across, reduce, K) + ca.mtimes(along.T, slope)
 
 

@@ -143,18 +143,18 @@ class Stepper:
 
     def _jets(self, jets: Array, instants: int, order: int) -> Array:
         """Return reference jets as an array; raises `InvalidReference` if they are too few or of another shape."""
-        found = numbers_of(jets, "reference jets")
+        numbers = numbers_of(jets, "reference jets")
         components = len(self.system.outputs)
-        one = found.ndim == 2
+        one = numbers.ndim == 2
         # More derivatives than needed are allowed: a user may feed all routes from one source.
-        if found.ndim not in (2, 3) or found.shape[-1] != components or found.shape[-2] <= order:
+        if numbers.ndim not in (2, 3) or numbers.shape[-1] != components or numbers.shape[-2] <= order:
             raise InvalidReference(
                 f"a reference jet of {self.system.name} has shape ({order + 1}, {components}) or more rows, once or for"
-                f" each of {instants} instants, not {found.shape}"
+                f" each of {instants} instants, not {numbers.shape}"
             )
-        if not one and len(found) != instants:
-            raise InvalidReference(f"jets at {instants} instants are needed, not at {len(found)}")
-        return found
+        if not one and len(numbers) != instants:
+            raise InvalidReference(f"jets at {instants} instants are needed, not at {len(numbers)}")
+        return numbers
 
     def values(self, state: Array, reference_jet: Array, *, fraction: float = 1.0) -> dict[str, float]:
         """Return what the state says of its own instant, by name; or of an instant within its last step.

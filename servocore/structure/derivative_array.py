@@ -86,9 +86,9 @@ class DerivativeArray:
 @lru_cache(maxsize=64)  # a formulation knows the system alone, and asks for its array whenever it makes a Dae
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     """Differentiate the equations of `system` as often as their offsets ask."""
-    found = analyse_structure(system)
-    equations = found.equations
-    c, d = found.equation_offsets, found.variable_offsets
+    structure = analyse_structure(system)
+    equations = structure.equations
+    c, d = structure.equation_offsets, structure.variable_offsets
     orders = max(equations.y.size2(), max(d) + 1)
     y = ca.SX.sym("y", len(d), orders)
     for j, name in enumerate(equations.names):
@@ -112,23 +112,23 @@ def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     equations_of_all_orders = ca.vertcat(*residual)
     return DerivativeArray(
         system=system,
-        signature=found,
+        signature=structure,
         y=y,
         unknowns=tuple((j, order) for j in range(len(d)) for order in range(d[j] + 1)),
         rows=tuple(rows),
         residual=equations_of_all_orders,
         reference_order=highest_derivative(equations_of_all_orders, gamma),
-        states=choose_states(found, jacobian_at_probes(found)[0]) if found.degrees_of_freedom else (),
+        states=choose_states(structure, jacobian_at_probes(structure)[0]) if structure.degrees_of_freedom else (),
     )
 
 
-def choose_states(found: Signature, J: Array) -> tuple[tuple[int, int], ...]:
+def choose_states(structure: Signature, J: Array) -> tuple[tuple[int, int], ...]:
     """Choose the states of the internal dynamics: dummy derivatives (Mattsson & Soederlind 1993) by pivoting.
 
     At level k the equations with c_i >= k determine as many of the derivatives y_j^(d_j - k), chosen by QR with
     column pivoting on the system Jacobian `J` and nested from level to level; the others are states.
     """
-    c, d = found.equation_offsets, found.variable_offsets
+    c, d = structure.equation_offsets, structure.variable_offsets
     chosen = list(range(len(d)))
     states: list[tuple[int, int]] = []
     for level in range(1, max(d) + 1):

@@ -82,15 +82,15 @@ class Inversion:
     def _compile_function(self) -> ca.Function:
         gamma, p = self._arguments()
         if self.expression is None:
-            found = self.sought(gamma, p)
+            results = self.sought(gamma, p)
         else:
             quick = self.expression(gamma, p)
-            given = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
-            accept = ca.Function("sc_accept", given, given[:3])
-            reject = ca.Function("sc_reject", given, list(self.sought(*given[3:])))
+            symbols = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
+            accept = ca.Function("sc_accept", symbols, symbols[:3])
+            reject = ca.Function("sc_reject", symbols, list(self.sought(*symbols[3:])))
             choose = ca.Function.if_else("sc_choose", accept, reject)
-            found = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
-        return ca.Function("sc_inversion", [gamma, p], list(found), ["gamma", "p"], ["y", "counts", "residual"])
+            results = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
+        return ca.Function("sc_inversion", [gamma, p], list(results), ["gamma", "p"], ["y", "counts", "residual"])
 
     def searched(self, gamma: Array, p: Array, guess: Array) -> Array:
         """Return the unknowns (size, N) by Newton's method from guesses (size, N); `gamma` has jets side by side."""
@@ -149,8 +149,8 @@ def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Funct
         return None
     system = array.system
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    found = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
-    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in found], {"cse": True})
+    results = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
+    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in results], {"cse": True})
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
 
 
@@ -160,14 +160,14 @@ def compile_explicit(resolved: Analysed) -> ca.Function | None:
     The states are those of the internal dynamics, in their order; meant for `ResolvedSystem.once`.
     """
     array = resolved.array
-    found = compile_formula("sc_explicit", *_equations(array))
-    if found is None:
+    formula = compile_formula("sc_explicit", *_equations(array))
+    if formula is None:
         return None
     gamma = ca.SX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
     p, states = ca.SX.sym("p", array.system.p.numel()), ca.SX.sym("states", len(array.states))
     guess = ca.SX.zeros(len(array.unknowns))
     guess[array.places(array.states)] = states
-    unknowns = found(ca.vertcat(ca.vec(gamma), p, guess))
+    unknowns = formula(ca.vertcat(ca.vec(gamma), p, guess))
     return ca.Function("sc_explicit", [gamma, p, states], [ca.densify(unknowns)], {"cse": True})
 
 
@@ -192,8 +192,8 @@ def _compile_search(array: DerivativeArray, equations: _Equations) -> ca.Functio
     solver = compile_solver("sc_array", *equations)
     gamma = ca.MX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
     p, guess = ca.MX.sym("p", array.system.p.numel()), ca.MX.sym("guess", len(array.unknowns))
-    found = solver(ca.vertcat(ca.vec(gamma), p, guess))
-    return ca.Function("sc_array_solver", [gamma, p, guess], list(found))
+    results = solver(ca.vertcat(ca.vec(gamma), p, guess))
+    return ca.Function("sc_array_solver", [gamma, p, guess], list(results))
 
 
 def _equations(array: DerivativeArray) -> _Equations:

@@ -112,58 +112,58 @@ def convert(equations: SecondOrderEquations) -> Signature:
     InvalidModel
         If it stays singular, with what stands in the way.
     """
-    found = signature(equations)
+    structure = signature(equations)
     names: list[str] = []
-    while not is_regular(found):
-        combination = _combination(found)
+    while not is_regular(structure):
+        combination = _combination(structure)
         names += [equations.equations[i] for i in combination.rows]
-        found = signature(_replaced(found, combination))
+        structure = signature(_replaced(structure, combination))
     listed = ", ".join(dict.fromkeys(names))
     remedy = f"combined with others so that highest derivatives cancel: {listed}"
-    return replace(found, equations=replace(found.equations, remedy=remedy)) if names else found
+    return replace(structure, equations=replace(structure.equations, remedy=remedy)) if names else structure
 
 
-def _combination(found: Signature) -> _Combination:
+def _combination(structure: Signature) -> _Combination:
     """Find a combination of equations that is free of the highest derivatives."""
     refusal = "round-off hides how these depend on one another"
-    home = _at_home(found)
-    for taking_part in _dependent_rows(found, home):
-        combination = _eliminate(found, _traced_jacobian(found, taking_part, home))
+    home = _at_home(structure)
+    for taking_part in _dependent_rows(structure, home):
+        combination = _eliminate(structure, _traced_jacobian(structure, taking_part, home))
         if combination is not None:
-            obstacle = _obstacle(found, combination)
+            obstacle = _obstacle(structure, combination)
             if not obstacle:
                 return combination
             refusal = obstacle
-    lost = lost_rank(found, jacobian_at_probes(found)[0])
-    raise InvalidModel(f"{found.equations.name}: the system Jacobian is singular everywhere: {lost}; {refusal}")
+    lost = lost_rank(structure, jacobian_at_probes(structure)[0])
+    raise InvalidModel(f"{structure.equations.name}: the system Jacobian is singular everywhere: {lost}; {refusal}")
 
 
-def _at_home(found: Signature) -> Point:
+def _at_home(structure: Signature) -> Point:
     """Return the system's home configuration with velocities and forces without symmetry."""
-    y, gamma, p = probe_points(found.equations, jacobian_function(found))[0]
-    y[: len(found.equations.home.q), 0] = found.equations.home.q
+    y, gamma, p = probe_points(structure.equations, jacobian_function(structure))[0]
+    y[: len(structure.equations.home.q), 0] = structure.equations.home.q
     return y, gamma, p
 
 
-def _dependent_rows(found: Signature, home: Point) -> Iterator[list[int]]:
+def _dependent_rows(structure: Signature, home: Point) -> Iterator[list[int]]:
     """Yield equations between whose rows of the system Jacobian there is one dependence, of least offset the last.
 
     Rows that are independent at home already are preferred as those that others depend on.
     """
-    c = found.equation_offsets
-    matrices = [equilibrated(J) for J in jacobian_at_probes(found) if np.isfinite(J).all()]
+    c = structure.equation_offsets
+    matrices = [equilibrated(J) for J in jacobian_at_probes(structure) if np.isfinite(J).all()]
     if not matrices:
-        raise InvalidModel(f"{found.equations.name}: the equations have no finite values near home")
-    (at_home,) = jacobian_at(jacobian_function(found), [home])
+        raise InvalidModel(f"{structure.equations.name}: the equations have no finite values near home")
+    (at_home,) = jacobian_at(jacobian_function(structure), [home])
     rows: list[int] = []
     for offset in sorted(set(c), reverse=True):
-        own = [i for i in range(len(c)) if c[i] == offset]
+        rows_of_offset = [i for i in range(len(c)) if c[i] == offset]
         first: list[int] = []
-        for i in own:
+        for i in rows_of_offset:
             first += (
                 [i] if _rank([equilibrated(np.nan_to_num(at_home))], [*rows, *first, i]) > len(rows + first) else []
             )
-        for row in (*first, *(i for i in own if i not in first)):
+        for row in (*first, *(i for i in rows_of_offset if i not in first)):
             if _rank(matrices, [*rows, row]) > len(rows):
                 rows.append(row)
                 continue
@@ -176,28 +176,28 @@ def _rank(matrices: list[Array], rows: list[int]) -> int:
     return max((int(np.linalg.matrix_rank(J[rows], tol=_DEPENDENT)) for J in matrices), default=0)
 
 
-def _traced_jacobian(found: Signature, rows: list[int], home: Point) -> dict[int, _Row]:
+def _traced_jacobian(structure: Signature, rows: list[int], home: Point) -> dict[int, _Row]:
     """Return rows of the system Jacobian, with their numbers at the probes and at home."""
-    J, function = found.jacobian[rows, :], jacobian_function(found)
-    points = [*probe_points(found.equations, function), home]
+    J, function = structure.jacobian[rows, :], jacobian_function(structure)
+    points = [*probe_points(structure.equations, function), home]
     values, errors = (each[:, rows] for each in evaluate(function, points))
     one = _Traced(ca.SX(1), np.ones(len(points)), np.zeros(len(points)))
     entries: list[dict[int, _Traced]] = [{} for _ in rows]
     for k, j in zip(*J.sparsity().get_triplet(), strict=True):
         entries[k][j] = _Traced(J[k, j], values[:, k, j], errors[:, k, j])
-    return {row: _Row({row: one}, _present(own)) for row, own in zip(rows, entries, strict=True)}
+    return {row: _Row({row: one}, _present(row_entries)) for row, row_entries in zip(rows, entries, strict=True)}
 
 
 def _present(entries: dict[int, _Traced]) -> dict[int, _Traced]:
     return {j: entry for j, entry in entries.items() if not entry.vanishes}
 
 
-def _eliminate(found: Signature, rows: dict[int, _Row]) -> _Combination | None:
+def _eliminate(structure: Signature, rows: dict[int, _Row]) -> _Combination | None:
     """Eliminate until a row of the system Jacobian vanishes; None if round-off hides which.
 
     Equations of higher offset are used up first: the one that is replaced has the least.
     """
-    c = found.equation_offsets
+    c = structure.equation_offsets
     least = min(c[i] for i in rows)
     turned: dict[int, _Row] = {}
     left = dict(rows)
@@ -246,8 +246,8 @@ def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
     factors: dict[int, _Traced] = {}
     entries: dict[int, _Traced] = {}
     for factor, row in parts:
-        for total, own in ((factors, row.factors), (entries, row.entries)):
-            for k, each in own.items():
+        for total, share in ((factors, row.factors), (entries, row.entries)):
+            for k, each in share.items():
                 product = each if factor is None else factor * each
                 total[k] = total[k] + product if k in total else product
     return _Row(factors, _present(entries))
@@ -257,19 +257,19 @@ def _scaled(row: _Row) -> _Row:
     """Divide by a power of two, so that products of products do not grow."""
     size = max((float(np.abs(factor.values[0])) for factor in row.factors.values()), default=1.0)
     power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
-    factors, entries = ({k: each.times(power) for k, each in own.items()} for own in (row.factors, row.entries))
+    factors, entries = ({k: each.times(power) for k, each in terms.items()} for terms in (row.factors, row.entries))
     return _Row(factors, entries)
 
 
-def _obstacle(found: Signature, combination: _Combination) -> str:
+def _obstacle(structure: Signature, combination: _Combination) -> str:
     """Say which of the derivatives that should cancel the factors themselves depend on; empty if on none."""
-    y, names = found.equations.y, found.equations.names
-    least = found.equation_offsets[combination.null]
+    y, names = structure.equations.y, structure.equations.names
+    least = structure.equation_offsets[combination.null]
     factors = ca.vertcat(*[each.expression for row in combination.rows.values() for each in row.factors.values()])
     for order in range(y.size2()):
         for j in ca.jacobian_sparsity(factors, y[:, order]).get_col():
-            if order >= found.variable_offsets[j] - least:
-                where = ", ".join(found.equations.equations[i] for i in combination.rows[combination.null].factors)
+            if order >= structure.variable_offsets[j] - least:
+                where = ", ".join(structure.equations.equations[i] for i in combination.rows[combination.null].factors)
                 return (
                     f"combining {where} would need factors that depend on what should cancel,"
                     f" {names[j]}{chr(39) * order}, which is out of reach of structural analysis"
@@ -277,9 +277,9 @@ def _obstacle(found: Signature, combination: _Combination) -> str:
     return ""
 
 
-def _replaced(found: Signature, combination: _Combination) -> SecondOrderEquations:
+def _replaced(structure: Signature, combination: _Combination) -> SecondOrderEquations:
     """Return the equations with the combination in their place."""
-    equations, c, d = found.equations, found.equation_offsets, found.variable_offsets
+    equations, c, d = structure.equations, structure.equation_offsets, structure.variable_offsets
     least = c[combination.null]
     most = max(c[i] - least for row in combination.rows.values() for i in row.factors)
     size, orders = equations.y.shape

@@ -95,8 +95,8 @@ def mass_inverse_times(system: MechanicalSystem, right: ca.SX) -> ca.SX:
 def _coupled(M: ca.SX, start: set[int]) -> list[int]:
     """Return the indices that the sparsity pattern of M connects to those in `start`."""
     rows, columns = M.sparsity().get_triplet()
-    found, frontier = set(start), set(start)
+    reached, frontier = set(start), set(start)
     while frontier:
-        frontier = {i for i, j in zip(rows, columns, strict=True) if j in frontier} - found
-        found |= frontier
-    return sorted(found)
+        frontier = {i for i, j in zip(rows, columns, strict=True) if j in frontier} - reached
+        reached |= frontier
+    return sorted(reached)

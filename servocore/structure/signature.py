@@ -237,10 +237,10 @@ def condition_numbers(parts: Sequence[Part], entries: Array) -> Array:
     return np.where(regular, largest / np.where(regular, least, 1.0), np.inf)
 
 
-def lost_rank(found: Signature, J: Array) -> str:
+def lost_rank(structure: Signature, J: Array) -> str:
     """Name the equations and variables between which a singular system Jacobian has lost rank."""
     left, _, right = np.linalg.svd(equilibrated(np.nan_to_num(J)))
-    names = found.equations.equations, found.equations.names
+    names = structure.equations.equations, structure.equations.names
     worst = [
         ", ".join(labels[k] for k in np.flatnonzero(np.abs(vector) > 0.3 * np.abs(vector).max())[:4])
         for labels, vector in zip(names, (left[:, -1], right[-1]), strict=True)
@@ -305,15 +305,15 @@ def _points(equations: SecondOrderEquations, distance: float, p: Array | None, d
     return points
 
 
-def jacobian_at_probes(found: Signature, p: Array | None = None) -> list[Array]:
+def jacobian_at_probes(structure: Signature, p: Array | None = None) -> list[Array]:
     """Return the system Jacobian as numbers at points without symmetry near the system's home, without round-off."""
-    function = jacobian_function(found)
-    return jacobian_at(function, probe_points(found.equations, function, p))
+    function = jacobian_function(structure)
+    return jacobian_at(function, probe_points(structure.equations, function, p))
 
 
-def jacobian_function(found: Signature) -> ca.Function:
+def jacobian_function(structure: Signature) -> ca.Function:
     """Compile (y, gamma, p) -> system Jacobian."""
-    return ca.Function("sc_system_jacobian", found.equations.arguments, [found.jacobian])
+    return ca.Function("sc_system_jacobian", structure.equations.arguments, [structure.jacobian])
 
 
 def jacobian_at(function: ca.Function, points: list[Point]) -> list[Array]:
@@ -331,10 +331,10 @@ def _has_suspicious(matrix: Array) -> bool:
     return bool(((size > 0.0) & (size < _SUSPICIOUS * size.max())).any())
 
 
-def is_regular(found: Signature, p: Array | None = None) -> bool:
+def is_regular(structure: Signature, p: Array | None = None) -> bool:
     """Whether the system Jacobian is nonsingular at a point without symmetry near the system's home."""
-    finite = (J for J in jacobian_at_probes(found, p) if np.isfinite(J).all())
-    parts = parts_of(found.jacobian.sparsity())
+    finite = (J for J in jacobian_at_probes(structure, p) if np.isfinite(J).all())
+    parts = parts_of(structure.jacobian.sparsity())
     return any(all(_has_full_rank(J[np.ix_(part.rows, part.columns)]) for part in parts) for J in finite)
 
 
@@ -359,8 +359,8 @@ def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presenc
     def present(function: ca.Function, points: list[Point]) -> npt.NDArray[np.bool_]:
         values, errors = evaluate(function, points)
         bound = errors.sum(axis=2) + (UNIT * np.abs(values).sum(axis=2) if len(parts) > 1 else 0.0)
-        found: npt.NDArray[np.bool_] = np.abs(values.sum(axis=2)) > bound
-        return found
+        is_present: npt.NDArray[np.bool_] = np.abs(values.sum(axis=2)) > bound
+        return is_present
 
     everything = compiled(list(range(pattern.nnz())))
     first, *others = probe_points(equations, everything)
@@ -372,9 +372,9 @@ def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presenc
         here[asked] = seen[: len(others)].any(axis=0)
         special = bool((seen[len(others) :].any(axis=0) & ~here[asked]).any())
     places = tuple(np.array(pattern.get_triplet()))
-    structural, found = np.zeros(pattern.shape, dtype=bool), np.zeros(pattern.shape, dtype=bool)
-    structural[places], found[places] = True, here
-    return Presence(structural, found, special)
+    structural, numerical = np.zeros(pattern.shape, dtype=bool), np.zeros(pattern.shape, dtype=bool)
+    structural[places], numerical[places] = True, here
+    return Presence(structural, numerical, special)
 
 
 def without_vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> tuple[ca.SX, bool, bool]:
@@ -386,9 +386,9 @@ def without_vanishing(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -
     derivatives, rows = ca.vec(equations.y), reduce(operator.add, parts)
     rest = np.zeros(derivatives.numel())
     rest[: len(equations.home.q)] = equations.home.q
-    found = presence(equations, [ca.jacobian(part, derivatives) for part in parts])
+    entries = presence(equations, [ca.jacobian(part, derivatives) for part in parts])
     cleaned = []
     for k in range(rows.numel()):
-        absent = [int(j) for j in np.flatnonzero(found.structural[k] & ~found.here[k])]
+        absent = [int(j) for j in np.flatnonzero(entries.structural[k] & ~entries.here[k])]
         cleaned.append(ca.substitute(rows[k], derivatives[absent], ca.SX(rest[absent])) if absent else rows[k])
-    return ca.vertcat(*cleaned), found.special, bool((found.structural & ~found.here).any())
+    return ca.vertcat(*cleaned), entries.special, bool((entries.structural & ~entries.here).any())

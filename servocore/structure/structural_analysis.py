@@ -46,9 +46,9 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
         if remedy is leave_out_vanishing:
             equations = changed  # what the other remedies start from
         with contextlib.suppress(InvalidModel):  # the last remedy will say why
-            found = signature(changed)
-            if is_regular(found):
-                return found
+            structure = signature(changed)
+            if is_regular(structure):
+                return structure
     return convert(equations)
 
 

@@ -59,10 +59,10 @@ class Linearization:
 
     def at(self, values: Array, gamma: Array, p: Array) -> Array:
         """Return the derivatives of all unknowns by the states, shape (unknowns, states); NaN where singular."""
-        own, others = self.array.places(self.array.states), self.array.places(self.array.determined)
+        internal, others = self.array.places(self.array.states), self.array.places(self.array.determined)
         by_rest, by_states = (term.reshape(len(others), -1, order="F") for term in self.terms(values, gamma, p))
-        result = np.full((len(values), len(own)), np.nan)
-        result[own] = np.eye(len(own))
+        result = np.full((len(values), len(internal)), np.nan)
+        result[internal] = np.eye(len(internal))
         with contextlib.suppress(np.linalg.LinAlgError):
             # Implicit function theorem: R(z(x), x) = 0 gives dz/dx = -(dR/dz)^-1 dR/dx.
             result[others] = -np.linalg.solve(by_rest, by_states)
@@ -84,9 +84,9 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
     array, inversion = linear.array, linear.inversion
     gamma = np.zeros((array.system.gamma.size1(), array.reference_order + 1))
     gamma[:, 0] = output
-    rates, own = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
+    rates, states = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
     guess, search = np.asarray(inversion.guess(gamma, p)).ravel(), Call(inversion.search)
-    A = np.zeros((len(own), len(own)))
+    A = np.zeros((len(states), len(states)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
         values = search(gamma, p, guess)[0]
         A, rate = linear.at(values, gamma, p)[rates], values[rates]
@@ -94,15 +94,17 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
             break
         guess = values
         # Newton on x_dot(x) = 0. Least squares, since an integrator among the states makes A singular there.
-        guess[own] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
+        guess[states] -= np.linalg.lstsq(A, rate, rcond=1e-10)[0]
     if not np.isfinite(A).all():
-        unknown = np.full(len(own), np.nan)
-        return Equilibrium(unknown, tuple(map(complex, unknown)), np.zeros((0, len(own))), np.zeros((0, len(own))))
+        unknown = np.full(len(states), np.nan)
+        return Equilibrium(
+            unknown, tuple(map(complex, unknown)), np.zeros((0, len(states))), np.zeros((0, len(states)))
+        )
     eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
     # Round-off moves undamped modes off the imaginary axis by its own size: they must not count as unstable.
     growing = sum(value.real > DAMPED * abs(value) for value in eigenvalues)
     stable, unstable = (_left_space(A, growing, stable=each) for each in (True, False))
-    return Equilibrium(guess[own], eigenvalues, stable, unstable)
+    return Equilibrium(guess[states], eigenvalues, stable, unstable)
 
 
 def _left_space(A: Array, growing: int, *, stable: bool) -> Array:

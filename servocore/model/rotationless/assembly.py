@@ -225,17 +225,19 @@ class Assembly:
         self, observables: Mapping[Quantity, ca.SX], constraints: Mapping[str, ca.SX], lam: Mapping[str, ca.SX]
     ) -> dict[Quantity, ca.SX]:
         """Return the observables with the tension of every rope among them, declared positive."""
-        found = dict(observables)
+        with_tensions = dict(observables)
         for name, row in constraints.items():
             if not (isinstance(row, Distance) and row.is_rope(self.coordinates.q)):
                 continue
             tension = row.tension(lam[name])
-            same = [each for each, value in found.items() if self._equal(value, tension, lam)]
+            same = [each for each, value in with_tensions.items() if self._equal(value, tension, lam)]
             for each in same:
-                found = {replace(k, positive=True) if k == each else k: value for k, value in found.items()}
+                with_tensions = {
+                    replace(k, positive=True) if k == each else k: value for k, value in with_tensions.items()
+                }
             if not same:
-                found[Quantity(f"{name}.tension", "N", f"tension of {name}", positive=True)] = tension
-        return found
+                with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", positive=True)] = tension
+        return with_tensions
 
     def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:
         """Whether two expressions are the same function, told at a point without symmetry."""

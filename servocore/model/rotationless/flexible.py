@@ -127,18 +127,18 @@ class Beam:
         """Return the energies of all strains: six an element."""
         frames = [self.frame(q, k) for k in range(self.elements + 1)]
         size = self.length / self.elements
-        section, found = self.section, list[tuple[Energy, ca.SX]]()
+        section, energies = self.section, list[tuple[Energy, ca.SX]]()
         for a, b in pairwise(frames):
             stretch = (b.origin - a.origin) / size
             first, last = ca.horzsplit(a.directors), ca.horzsplit(b.directors)
             for k, stiffness in enumerate((*section.shear, section.axial)):
                 strain = ca.dot((first[k] + last[k]) / 2, stretch)
-                found.append((_quadratic(stiffness * size, float(k == 2)), strain))
+                energies.append((_quadratic(stiffness * size, float(k == 2)), strain))
             for k, stiffness in enumerate((*section.bending, section.torsion)):
                 i, j = (k + 1) % 3, (k + 2) % 3
                 turn = (ca.dot(first[j], last[i]) - ca.dot(first[i], last[j])) / (2 * size)
-                found.append((_quadratic(stiffness * size, self.curvature[k]), turn))
-        return found
+                energies.append((_quadratic(stiffness * size, self.curvature[k]), turn))
+        return energies
 
     def pieces(self, value: Any) -> list[Any]:
         """Return what a configuration gives, (position, directors) of every node, one after the other."""
@@ -258,10 +258,10 @@ def _quadratic(stiffness: Scalar, free: float) -> Energy:
 
 def _shared(elements: int, length: Scalar) -> ca.SX:
     """Return integrals of the products of linear shape functions, shape (N + 1, N + 1), m."""
-    found = ca.SX(elements + 1, elements + 1)
+    masses = ca.SX(elements + 1, elements + 1)
     for k in range(elements):
-        found[k : k + 2, k : k + 2] += ca.SX([[2, 1], [1, 2]]) * (length / elements / 6)
-    return found
+        masses[k : k + 2, k : k + 2] += ca.SX([[2, 1], [1, 2]]) * (length / elements / 6)
+    return masses
 
 
 def _centre(places: Sequence[ca.SX]) -> ca.SX:
@@ -277,6 +277,6 @@ def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> 
 
 
 def _positive(what: str, value: Scalar, parameters: Parameters, *, or_zero: bool = False) -> None:
-    found = float(number(value, parameters)[0, 0])
-    if not (found > 0.0 or (or_zero and found == 0.0)) or found == float("inf"):
-        raise InvalidModel(f"{what} is {found:g}, it must be finite and {'not negative' if or_zero else 'positive'}")
+    numeric = float(number(value, parameters)[0, 0])
+    if not (numeric > 0.0 or (or_zero and numeric == 0.0)) or numeric == float("inf"):
+        raise InvalidModel(f"{what} is {numeric:g}, it must be finite and {'not negative' if or_zero else 'positive'}")

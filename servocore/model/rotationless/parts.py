@@ -71,10 +71,10 @@ class RigidBody:
     @property
     def inertia_tensor(self) -> ca.SX:
         """J about the centre of mass, shape (3, 3)."""
-        found = as_expression(self.inertia, f"body {self.name}: inertia")
-        if found.shape not in ((3, 1), (3, 3)):
+        tensor = as_expression(self.inertia, f"body {self.name}: inertia")
+        if tensor.shape not in ((3, 1), (3, 3)):
             raise InvalidModel(f"body {self.name}: inertia needs three principal values or three rows of three numbers")
-        return ca.diag(found) if found.size2() == 1 else found
+        return ca.diag(tensor) if tensor.size2() == 1 else tensor
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -283,8 +283,8 @@ def frame_quantities(name: str) -> tuple[Quantity, ...]:
 
 def number(expression: Any, parameters: Parameters) -> Array:
     """Evaluate an expression of parameters at their default values."""
-    found = as_expression(expression, "a mass property")
-    function = ca.Function("number", [parameters.p], [found], {"allow_free": True})
+    quantity = as_expression(expression, "a mass property")
+    function = ca.Function("number", [parameters.p], [quantity], {"allow_free": True})
     if function.get_free():
         raise InvalidModel(f"mass properties hold symbols that are no parameters: {function.get_free()}")
     return np.asarray(function(parameters.values()))
