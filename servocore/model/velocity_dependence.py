@@ -35,9 +35,9 @@ def require_positions(system: str, v: ca.SX, outputs: Named, constraints: Named)
         velocities = _listed(expression, v)
         if velocities:
             raise InvalidModel(
-                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints are"
-                " not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v) oppose"
-                " what it forbids"
+                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints"
+                " are not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v)"
+                " oppose what it forbids"
             )
 
 
