@@ -1,8 +1,8 @@
-"""Trajectories as a figure, as a table in a notebook, and as tables of pandas and xarray."""
+"""Trajectories as a figure, an animation, a table in a notebook, and tables of pandas and xarray."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from servocore.errors import refused_if_missing
 
 if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
 Array = npt.NDArray[np.float64]
@@ -115,3 +116,139 @@ def dataset(t: Array, curves: Sequence[Curve], about: dict[str, str]) -> Any:
         curve.name: ("time", curve.values, {"units": curve.unit, "long_name": curve.description}) for curve in curves
     }
     return xr.Dataset(variables, {"time": time}, about)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Parts between points, and where the points are at every instant.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        Times in s.
+    places : ndarray, shape (N, points, 3)
+        In m.
+    parts : sequence of mapping
+        Kind, name, places among the points, axis along which it runs, as a drawing gives them.
+    colours : mapping of int to ndarray
+        By the number of a part: what colours it, over time.
+    tracked : int or None
+        The point that follows the path.
+    flat : bool
+        Whether all points lie in the plane y = 0.
+    """
+
+    t: Array
+    places: Array
+    parts: Sequence[Mapping[str, Any]]
+    colours: Mapping[int, Array]
+    tracked: int | None
+    flat: bool
+
+    def corners(self) -> tuple[Array, Array]:
+        """Return the lowest and the highest coordinates of all that moves, with some room around."""
+        low, high = self.places.min(axis=(0, 1)), self.places.max(axis=(0, 1))
+        for part in self.parts:
+            if part["kind"] == "bridge":
+                tips = np.array([self.line(part, k)[-1] for k in range(len(self.t))])
+                low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
+        room = _ROOM * max(float((high - low).max()), 1e-3)
+        return low - room, high + room
+
+    def line(self, part: Mapping[str, Any], k: int) -> Array:
+        """Return the points that a part joins at an instant, shape (n, 3): its own, or how far it reaches."""
+        own: Array = self.places[k, part["places"]]
+        if part["kind"] == "bridge":
+            ways = self.places[:, part["places"][1]] - self.places[:, part["places"][0]]
+            lengths = np.linalg.norm(ways, axis=1)
+            return np.array([own[0], own[0] + ways[k] * _OVERHANG * lengths.max() / max(lengths[k], 1e-12)])
+        if part["kind"] in ("rail", "post"):
+            ends, axis = np.repeat(own, 2, axis=0), 2 if part["kind"] == "post" else part["along"]
+            low, high = self.places.min(axis=(0, 1))[axis], self.places.max(axis=(0, 1))[axis]
+            ends[:, axis] = (low, own[0, 2]) if part["kind"] == "post" else (low, high)
+            return ends
+        return own
+
+
+_ROOM, _OVERHANG = 0.06, 1.12
+_STEEL, _LOAD, _PATH = "#47525e", "#0072b2", "#d55e00"
+_KINDS: dict[str, dict[str, Any]] = {
+    "rope": {"color": "black", "lw": 1.6}, "bar": {"color": _STEEL, "lw": 3.0}, "bridge": {"color": _STEEL, "lw": 5.0},
+    "rail": {"color": _STEEL, "lw": 3.0}, "spring": {"color": _STEEL, "lw": 1.5, "ls": (0, (2, 1))},
+    "post": {"color": _STEEL, "lw": 4.0}, "pin": {"ls": "", "color": _STEEL, "marker": "o", "ms": 4},
+    "box": {"ls": "", "color": "#009e73", "marker": "s", "ms": 10, "mec": "black"},
+    "body": {"ls": "", "color": _LOAD, "marker": "o", "ms": 9, "mec": "black"},
+}  # fmt: skip
+_MOST_NAMES = 6
+
+
+def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAnimation:
+    """Return an animation of at most so many frames, each at an instant of the motion.
+
+    Raises
+    ------
+    InvalidSetting
+        If matplotlib is missing.
+    """
+    with refused_if_missing():
+        from matplotlib import animation, pyplot  # noqa: PLC0415
+
+    class Shown(animation.FuncAnimation):
+        """An animation that a notebook shows by itself."""
+
+        def _repr_html_(self) -> str:
+            return str(self.to_jshtml())
+
+    axes_shown = [0, 2] if motion.flat else [0, 1, 2]
+    figure = pyplot.figure(figsize=(6.4, 4.8), layout=None)
+    figure.subplots_adjust(bottom=0.18)
+    axes: Any = figure.add_subplot(projection=None if motion.flat else "3d")
+    _framed(axes, motion, axes_shown)
+    if motion.tracked is not None:
+        axes.plot(*motion.places[:, motion.tracked, axes_shown].T, color=_PATH, ls="--", lw=1.2, label="path")
+    named = [part["name"] for part in motion.parts if part["name"]]
+    lines = [
+        axes.plot([], [], *([] if motion.flat else [[]]), **_KINDS[part["kind"]],
+                  label=part["name"] if len(named) <= _MOST_NAMES and part["name"] else None)[0]
+        for part in motion.parts
+    ]  # fmt: skip
+    if axes.get_legend_handles_labels()[1]:
+        figure.legend(loc="lower center", ncols=4, frameon=False)
+    text = figure.suptitle("")
+    instants = np.unique(np.searchsorted(motion.t, np.linspace(motion.t[0], motion.t[-1], min(most, len(motion.t)))))
+
+    def draw(k: int) -> list[Any]:
+        for number, (part, line) in enumerate(zip(motion.parts, lines, strict=True)):
+            coordinates = motion.line(part, k)[:, axes_shown].T
+            (line.set_data if motion.flat else line.set_data_3d)(*coordinates)
+            if number in motion.colours:
+                line.set_color(_shade(motion.colours[number], k))
+        text.set_text(f"{title}, t = {motion.t[k]:.2f} s")
+        return [*lines, text]
+
+    pause = 1e3 * (motion.t[-1] - motion.t[0]) / speed / max(len(instants) - 1, 1)
+    return Shown(figure, draw, [int(each) for each in instants], interval=pause, blit=False)
+
+
+def _shade(values: Array, k: int) -> tuple[float, float, float]:
+    """Return a colour from blue, where a quantity is least, to orange."""
+    low, high = float(values.min()), float(values.max())
+    share = 0.5 if high - low <= 1e-9 * abs(high) else (float(values[k]) - low) / (high - low)
+    return share * 213 / 255, (114 - 20 * share) / 255, 178 * (1 - share) / 255
+
+
+def _framed(axes: Any, motion: Motion, shown: Sequence[int]) -> None:
+    """Give axes equal scales, limits that hold everything, and names with units."""
+    low, high = motion.corners()
+    # What moves along one line needs some height to be seen.
+    wide = float((high - low).max())
+    middle, half = (low + high) / 2, np.maximum(high - low, 0.3 * wide) / 2
+    for name, axis in zip("xy" if motion.flat else "xyz", shown, strict=True):
+        limits = (middle[axis] - half[axis], middle[axis] + half[axis])
+        axes.set(**{f"{name}lim": limits, f"{name}label": f"{'xyz'[axis]} (m)"})
+    if motion.flat:
+        axes.set_aspect("equal")
+        axes.grid(alpha=0.25)
+    else:
+        axes.set_box_aspect(2 * half, zoom=1.2)
+        axes.view_init(elev=22, azim=-62)

@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
-from servocore.presentation import Curve, data_frame, dataset, figure_of, html_table
+from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, figure_of, html_table
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
 
@@ -248,6 +250,57 @@ class Solution:
             If matplotlib is missing; the extra ``report`` brings it.
         """
         return figure_of(self.t, self._curves(names), self.route)
+
+    def animate(self, *, speed: float = 1.0, frames: int = 200) -> FuncAnimation:
+        """Return an animation of the system in space: what `view` draws, at instants of the solution.
+
+        Parameters
+        ----------
+        speed : float
+            How much faster than in reality it plays.
+        frames : int
+            How many frames it has at most.
+
+        Returns
+        -------
+        matplotlib.animation.FuncAnimation
+            A notebook shows it by itself; ``animation.save("crane.gif", writer="pillow")`` writes it.
+
+        Raises
+        ------
+        InvalidSetting
+            If the solution does not know what was solved, as from a file or a route of one's own, a number is not
+            positive, or matplotlib is missing; the extra ``report`` brings it.
+        InvalidModel
+            If the drawing of the scene cannot be drawn, or there is nothing to draw.
+
+        Examples
+        --------
+        >>> import servocore as sc
+        >>> solution = sc.solve(sc.scenes.cars(), step=0.1)
+        >>> solution.animate(frames=5).save("cars.gif", writer="pillow")
+        """
+        for value, what in ((speed, "speed"), (frames, "number of frames")):
+            if not value > 0:
+                raise InvalidSetting(f"the {what} of an animation must be positive, not {value!r}")
+        if self.origin is None:
+            raise InvalidSetting("this solution does not know what was solved, so that it cannot be drawn")
+        return animation_of(self._motion(), self.origin.name.replace("_", " "), speed, frames)
+
+    def _motion(self) -> Motion:
+        import casadi as ca  # noqa: PLC0415 - only who animates needs these
+
+        from servocore.model.picture import picture_of  # noqa: PLC0415
+        from servocore.numerics.components import filled  # noqa: PLC0415
+
+        system = self.origin.system
+        picture = picture_of(system, self.channels, self.origin.drawing)
+        if not picture.points:
+            raise InvalidModel(f"{system.name}: nothing of it can be drawn")
+        places = ca.Function("sc_places", [picture.reported, system.p], [picture.coordinates])
+        found = filled(places(self.values.T, self.origin.p)).T.reshape(len(self.t), picture.points, 3)
+        colours = {k: self.values[:, e["colour"]] for k, e in enumerate(picture.parts) if e["colour"] is not None}
+        return Motion(self.t, found, picture.parts, colours, picture.tracked, picture.flat)
 
     def to_pandas(self, names: Sequence[str] | None = None) -> Any:
         """Return trajectories as a pandas DataFrame over the time in s; units are in ``attrs["units"]``.

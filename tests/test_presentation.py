@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import sys
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -41,6 +43,48 @@ def test_a_figure_has_a_panel_for_every_trajectory_and_angles_in_degrees(solutio
     assert list(panels) == ["M_b (N m)", "s (m)", "phi (deg)"]
     np.testing.assert_allclose(panels["phi (deg)"].get_ydata(), np.degrees(solution["phi"]))
     mpl.pyplot.close(figure)
+
+
+@pytest.mark.parametrize("name", ["rotary_crane", "passive_joint_arm", "cars"])
+def test_frames_of_an_animation_show_the_points_of_the_solution(name: str) -> None:
+    scene = sc.scenes.REGISTRY[name]()
+    solution = sc.solve(scene, step=scene.reference.duration / 20, checks=False)
+    animation = solution.animate(frames=3)
+    figure = animation._fig
+    instants = list(animation.new_frame_seq())
+    assert instants == [0, 10, 20]
+    for k in instants:
+        animation._draw_next_frame(k, blit=False)
+        axes = figure.axes[0]
+        drawn = {line.get_label(): line for line in axes.lines}
+        if name == "rotary_crane":
+            load, trolley = (np.ravel(drawn[each].get_data_3d()) for each in ("load", "trolley"))
+            np.testing.assert_allclose(load, [solution[each][k] for each in "xyz"], atol=1e-12)
+            s, phi = solution["s"][k], solution["phi"][k]
+            np.testing.assert_allclose(trolley, [s * np.cos(phi), s * np.sin(phi), 0.0], atol=1e-12)
+        elif name == "cars":
+            for number in "12":
+                np.testing.assert_allclose(drawn[number].get_xdata(), solution[f"x_{number}"][k], atol=1e-12)
+        else:
+            place = np.ravel(drawn["tracked point"].get_xydata())
+            np.testing.assert_allclose(place, [solution[each][k] for each in ("point_x", "point_y")], atol=1e-12)
+        assert f"t = {solution.t[k]:.2f} s" in figure.get_suptitle()
+    mpl.pyplot.close(figure)
+
+
+def test_an_animation_is_written_as_gif_and_shown_by_a_notebook(tmp_path: Path) -> None:
+    animation = sc.solve(sc.scenes.cars(), step=0.5, checks=False).animate(speed=2.0, frames=2)
+    animation.save(str(tmp_path / "cars.gif"), writer="pillow")
+    assert (tmp_path / "cars.gif").read_bytes().startswith(b"GIF8")
+    assert "data:image/png;base64" in animation._repr_html_()
+    mpl.pyplot.close(animation._fig)
+
+
+def test_an_animation_that_cannot_be_is_refused_with_a_sentence(solution: sc.Solution) -> None:
+    with pytest.raises(sc.InvalidSetting, match="the speed of an animation must be positive, not 0"):
+        solution.animate(speed=0)
+    with pytest.raises(sc.InvalidSetting, match="this solution does not know what was solved"):
+        pickle.loads(pickle.dumps(solution)).animate()
 
 
 def test_pandas_has_every_trajectory_over_time_with_units(solution: sc.Solution) -> None:

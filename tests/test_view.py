@@ -19,9 +19,9 @@ from command_lines import CommandLine
 
 import servocore as sc
 from servocore.cli.commands import app
+from servocore.model.picture import picture_of
 from servocore.problem import Problem
 from servocore.stepping.observation import observed
-from servocore.view.drawing import drawn
 from servocore.view.javascript import javascript
 from servocore.view.live import live_model
 
@@ -173,7 +173,7 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: 
 
 
 def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn() -> None:
-    found = drawn(own_crane().model(), OWN_QUANTITIES, None)
+    found = picture_of(own_crane().model(), OWN_QUANTITIES, None)
     assert [(part["kind"], part["name"]) for part in found.parts] == [
         ("bar", ""),
         ("body", "trolley"),
@@ -189,7 +189,7 @@ def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn
 )
 def test_cranes_with_more_physics_are_drawn_as_well(name: str, effect: str) -> None:
     scene = sc.scenes.REGISTRY[name]().with_effects(effect)
-    found = drawn(scene.model(), [each for each, _ in observed(scene.model())], scene.drawing)
+    found = picture_of(scene.model(), [each for each, _ in observed(scene.model())], scene.drawing)
     assert {"trolley", "load"} <= {part["name"] for part in found.parts}
 
 
@@ -203,7 +203,7 @@ def test_cranes_with_more_physics_are_drawn_as_well(name: str, effect: str) -> N
 )
 def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(drawing, sentence: str) -> None:
     with pytest.raises(sc.InvalidModel, match=re.escape(sentence)):
-        drawn(own_crane().model(), OWN_QUANTITIES, drawing)
+        picture_of(own_crane().model(), OWN_QUANTITIES, drawing)
 
 
 def test_a_part_that_is_none_is_refused_with_a_sentence() -> None:

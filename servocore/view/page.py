@@ -16,6 +16,7 @@ from servocore.errors import InvalidModel, InvalidSetting, require_kind
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.limits import Named
+from servocore.model.picture import picture_of
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
@@ -23,7 +24,6 @@ from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.observation import observed
-from servocore.view.drawing import drawn
 from servocore.view.javascript import written
 from servocore.view.live import LiveModel, live_model
 from servocore.view.paths import packed, path_of
@@ -193,9 +193,10 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     orders = live.orders if live else 1
     path, laws = path_of(problem.reference, _refined(times) if live else times, orders)
     steps = live.steps if live and _can_march(problem, times, orders) else None
-    picture = drawn(system, quantities, problem.drawing)
+    picture = picture_of(system, quantities, problem.drawing)
+    points = written("points", [picture.reported, system.p], [picture.coordinates])
     names = [quantity.name for quantity in quantities]
-    source = {"points": picture.source, **laws, **(live.source if live else {})}
+    source = {"points": points, **laws, **(live.source if live else {})}
     limits, path_limits = _limits(problem, names)
     if live and path_limits:
         source["path_limits"] = _path_limits(problem, orders)

@@ -1,4 +1,4 @@
-"""What a page draws of a system: the drawing of its scene, or bodies and points read from its coordinates."""
+"""What is drawn of a system: the drawing of its scene, or bodies and points by the names of its coordinates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.components import filled
 from servocore.numerics.expressions import as_expression
-from servocore.view.javascript import written
 
 _AXES = "xyz"
 _NAMED = re.compile(r"(?:(?P<of>.+)[._])?(?P<axis>[xyz])(?:_(?P<number>\w+))?")
@@ -23,8 +22,8 @@ _MOST_POINTS = 400
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
-    """Parts of a page's picture.
+class Picture:
+    """Parts between points, and where the points are.
 
     Attributes
     ----------
@@ -32,8 +31,8 @@ class Drawn:
         Kind, name, places among the points, index of the quantity that colours it, axis.
     points : int
         How many points there are.
-    source : str
-        (values of what is reported, parameters) -> their coordinates, as JavaScript.
+    reported, coordinates : casadi.SX
+        Values of what is reported; x, y, z of one point after the other, which follow from these and the parameters.
     tracked : int or None
         The point that follows the path.
     flat : bool
@@ -42,7 +41,8 @@ class Drawn:
 
     parts: list[dict[str, Any]]
     points: int
-    source: str
+    reported: ca.SX
+    coordinates: ca.SX
     tracked: int | None
     flat: bool
 
@@ -58,7 +58,7 @@ class Drawn:
         }
 
 
-def drawn(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Drawn:
+def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawing | None) -> Picture:
     """Return what is drawn of a system.
 
     Parameters
@@ -95,11 +95,10 @@ def drawn(system: MechanicalSystem, reported: Sequence[Quantity], drawing: Drawi
         if part.colour and part.colour not in names:
             raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
         listed.append(_described(part, places, names))
-    all_points = ca.vertcat(ca.SX(0, 1), *points)
-    source = written("points", [ca.vertcat(ca.SX(0, 1), *symbols.values()), system.p], [all_points])
+    values, coordinates = ca.vertcat(ca.SX(0, 1), *symbols.values()), ca.vertcat(ca.SX(0, 1), *points)
     depth = ca.vertcat(ca.SX(0, 1), *[each[1] for each in points])
     flat = all(entry.is_zero() for entry in ca.vertsplit(depth)) if points else True
-    return Drawn(listed, len(points), source, _tracked(listed), flat)
+    return Picture(listed, len(points), values, coordinates, _tracked(listed), flat)
 
 
 def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
