@@ -5,7 +5,7 @@ What the command line calls, in pieces that are of use without it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES, chosen
 from crane_fmu.slave.straight_lines import straight_line
-from servocore.files import csv_text
+from servocore.files import csv_pieces
 from servocore.planning.durations import shortest_duration_told
 
 COLUMNS = ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")
@@ -190,4 +190,9 @@ def far_off(
 
 def table(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:
     """Return columns of a solution as the text of a CSV file, in full double precision."""
-    return csv_text(["time", *columns], [solution.t, *[solution[name] for name in columns]])
+    return "".join(table_pieces(solution, columns))
+
+
+def table_pieces(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> Iterator[str]:
+    """Give the same piece by piece: millions of rows would fill the memory."""
+    return csv_pieces(["time", *columns], [solution.t, *[solution[name] for name in columns]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -13,6 +13,8 @@ from servocore.errors import InvalidSetting
 
 PICTURES = (".png", ".svg", ".pdf")
 """Endings of the files that figures are written to."""
+
+_ROWS = 4096  # of a piece
 
 
 def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> str:
@@ -25,8 +27,15 @@ def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -
     columns : sequence of ndarray, shape (n,) or (n, k)
         Values beside each other.
     """
-    rows = np.column_stack(columns).tolist()
-    return "\n".join([",".join(names), *(",".join(map(repr, row)) for row in rows), ""])
+    return "".join(csv_pieces(names, columns))
+
+
+def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> Iterator[str]:
+    """Give what `csv_text` returns piece by piece: a text of millions of rows would fill the memory."""
+    yield ",".join(names) + "\n"
+    for first in range(0, len(columns[0]), _ROWS):
+        rows = np.column_stack([each[first : first + _ROWS] for each in columns]).tolist()
+        yield repr(rows)[2:-2].replace("], [", "\n").replace(", ", ",") + "\n"
 
 
 def require_picture(file: Path | None) -> None:
@@ -67,13 +76,13 @@ def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | 
             raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
 
 
-def write_together(contents: Mapping[Path, str | bytes]) -> None:
+def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:
     """Write several files: all are written beside their places first and then renamed.
 
     Parameters
     ----------
-    contents : mapping of Path to str or bytes
-        What goes where; texts are written as UTF-8.
+    contents : mapping of Path to str, bytes or iterable of str
+        What goes where, also in pieces; texts are written as UTF-8.
 
     Raises
     ------
@@ -92,7 +101,8 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
                 ) as stream:
                     part = Path(stream.name)
                     leftovers.callback(part.unlink, missing_ok=True)
-                    stream.write(content.encode() if isinstance(content, str) else content)
+                    for piece in (content,) if isinstance(content, str | bytes) else content:
+                        stream.write(piece.encode() if isinstance(piece, str) else piece)
                 part.chmod(0o644)
                 waiting.append((part, file))
             for part, file in waiting:

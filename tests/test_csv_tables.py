@@ -12,6 +12,8 @@ import pytest
 import servocore as sc
 from servocore import from_csv, waypoints_from_csv
 from servocore.errors import InvalidReference, ServocoreWarning
+from servocore.files import csv_pieces, csv_text, write_together
+from servocore.references import bspline, splines
 from servocore.references.piecewise import PiecewisePolynomial
 
 LINE = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
@@ -195,3 +197,47 @@ def test_waypoints_that_contradict_themselves_are_refused(
 def test_speeds_and_stops_of_another_shape_are_refused(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(InvalidReference, match=sentence):
         sc.through(PLACES, TIMES, **given)
+
+
+# --- very many rows ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("tolerance", [None, 2e-4])
+def test_very_many_samples_are_fitted_as_if_they_were_few(
+    tolerance: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    curve = sc.through(PLACES, TIMES)
+    t = np.linspace(0.0, 25.0, 25_001)
+    rows = curve.jet(t, 0)[:, 0]
+    if tolerance is not None:
+        rows = rows + 3e-5 * np.random.default_rng(1).standard_normal(rows.shape)
+    sizes: list[int] = []
+    fit = bspline.fit
+
+    def counted(times: np.ndarray, *more: Any) -> Any:
+        sizes.append(len(times))
+        return fit(times, *more)
+
+    monkeypatch.setattr(splines, "fit", counted)
+    found = sc.sampled(t, rows, tolerance)
+    assert min(sizes) == 5_000
+    assert sum(size == len(t) for size in sizes) <= 4
+    with monkeypatch.context() as patched:
+        patched.setattr(bspline, "_MANY", len(t))
+        patched.setattr(splines, "_FEW", len(t))
+        expected = sc.sampled(t, rows, tolerance)
+    assert found.knots.shape == expected.knots.shape
+    peaks = np.abs(expected.jet(t, 4)).max(axis=(0, 2))
+    off = np.abs(found.jet(t, 4) - expected.jet(t, 4)).max(axis=(0, 2)) / peaks
+    assert (off < [1e-14, 1e-13, 1e-11, 1e-9, 1e-7]).all()
+
+
+def test_a_table_in_pieces_is_the_table_at_once(tmp_path: Path) -> None:
+    values = np.random.default_rng(2).standard_normal((10_000, 3)) ** 7
+    columns = [values[:, 0], values[:, 1:]]
+    pieces = list(csv_pieces(["a", "b", "c"], columns))
+    assert len(pieces) == 4
+    rows = [",".join(map(repr, row)) for row in values.tolist()]
+    assert "".join(pieces) == "\n".join(["a,b,c", *rows, ""]) == csv_text(["a", "b", "c"], columns)
+    write_together({tmp_path / "a.csv": csv_pieces(["a", "b", "c"], columns)})
+    assert (tmp_path / "a.csv").read_text() == "".join(pieces)

@@ -115,7 +115,7 @@ def feedforward(
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
         solution = ff.feedforward(path, changed, route, progress, sc.limits_given(limit, limits))
-        table, far_off = ff.table(solution), ff.far_off(solution, path, changed, route)
+        table, far_off = ff.table_pieces(solution), ff.far_off(solution, path, changed, route)
         if far_off:
             notes.clear()  # one sentence says it all
         if plot is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from importlib import metadata
 from pathlib import Path
@@ -202,13 +202,15 @@ def table_console() -> Console:
     return console
 
 
-def deliver(table: str, output: Path | None, beside: Mapping[Path, str | bytes], report: object = "") -> None:
+def deliver(
+    table: str | Iterable[str], output: Path | None, beside: Mapping[Path, str | bytes], report: object = ""
+) -> None:
     """Write a table where it is wanted, and what goes beside it.
 
     Parameters
     ----------
-    table : str
-        For the file `output`, or for the standard output stream if that is None.
+    table : str or iterable of str
+        Whole or in pieces, for the file `output`, or for the standard output stream if that is None.
     output : Path or None
         Where the table goes.
     beside : mapping of Path to str or bytes
@@ -218,13 +220,13 @@ def deliver(table: str, output: Path | None, beside: Mapping[Path, str | bytes],
     """
     write_together(beside if output is None else {**beside, output: table})
     if output is None:
-        write_to_stdout(table)
+        write_to_stdout((table,) if isinstance(table, str) else table)
     elif report:
         print(report)
 
 
-def write_to_stdout(text: str) -> None:
-    """Write a text to the standard output stream.
+def write_to_stdout(pieces: Iterable[str]) -> None:
+    """Write the pieces of a text to the standard output stream.
 
     Raises
     ------
@@ -232,7 +234,7 @@ def write_to_stdout(text: str) -> None:
         If the stream cannot take it, for example because the disk is full.
     """
     try:
-        sys.stdout.write(text)
+        sys.stdout.writelines(pieces)
         sys.stdout.flush()
     except BrokenPipeError:
         raise  # whoever reads has seen enough: Typer ends quietly

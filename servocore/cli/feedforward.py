@@ -27,7 +27,7 @@ from servocore.cli.options import (
     point,
 )
 from servocore.errors import InvalidSetting
-from servocore.files import csv_text, require_places
+from servocore.files import csv_pieces, require_places
 from servocore.model.limit_files import limits_given
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
@@ -117,7 +117,7 @@ def feed_forward(
         with shortest_duration_told(moved, model):
             solution = solve(moved, step=step, model=model, progress=progress)
         told = summary(solution, system, moved.reference)
-    deliver(csv_text(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})
+    deliver(csv_pieces(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})
     print(*told, sep="\n", file=sys.stderr)
 
 

@@ -20,13 +20,17 @@ if TYPE_CHECKING:
 
     import numpy.typing as npt
     from scipy.interpolate import BSpline
-    from scipy.sparse import csc_array
+    from scipy.sparse import csc_array, csr_array
 
     from servocore.references.base import FloatArray
 
 
 REST_ORDER = 4
 """So many derivatives vanish at an end that rests where nothing else is asked for, as those of `DEGREE9` do."""
+
+
+_MANY = 20_000  # samples from which on factors of the augmented form take too much memory
+_CORRECTIONS, _AT_REST = 8, 1e-11
 
 
 def require_order(order: int) -> None:
@@ -109,7 +113,8 @@ def fit(
 
     Rest at an end means that the first (last) order + 1 B-spline coefficients are equal: their columns of the
     collocation matrix A are added up. Least squares are solved in the augmented form [I A; A^T 0] (Bjorck,
-    *Numerical Methods for Least Squares Problems*, section 2.5), which does not square the condition of A.
+    *Numerical Methods for Least Squares Problems*, section 2.5), which does not square the condition of A. Where
+    samples are very many, its factors would fill the memory: then by corrected seminormal equations (section 2.4).
 
     Parameters
     ----------
@@ -141,15 +146,17 @@ def fit(
     degree = ends.degree
     knots = np.concatenate([np.full(degree + 1, t[0]), inner_knots, np.full(degree + 1, t[-1])])
     spread = _spread(len(knots) - degree - 1, ends)
-    matrix = csc_array(BSpline.design_matrix(t, knots, degree) @ spread)
+    matrix = BSpline.design_matrix(t, knots, degree) @ spread
     if slopes is not None and len(slopes.rows):
         rates = BSpline(knots, np.eye(len(knots) - degree - 1), degree)(t[slopes.rows], nu=1)
-        matrix = csc_array(vstack([matrix, csc_array(rates @ spread)]))
+        matrix = vstack([matrix, csc_array(rates @ spread)])
         positions = np.concatenate([positions, slopes.values])
     samples, unknowns = matrix.shape
     try:
         if samples == unknowns:
-            solution = splu(matrix).solve(positions)
+            solution = splu(csc_array(matrix)).solve(positions)
+        elif samples > _MANY and (found := _by_normal_equations(matrix, positions)) is not None:
+            solution = found
         else:
             whole = block_array([[eye_array(samples), matrix], [matrix.T, None]], format="csc")
             right = np.concatenate([positions, np.zeros((unknowns, positions.shape[1]))])
@@ -162,6 +169,29 @@ def fit(
             "the times of the samples are spaced too unevenly for a smooth path: spread them more evenly"
         ) from None
     return BSpline(knots, spread @ solution, degree)
+
+
+def _by_normal_equations(matrix: csr_array, positions: FloatArray) -> FloatArray | None:
+    """Return the least-squares solution; None if corrections do not come to rest at round-off.
+
+    A^T A has the squared condition of A, some 1e8 for degree 9, which only slows the corrections down: each is computed
+    from the residual, and so the answer is as good as that of an orthogonal factorisation.
+    """
+    from scipy.sparse import csc_array  # noqa: PLC0415
+    from scipy.sparse.linalg import splu  # noqa: PLC0415
+
+    transposed = matrix.T
+    factors = splu(csc_array(transposed @ matrix))
+    solution = factors.solve(transposed @ positions)
+    least = np.inf
+    for _ in range(_CORRECTIONS):
+        change = factors.solve(transposed @ (positions - matrix @ solution))
+        size = float(np.abs(change).max())
+        if not size < 0.5 * least:  # round-off
+            break
+        solution += change
+        least = size
+    return np.asarray(solution) if least <= _AT_REST * np.abs(solution).max() else None
 
 
 def _spread(count: int, ends: Ends) -> csc_array:

@@ -27,6 +27,8 @@ ROUNDING = 1e-12
 DOUBT = 0.25
 """Largest fraction of its peak by which a derivative may depend on the choice of samples, if not told otherwise."""
 
+_FEW, _PER_UNKNOWN = 5_000, 5  # samples looked at first where there are very many
+
 
 def through(
     waypoints: npt.ArrayLike,
@@ -203,6 +205,9 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
     pieces = 1
     while pieces + free.degree <= len(t) // 3:
         inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
+        if _surely_too_few(t, positions, inner_knots, free, allowed):
+            pieces *= 2
+            continue
         found = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
         if _distance(found.spline(t), positions).max() <= allowed:
             for start, end in ((True, True), (True, False), (False, True)):
@@ -213,6 +218,20 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
             return found
         pieces *= 2
     return None
+
+
+def _surely_too_few(t: FloatArray, positions: FloatArray, inner_knots: FloatArray, free: Ends, allowed: float) -> bool:
+    """Whether a few of very many samples show that no spline with these knots is within `allowed` of them all.
+
+    The root of the mean square distance from these few is least for their own least-squares spline. For any other it is
+    larger, and the largest distance from all samples is larger still.
+    """
+    few = max(_FEW, _PER_UNKNOWN * (len(inner_knots) + free.degree + 1))
+    if 4 * few > len(t):
+        return False
+    chosen = np.linspace(0, len(t) - 1, few).round().astype(int)
+    spline = fit(t[chosen], positions[chosen], inner_knots, free)
+    return bool(np.sqrt(np.mean(_distance(spline(t[chosen]), positions[chosen]) ** 2)) > allowed)
 
 
 def _interpolation(t: FloatArray, positions: FloatArray, free: Ends) -> _Fit:
@@ -236,7 +255,9 @@ def _half_fits(
 ) -> Iterator[BSpline]:
     """Fit every second sample, then every other one, first and last with both; by interpolation if without knots."""
     for first in (2, 1):
-        kept = np.unique([0, *range(first, len(t), 2), len(t) - 1])
+        chosen = np.zeros(len(t), dtype=bool)
+        chosen[first::2] = chosen[[0, -1]] = True
+        kept = np.flatnonzero(chosen)
         knots = interpolation_knots(t[kept], ends) if inner_knots is None else inner_knots
         yield fit(t[kept], positions[kept], knots, ends)
 
