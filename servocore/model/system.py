@@ -174,18 +174,14 @@ class MechanicalSystem:
         if len(inputs) != len(outputs):
             raise InvalidModel(f"{self.name}: {len(inputs)} inputs cannot prescribe {len(outputs)} outputs")
         taken: dict[str, object] = {"inputs": inputs, "outputs": outputs}
-        for each in _EXPRESSIONS:
-            given = getattr(self, each)
-            if given is not DERIVED:
-                expression = as_expression(given, f"{self.name}: {each}")
-                one_row = (
-                    each == "input_matrix"
-                    and expression is not given
-                    and expression.shape == (len(self.coordinates), 1)
-                )
-                if each in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
-                    expression = ca.sparsify(expression)
-                taken[each] = expression.T if one_row else expression
+        for name in _EXPRESSIONS:
+            value = getattr(self, name)
+            if value is not DERIVED:
+                matrix = as_expression(value, f"{self.name}: {name}")
+                column = matrix is not value and matrix.shape == (len(self.coordinates), 1)
+                if name in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
+                    matrix = ca.sparsify(matrix)
+                taken[name] = matrix.T if column and name == "input_matrix" else matrix
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
             each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
@@ -274,16 +270,16 @@ class MechanicalSystem:
     def _require_freedom(self, n: int, m: int, m_h: int) -> None:
         if m <= n - m_h:
             return  # even if all constraints were independent
-        rank = self._rank_at_home
-        if not rank.assembled:
+        ranks = self._rank_at_home
+        if not ranks.assembled:
             raise InvalidModel(
                 f"{self.name}: {m} inputs are too many for {n} coordinates with {m_h} holonomic constraints, unless"
                 " these are redundant in part; no configuration that satisfies them was found from the guess at home"
             )
-        if m > n - rank.rank:
+        if m > n - ranks.rank:
             raise InvalidModel(
-                f"{self.name}: {m} inputs exceed the {n - rank.rank} degrees of freedom"
-                f" ({n} coordinates, {rank.rank} independent ones of {m_h} holonomic constraints)"
+                f"{self.name}: {m} inputs exceed the {n - ranks.rank} degrees of freedom"
+                f" ({n} coordinates, {ranks.rank} independent ones of {m_h} holonomic constraints)"
             )
 
     @property
@@ -334,11 +330,11 @@ class MechanicalSystem:
 
     def require_independent_constraints(self) -> None:
         """Raise `InvalidModel`, naming rows that follow from others, if some holonomic constraints are redundant."""
-        rank = self._rank_at_home
-        if rank.redundant:
+        ranks = self._rank_at_home
+        if ranks.redundant:
             raise InvalidModel(
-                f"{self.name}: {len(rank.redundant)} of the {rank.rows} holonomic constraints are redundant (rank"
-                f" {rank.rank}): {self.listed_constraints(rank.redundant)}; solve and analyse leave them out"
+                f"{self.name}: {len(ranks.redundant)} of the {ranks.rows} holonomic constraints are redundant (rank"
+                f" {ranks.rank}): {self.listed_constraints(ranks.redundant)}; solve and analyse leave them out"
             )
 
     @property
