@@ -17,6 +17,13 @@ measures it, and measures beside it a route of this library that survives; where
 In the column *expected*, ± stands for what theory predicts; ≤ and ≥ are bounds that a result must keep, some of
 them set after a first run had been seen; where there is neither it says *no prediction*.
 """
+SUMMARY = """## Who survives
+
+![Shares of observations that survive, are refused or fail, by row and kind of route](summary.png)
+
+*Every row below by kinds of routes; the numbers count observations of the table. A failure is one that theory predicts:
+most of them were provoked.* [SVG](summary.svg)
+"""
 COLUMNS = ("scene", "route", "parameter", "value", "expected", "observed", "verdict")
 
 
@@ -27,7 +34,7 @@ def page(rows: Sequence[Row], findings: Sequence[Findings]) -> str:
     missed = sum(not each.agrees for each in records)
     reasons = "; ".join(reason for found in findings for reason in found.gaps.values())
     gaps = f"{missed} not as expected{': ' + reasons if reasons else ''}." if missed else "All are as expected."
-    parts = [HEAD.format(**counts, gaps=gaps), _advice(rows)]
+    parts = [HEAD.format(**counts, gaps=gaps), SUMMARY, _advice(rows)]
     parts += [_section(k, row, found) for k, (row, found) in enumerate(zip(rows, findings, strict=True), 1)]
     return "\n".join(parts)
 

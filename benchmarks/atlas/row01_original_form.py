@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, amplified, error_at, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import label, legend_below, panels
+from benchmarks.route_looks import look
 from servocore.references.profiles import polynomial
 
 NAME = "original-form"
@@ -84,18 +85,19 @@ def _judge(found: Findings, name: str, h: Array, errors: dict[str, Array]) -> No
 
 def draw(found: Findings) -> Figure:
     """Input error over step, one panel a scene."""
-    figure, axes = panels(2, sharey=True)
+    figure, axes = panels(2, sharey=True, height=3.0)
     titles = {"cars": "two cars", "rotary_crane": "rotary crane, points"}
     for ax, name in zip(axes, titles, strict=True):
         h, errors = found.curves[name]
-        for (form, values), look in zip(errors.items(), looks(), strict=False):
-            ax.loglog(h, values, label=form, **look)
+        for form, values in errors.items():
+            words = form if form == "reduced" else f"{form}, backward-euler"
+            ax.loglog(h, values, label=words, **look(words))
         guide = h[h < 3e-3]
         ax.loglog(guide, found.facts[f"{name}_floor"] * ROUND_OFF / guide**4, "k:", lw=0.8, label="$h^{-4}$")
         if name == "cars":
-            ax.loglog(*found.curves["floor"], color="#777777", ls="-.", marker="v", label="projected, BDF4: round-off")
-        ax.set_ylim(1e-16, 1e16)
-        label(ax, "step $h$ [s]", "largest input error / peak" if ax is axes[0] else "", titles[name], "upper right")
+            ax.loglog(*found.curves["floor"], label="projected, bdf4, path of degree 17", **look("bdf4"))
+        label(ax, "step $h$ (s)", "largest input error / peak" if ax is axes[0] else "", titles[name])
+    legend_below(figure, *axes)
     return figure
 
 

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, disturbed, error_at, march, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import label, legend_below, panels
+from benchmarks.route_looks import look
 
 NAME = "undamped-methods"
 UNDAMPED = (sc.Trapezoidal(), sc.GeneralizedAlpha(1.0), sc.Gauss(1), sc.Gauss(2))
@@ -102,21 +103,27 @@ def _decay(found: Findings, cars: sc.Scene) -> None:
 
 def draw(found: Findings) -> Figure:
     """Left: error over step. Right: what a start error does to the input."""
-    figure, (left, right) = panels(2, height=2.9)
-    for name, look in zip(("trapezoidal", "gauss1", "gauss2", "generalized-alpha-0.8", "backward-euler", "reduced"),
-                          looks(), strict=False):  # fmt: skip
-        left.loglog(found.curves["h"], found.curves[name], label=name, **look)
-    left.set_ylim(1e-16, 1e16)
-    label(left, "step $h$ [s]", "largest input error / peak", "two cars, projected, path of degree 9", ncols=2)
+    figure, (left, right) = panels(2, height=3.1)
+    for name in ("trapezoidal", "gauss1", "gauss2", "generalized-alpha-0.8", "backward-euler", "reduced"):
+        words = name if name == "reduced" else f"projected, {name}"
+        left.loglog(found.curves["h"], found.curves[name], label=words, **look(words, **_of_two(name)))
+    label(left, "step $h$ (s)", "largest input error / peak", "two cars, path of degree 9")
     shown = ("original, trapezoidal", "projected, gauss2", "projected, trapezoidal", "projected, generalized-alpha-0.9",
              "projected, generalized-alpha-0.5")  # fmt: skip
-    for name, look in zip(shown, looks(), strict=False):
+    for name in shown:
         size = found.curves["start", name]
         n = np.arange(1, len(size))
-        right.loglog(n, np.maximum(size[1:], 1e-12), label=name, markevery=0.12, **look)
-    right.set_ylim(1e-7, 1e14)
-    label(right, "steps since the start", "change of the input [N]", "first $x_2$ off by 1 µm, h = 2 ms", "upper left")
+        line = look(name, **_of_two(name))
+        right.loglog(n, np.maximum(size[1:], 1e-12), label=name, markevery=0.12, **line)
+    right.set_ylim(bottom=1e-7)
+    label(right, "steps since the start", "change of the input (N)", "first $x_2$ off by 1 µm, h = 2 ms")
+    legend_below(figure, left, right)
     return figure
+
+
+def _of_two(name: str) -> dict[str, str]:
+    """Tell members of one family apart by an open mark."""
+    return {"markerfacecolor": "white"} if name.endswith(("gauss2", "-0.5")) else {}
 
 
 ROW = Row(

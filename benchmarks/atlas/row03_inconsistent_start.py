@@ -9,7 +9,8 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_most
 from benchmarks.atlas.row02_undamped_methods import input_disturbance
 from benchmarks.atlas.runs import disturbed, march, slope
-from benchmarks.atlas.style import label, looks, panels, steps_in_ms
+from benchmarks.atlas.style import label, legend_below, panels, steps_in_ms
+from benchmarks.route_looks import look
 from servocore.methods.bdf import coefficients
 from servocore.methods.collocation import tableau
 
@@ -65,7 +66,7 @@ def _spike(found: Findings, cars: sc.Scene, method: sc.Method, expected: float, 
         peaks.append(size.max() * (cars.reference.duration / steps) ** 2 / DELTA)
     h = cars.reference.duration / np.array(STEPS)
     route, where = f"projected, {method.name}", f"h = {h[-1]:g} s"
-    found.add("cars", route, "spike in delta/h^2 [kg]", where, about(expected, 0.03 * expected), peaks[-1], FAILS)
+    found.add("cars", route, "spike in delta/h^2 (kg)", where, about(expected, 0.03 * expected), peaks[-1], FAILS)
     found.add("cars", route, "exponent of the spike in h", f"h = {h[-1]:g} ... {h[0]:g} s", about(-2.0, 0.02),
               slope(h, np.array(peaks) / h**2), FAILS)  # fmt: skip
     lasting = int(np.flatnonzero(size > 1e-9 * size.max())[-1])
@@ -97,7 +98,7 @@ def _index_five(found: Findings, cars: sc.Scene) -> None:
     found.add("cars", "original, backward-euler", "exponent of the spike in h, x_1 off",
               f"h = {h[-1]:g} ... {h[0]:g} s",
               about(-4.0, 0.05), slope(h, np.array(peaks)), FAILS)  # fmt: skip
-    found.add("cars", "original, backward-euler", "spike in delta/h^4 [kg s2], x_1 off", f"h = {h[-1]:g} s",
+    found.add("cars", "original, backward-euler", "spike in delta/h^4 (kg s2), x_1 off", f"h = {h[-1]:g} s",
               about(expected, 0.1 * expected), peaks[-1] * h[-1] ** 4 / DELTA, FAILS)  # fmt: skip
     exact = np.abs(cars.exact(np.linspace(0.0, 4.0, 401))["u"]).max()
     found.facts["original_peaks"] = peaks[-1] / exact
@@ -116,28 +117,29 @@ def _consistent(found: Findings, cars: sc.Scene, quick: bool) -> None:
         found.facts["own"] = error
     stepper = sc.Stepper(cars, sc.Reduced(), sc.BackwardEuler(), h)
     off = march(stepper, 3, lambda state: state + DELTA)["u"] - march(stepper, 3)["u"]
-    found.add("cars", "reduced", "left of a disturbed state after one step [N]", f"delta = {DELTA:g} m", at_most(1e-9),
+    found.add("cars", "reduced", "left of a disturbed state after one step (N)", f"delta = {DELTA:g} m", at_most(1e-9),
               float(np.abs(off[1:]).max()), SURVIVES)  # fmt: skip
     found.facts["reduced"] = float(np.abs(off[1:]).max())
 
 
 def draw(found: Findings) -> Figure:
     """Left: the spikes step by step. Right: their size over the step."""
-    figure, (left, right) = panels(2, height=2.7)
-    names = ["backward-euler", "bdf3", "radau3", "generalized-alpha-0.8", "trapezoidal"]
-    for name, look in zip(names, looks(), strict=False):
+    figure, (left, right) = panels(2, height=3.1)
+    for name in ("backward-euler", "bdf3", "radau3", "generalized-alpha-0.8", "trapezoidal"):
         size = found.curves["projected", name, STEPS[-1]][1:41]
-        left.semilogy(np.arange(1, len(size) + 1), np.maximum(size, 1e-12), label=name, **{**look, "markersize": 3})
-    left.set(ylim=(1e-6, 1e3), xlim=(0, 40))
-    label(left, "step number", "change of the input [N]", f"first $x_2$ off by 1 µm, h = {4 / STEPS[-1] * 1e3:g} ms",
-          "lower right")  # fmt: skip
+        line = look(name, markersize=3)
+        left.semilogy(np.arange(1, len(size) + 1), np.maximum(size, 1e-12), label=f"projected, {name}", **line)
+    left.set(ylim=(1e-6, 1e2), xlim=(0, 40))
+    label(left, "step number", "change of the input (N)", f"first $x_2$ off by 1 µm, h = {4 / STEPS[-1] * 1e3:g} ms")
     h = 4.0 / np.array(STEPS)
-    for name, look in zip(["backward-euler", "bdf2", "bdf3", "radau2", "radau3"], looks(), strict=False):
-        right.loglog(h, [found.curves["projected", name, steps].max() for steps in STEPS], label=name, **look)
+    for name in ("backward-euler", "bdf2", "bdf3", "radau2", "radau3"):
+        line = look(name, **({"markerfacecolor": "white"} if name.endswith("2") else {}))
+        sizes = [found.curves["projected", name, steps].max() for steps in STEPS]
+        right.loglog(h, sizes, label=f"projected, {name}", **line)
     right.loglog(h, 0.6e-6 / h**2, "k:", lw=0.8, label="$h^{-2}$")
-    right.set_ylim(bottom=1e-5)
     steps_in_ms(right, h)
-    label(right, "step $h$ [ms]", "largest change of the input [N]", "size of the spike", "lower left")
+    label(right, "step $h$ (ms)", "largest change of the input (N)", "size of the spike")
+    legend_below(figure, left, right)
     return figure
 
 

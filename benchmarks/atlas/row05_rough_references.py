@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,7 +11,7 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, error_at, quietly, slope
-from benchmarks.atlas.style import label, looks, panels, steps_in_ms
+from benchmarks.atlas.style import BAD, label, legend_below, panels, steps_in_ms
 
 NAME = "rough-references"
 PROFILES = (sc.DEGREE3, sc.DEGREE5, sc.DEGREE7, sc.DEGREE9, sc.DEGREE13)
@@ -97,7 +98,7 @@ def _from_rest(found: Findings, scene: sc.Scene, profile: sc.Profile) -> None:
     bound, lower = TRACKING[2 * profile.smoothness + 1]
     # Linear interpolation of the inputs between 4001 samples costs some micrometres.
     expected = at_least(bound) if lower else at_most(2e-5)
-    found.add("rotary_crane", "reduced, then simulate from rest", "tracking error [m]", profile.name, expected, error,
+    found.add("rotary_crane", "reduced, then simulate from rest", "tracking error (m)", profile.name, expected, error,
               FAILS if lower else SURVIVES)  # fmt: skip
     found.curves["tracking", profile.name] = (moved.t, moved["tracking_error"])
     found.curves["input", profile.name] = (solution.t, solution["M_b"])
@@ -126,22 +127,32 @@ def _corners(found: Findings) -> None:
     found.facts["sampled"] = wrong
 
 
+_LOOKS: dict[int, dict[str, Any]] = {
+    3: {"color": BAD, "ls": "-", "marker": "x"},
+    5: {"color": "#6d0a1f", "ls": "--", "marker": "+"},
+    7: {"color": "#7f7f7f", "ls": "-.", "marker": "^"},
+    9: {"color": "#3c8fa8", "ls": ":", "marker": "s"},
+    13: {"color": "#000000", "ls": (0, (5, 1, 1, 1)), "marker": "v"},
+}
+"""By degree of the path; reds are not smooth enough."""
+
+
 def draw(found: Findings) -> Figure:
     """Show inputs at the start, errors over the step, and what a crane at rest makes of the inputs."""
-    figure, (left, middle, right) = panels(3, height=2.6, width=7.4)
-    for profile, look in zip(PROFILES, looks(), strict=False):
+    figure, (left, middle, right) = panels(3, height=2.8, width=7.4)
+    for profile, look in zip(PROFILES, _LOOKS.values(), strict=True):
         t, torque = found.curves["input", profile.name]
         shown = t <= 2.0
         line = {**look, "marker": ""}
-        left.plot(np.r_[-0.5, 0.0, t[shown]], np.r_[0.0, 0.0, torque[shown]], label=profile.name, **line)
+        left.plot(np.r_[-0.5, 0.0, t[shown]], np.r_[0.0, 0.0, torque[shown]], **line)
         middle.loglog(*found.curves["errors", profile.name], label=profile.name, **look)
-        right.semilogy(*found.curves["tracking", profile.name], label=profile.name, **line)
-    left.set_ylim(-2.0, 32.0)
-    right.set_ylim(1e-9, 1e1)
-    label(left, "time [s]", "slewing torque $M_b$ [N m]", "exact inputs at the start", "upper right")
+        right.semilogy(*found.curves["tracking", profile.name], **line)
+    right.set_ylim(bottom=1e-9)
+    label(left, "time (s)", "slewing torque $M_b$ (N m)", "exact inputs at the start")
     steps_in_ms(middle, found.curves["errors", PROFILES[0].name][0])
-    label(middle, "step $h$ [ms]", "largest input error / peak", "projected, BDF3", None)
-    label(right, "time [s]", "tracking error [m]", "exact inputs, from rest", None)
+    label(middle, "step $h$ (ms)", "largest input error / peak", "projected, bdf3")
+    label(right, "time (s)", "tracking error (m)", "exact inputs, from rest")
+    legend_below(figure, middle, columns=5)
     return figure
 
 

@@ -179,7 +179,7 @@ def _judge(found: Findings, approach: Approach, route: str, distances: Array, re
     nearest = float(distances[until - 1]) if until else np.inf
     default = route == "reduced, points"
     gives_up = until < len(outcomes) and outcomes[until] != OUT
-    found.add("rotary_crane", route, f"{approach.name}: nearest {approach.quantity} solved", f"[{approach.unit}]",
+    found.add("rotary_crane", route, f"{approach.name}: nearest {approach.quantity} solved", f"({approach.unit})",
               at_most(approach.nearest * 1.01) if default else NO_PREDICTION, nearest,
               FAILS if gives_up else SURVIVES)  # fmt: skip
     key = approach.name.replace(" ", "_")
@@ -209,7 +209,7 @@ def draw(found: Findings) -> Figure:
         ax.set_yticks(range(len(table)), [f"{form}, {model}" for model, form in table])
         ax.set_xticks(range(len(distances)), [f"{d:g}" if d > 0 else "beyond" for d in distances], rotation=35)
         ax.set(ylim=(len(table) - 0.5, -0.5))
-        label(ax, f"{approach.quantity} [{approach.unit.replace('m/s2', 'm/s²').replace('deg', '°')}]", "",
+        label(ax, f"{approach.quantity} ({approach.unit.replace('m/s2', 'm/s²').replace('deg', '°')})", "",
               approach.name, None)  # fmt: skip
     for text, (mark, colour) in marks.items():
         axes[0, 0].plot([], [], mark, color=colour, markeredgecolor="black" if text == OUT else colour, label=text)

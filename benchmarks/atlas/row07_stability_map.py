@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 import servocore as sc
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
@@ -120,7 +121,7 @@ def _judge(found: Findings, panel: Panel, table: Array) -> None:
 
 def draw(found: Findings) -> Figure:
     """Small multiples: error over step and violence."""
-    figure, axes = panels(4, 4, width=7.4, height=1.75, sharex=True, sharey=True)
+    figure, axes = panels(4, 4, width=7.4, height=1.8, sharex=True, sharey=True)
     colours = mpl.colormaps["cividis_r"].with_extremes(bad="white", over="black")
     image: Any = None
     for ax, (title, (divisions, violence, table)) in zip(axes.flat, found.curves.items(), strict=True):
@@ -137,9 +138,23 @@ def draw(found: Findings) -> Figure:
         ax.set_yticks(range(len(violence)), [f"{v:g}" for v in violence], fontsize=5.5)
     bar = figure.colorbar(image, ax=axes, shrink=0.6, extend="both", ticks=[-8, -6, -4, -2, 0])
     bar.set_label("log$_{10}$ (largest input error / peak)", fontsize=7)
-    figure.supxlabel("steps in the manoeuvre", fontsize=8)
+    figure.suptitle("Overhead crane: which steps each route can take, by how hard the load is let fall", fontsize=9)
+    for ax in axes[-1]:
+        ax.set_xlabel("steps in the manoeuvre", fontsize=7)
     figure.supylabel("largest downward acceleration / g", fontsize=8)
+    figure.legend(handles=_key(colours), loc="outside lower center", ncols=5, fontsize=7, handlelength=1.2)
     return figure
+
+
+def _key(colours: Any) -> list[Patch]:
+    """Return what the colours and letters of a cell mean."""
+    patches = [
+        Patch(facecolor=colours(0.0), label="exact to 1e-8"),
+        Patch(facecolor=colours(0.5), label="1e-4"),
+        Patch(facecolor=colours(1.0), label="as large as the peak"),
+        Patch(facecolor="black", label="larger; with ×: failed with an error"),
+    ]
+    return [*patches, Patch(facecolor="white", edgecolor="0.5", label="r: refused in advance")]
 
 
 ROW = Row(

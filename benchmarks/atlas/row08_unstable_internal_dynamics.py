@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,7 +13,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_most
 from benchmarks.atlas.runs import Array, march, quietly
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import GOOD, label, legend_below, panels
+from benchmarks.route_looks import look
 
 NAME = "unstable-internal-dynamics"
 TOLERABLE_RATE = 0.1
@@ -75,7 +77,7 @@ def _forward(found: Findings, case: Case, quick: bool) -> None:
         size = np.abs(run[case.coordinate] - exact[case.coordinate])
         rate = growth_rate(run.t, size, case.window)
         route = f"{form.name}, {method.name}, forward"
-        found.add(case.scene.name, route, "rate of growth [1/s]", case.title,
+        found.add(case.scene.name, route, "rate of growth (1/s)", case.title,
                   about(eigenvalue, TOLERABLE_RATE * eigenvalue), rate, FAILS)  # fmt: skip
         found.curves[case.key, route] = (run.t, size)
         found.facts[f"{case.key}_rate"] = rate
@@ -136,31 +138,40 @@ def _open_loop(found: Findings, car: sc.Scene) -> None:
     solution = quietly(car, step=0.02)
     moved = sc.simulate(car, solution, rtol=1e-11, atol=1e-12)
     rate = growth_rate(moved.t, moved["tracking_error"], (0.0, float(moved.t[-1])))
-    found.add("mass_on_car", "boundary-value, then simulate without feedback", "rate of growth [1/s]", "k < 0",
+    found.add("mass_on_car", "boundary-value, then simulate without feedback", "rate of growth (1/s)", "k < 0",
               about(fastest, 0.1 * fastest), rate, FAILS)  # fmt: skip
     found.facts.update({"plant": fastest, "plant_rate": rate, "plant_end": float(moved["tracking_error"][-1])})
 
 
 def draw(found: Findings) -> Figure:
     """Errors of forward integrations with the predicted rate, and the bounded torque."""
-    figure, axes = panels(3, height=2.6, width=7.4)
+    figure, axes = panels(3, height=2.8, width=7.4)
     for ax, case in zip(axes, cases(), strict=False):
-        for (route, (t, size)), look in zip(
-            ((k[1], v) for k, v in found.curves.items() if k[0] == case.key and "forward" in k[1]), looks(),
-            strict=False,
-        ):  # fmt: skip
-            ax.semilogy(t[1:], size[1:], label=route, markevery=0.15, **look)
+        for key in found.curves:
+            if key[0] == case.key and "forward" in key[1]:
+                t, size = found.curves[key]
+                # Three routes on one line: a wide one, a thinner one, and marks alone.
+                line = look(key[1], **_LINES[key[1].removesuffix(", forward")])
+                ax.semilogy(t[1:], size[1:], label=key[1], markevery=0.15, **line)
         rate = found.curves[case.key, "eigenvalue"]
-        ax.semilogy(t, size[-1] * np.exp(rate * (t - t[-1])) * 0.3, "k:", lw=1, label=f"exp({rate:.3g} t)")
+        ax.semilogy(t, size[-1] * np.exp(rate * (t - t[-1])) * 0.3, "k:", lw=1, label="as predicted")
+        ax.annotate(f"exp({rate:.3g} t)", (0.97, 0.06), xycoords="axes fraction", ha="right")
         unit = "rad" if case.key == "arm" else "m"
-        label(ax, "time [s]", f"error of ${case.coordinate}$ [{unit}]", case.title, "lower right", fontsize=5.5)
+        label(ax, "time (s)", f"error of ${case.coordinate}$ ({unit})", case.title)
     t, torque = found.curves["arm", "input"]
     shown = (t > -0.6) & (t < 2.6)
-    axes[2].plot(t[shown], torque[shown], color="#0b3c68")
+    axes[2].plot(t[shown], torque[shown], color=GOOD, label="boundary-value")
     axes[2].axvspan(0.0, 2.0, color="0.9", zorder=0, label="the tip moves")
-    axes[2].set_ylim(bottom=-38)
-    label(axes[2], "time [s]", "torque [N m]", "arm, tip, 90°: bounded input", "lower left")
+    label(axes[2], "time (s)", "torque (N m)", "arm, tip, 90°: bounded input")
+    legend_below(figure, *axes)
     return figure
+
+
+_LINES: dict[str, dict[str, Any]] = {
+    "reduced, radau3": {"lw": 3.0, "alpha": 0.5, "ls": "-", "marker": ""},
+    "projected, radau3": {},
+    "reduced, bdf2": {"ls": "", "marker": "s", "markerfacecolor": "none", "ms": 6},
+}
 
 
 ROW = Row(

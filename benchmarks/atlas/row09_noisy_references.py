@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, quietly, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import GOOD, label, legend_below, panels
+from benchmarks.route_looks import look
 from servocore.references.bspline import Ends, fit, interpolation_knots, to_path
 
 NAME = "noisy-references"
@@ -129,19 +130,20 @@ def _guarded(found: Findings, sigma: float) -> None:
 
 def draw(found: Findings) -> Figure:
     """Input error over noise."""
-    figure, (left, right) = panels(2, height=2.7)
-    for (key, errors), look in zip(((k, v) for k, v in found.curves.items() if k[0] == "unguarded"), looks(),
-                                   strict=False):  # fmt: skip
-        left.loglog(UNGUARDED, np.where(np.isfinite(errors), errors, np.nan), label=f"interpolated, {key[1]}", **look)
+    figure, (left, right) = panels(2, height=3.0)
+    for key, errors in found.curves.items():
+        if key[0] == "unguarded":
+            known = np.where(np.isfinite(errors), errors, np.nan)
+            left.loglog(UNGUARDED, known, label=f"interpolated, {key[1]}", **look(key[1], markerfacecolor="white"))
     fitted = [found.curves["fitted"][sigma] for sigma in NOISE]
-    left.loglog(NOISE, fitted, color="black", marker="*", ms=7, label="sampled with tolerance, reduced")
+    left.loglog(NOISE, fitted, label="sampled with tolerance, reduced", **look("reduced"))
     left.axhline(1.0, color="0.5", lw=0.7)
-    left.set_ylim(1e-7, 1e13)
-    label(left, "noise of the samples [m]", "error of $M_b$ / peak", f"{SAMPLES} samples in 20 s", "upper left")
+    label(left, "noise of the samples (m)", "error of $M_b$ / peak", f"{SAMPLES} samples in 20 s")
     errors = [found.curves["fit_error"][sigma] for sigma in NOISE]
-    right.loglog(NOISE, errors, color="#0b3c68", marker="s", label="fit_error of the path")
+    right.loglog(NOISE, errors, color=GOOD, marker="s", label="fit_error of the path")
     right.loglog(NOISE, NOISE, "k:", lw=0.8, label="noise")
-    label(right, "noise of the samples [m]", "distance [m]", "how far the fit stays from samples", "upper left")
+    label(right, "noise of the samples (m)", "distance (m)", "how far the fit stays from samples")
+    legend_below(figure, left, right)
     return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,7 +11,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, begin, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import label, legend_below, panels
+from benchmarks.route_looks import look
 
 NAME = "variable-steps"
 CHANGE = 1.2
@@ -112,13 +114,23 @@ def _scan(
                   SURVIVES)  # fmt: skip
 
 
+_VARIANTS: dict[str, dict[str, Any]] = {
+    "alternating": {},
+    "changed once": {"ls": ":", "markerfacecolor": "white"},
+    "constant": {"ls": "-", "marker": "."},
+}
+
+
 def draw(found: Findings) -> Figure:
     """Input error over the mean step."""
-    figure, ax = panels(1, width=4.6, height=2.9)
-    for ((scene, route), (h, errors)), look in zip(found.curves.items(), looks(), strict=False):
-        ax.loglog(h, np.maximum(errors, 1e-17), label=f"{scene.replace('_', ' ')}: {route}", **look)
-    ax.set_ylim(1e-16, 1e11)
-    label(ax, "mean step $h$ [s]", "largest input error / peak", "steps that change", "upper left", fontsize=6)
+    figure, ax = panels(1, width=5.6, height=3.2)
+    for (scene, route), (h, errors) in found.curves.items():
+        line = look(route, **_VARIANTS[route.rpartition(", ")[2]])
+        if scene == "mass_on_car":
+            line |= {"ls": "--", "markerfacecolor": "white"}
+        ax.loglog(h, np.maximum(errors, 1e-17), label=f"{scene.replace('_', ' ')}: {route}", **line)
+    label(ax, "mean step $h$ (s)", "largest input error / peak", "steps that change")
+    legend_below(figure, ax, columns=2)
     return figure
 
 

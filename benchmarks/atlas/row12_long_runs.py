@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, long_march, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import label, legend_below, panels
+from benchmarks.route_looks import look
 from servocore import figure_of_eight
 
 NAME = "long-runs"
@@ -88,7 +89,7 @@ def _judge(found: Findings, route: str, errors: Array, violations: Array, growth
     found.add("rotary_crane", route, "constraint violation in the last round [m, m2]", where, at_most(1e-12),
               violations[-1], SURVIVES)  # fmt: skip
     found.add(
-        "rotary_crane", route, "growth of memory after the second round [MB]", where, at_most(8.0), growth, SURVIVES
+        "rotary_crane", route, "growth of memory after the second round (MB)", where, at_most(8.0), growth, SURVIVES
     )
     found.facts["memory"] = max(found.facts.get("memory", 0.0), growth)
     found.facts["violation"] = max(found.facts.get("violation", 0.0), float(violations.max()))
@@ -96,15 +97,15 @@ def _judge(found: Findings, route: str, errors: Array, violations: Array, growth
 
 def draw(found: Findings) -> Figure:
     """Error and violation round by round."""
-    figure, (left, right) = panels(2, height=2.7)
-    for (route, (errors, violations, _)), look in zip(found.curves.items(), looks(), strict=False):
+    figure, (left, right) = panels(2, height=3.0)
+    for route, (errors, violations, _) in found.curves.items():
         rounds = np.arange(1, len(errors) + 1)
-        left.loglog(rounds, np.maximum(errors, 1e-17), label=route, markevery=0.12, **look)
-        right.loglog(rounds, np.maximum(violations, 1e-17), label=route, markevery=0.12, **look)
-    left.set_ylim(1e-16, 1e26)
-    right.set_ylim(1e-17, 1e-11)
-    label(left, "round of 1000 steps", "largest input error / peak", "rotary crane, figure of eight", "upper left")
-    label(right, "round of 1000 steps", "largest $|c|$, $|g|$ [m, m²]", "constraint violation", None)
+        left.loglog(rounds, np.maximum(errors, 1e-17), label=route, markevery=0.12, **look(route))
+        right.loglog(rounds, np.maximum(violations, 1e-17), label=route, markevery=0.12, **look(route))
+    right.set_ylim(1e-16, 1e-12)
+    label(left, "round of 1000 steps", "largest input error / peak", "rotary crane, figure of eight")
+    label(right, "round of 1000 steps", "largest $|c|$, $|g|$ (m, m²)", "constraint violation")
+    legend_below(figure, left, right)
     return figure
 
 

@@ -9,7 +9,8 @@ from matplotlib.ticker import NullFormatter
 import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, amplified, error_at, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import BAD, GOOD, label, legend_below, panels
+from benchmarks.route_looks import look
 from servocore.references.profiles import polynomial
 from servocore.scenes.bar_marching import march_bar
 from servocore.scenes.elastic_bar import dalembert, wave_time
@@ -82,7 +83,7 @@ def _marched(found: Findings, path: sc.Reference, values: dict[str, float]) -> N
         found.facts["marched"] = max(found.facts.get("marched", 0.0), error)
     found.curves["marched"] = (bar.t, bar.input)
     acting = bar.t[np.abs(bar.input) > 1e-9 * np.abs(bar.input).max()]
-    found.add("elastic_bar", "marched in space", "force begins before the path [s]", "1000 pieces",
+    found.add("elastic_bar", "marched in space", "force begins before the path (s)", "1000 pieces",
               about(found.facts["delay"], 0.005), path.start_time - acting[0], SURVIVES)  # fmt: skip
 
 
@@ -105,30 +106,33 @@ def _stepped(found: Findings, quick: bool) -> None:
 
 def draw(found: Findings) -> Figure:
     """Show forces over time, errors of chains, and errors of stepping."""
-    figure, (left, middle, right) = panels(3, height=2.6, width=7.4)
+    figure, (left, middle, right) = panels(3, height=2.9, width=7.4)
     t, exact = found.curves["exact"]
     delay = found.facts["delay"]
     left.axvspan(0.0, DURATION, color="0.93", zorder=0)
     left.plot(t, exact, color="black", lw=2.6, alpha=0.35, label="d'Alembert")
-    left.plot(*found.curves["marched"], color="#0b3c68", lw=1, label="marched in space")
-    for count, look in ((2, ":"), (3, "--")):
-        left.plot(*found.curves["chain", count], color="#b3260a", ls=look, lw=1, label=f"chain of {count}")
-    left.set(xlim=(-1.5 * delay, DURATION + 1.5 * delay), ylim=(3.2 * exact.min(), 1.5 * exact.max()))
-    label(left, "time [s], path in grey", "force on the driven end [N]", "pre- and post-actuation", "lower left")
+    left.plot(*found.curves["marched"], color=GOOD, lw=1, label="marched in space")
+    for count, dash in ((2, ":"), (3, "--")):
+        left.plot(*found.curves["chain", count], color=BAD, ls=dash, lw=1, label=f"chain of {count}")
+    left.set(xlim=(-1.5 * delay, DURATION + 1.5 * delay))
+    label(left, "time (s), path in grey", "force on the driven end (N)", "pre- and post-actuation")
     counts, errors = found.curves["inside"]
-    middle.loglog(counts - 1, errors, color="#b3260a", marker="o", label="chain, inside")
-    middle.axhline(found.facts["outside"], color="#b3260a", ls=":", label="chain, within L/c of the ends")
-    middle.axhline(max(found.facts["marched"], 1e-17), color="#0b3c68", ls="--", label="marched in space")
-    middle.set_ylim(1e-16, 1e5)
-    middle.set_xticks(counts - 1, [f"{k - 1:d}" for k in counts])
+    middle.loglog(counts - 1, errors, color="#7f7f7f", marker="o", label="chain, inside")
+    middle.axhline(found.facts["outside"], color=BAD, ls="-.", label="chain, within L/c of the ends")
+    middle.axhline(max(found.facts["marched"], 1e-17), color=GOOD)
+    middle.set_xticks(counts - 1, [f"{k - 1:d}" if k < 9 else "" for k in counts])
     middle.xaxis.set_minor_formatter(NullFormatter())
-    label(middle, "pieces $N - 1$", "force error / peak", "against d'Alembert", "upper right")
-    steps = [(k[1], v) for k, v in found.curves.items() if k[0] == "stepped"]
-    for (count, (h, values)), look in zip(steps, looks(), strict=False):
-        right.loglog(h, values, label=f"{count} masses, index {2 * count + 1}", **look)
-    right.set_ylim(1e-3, 1e4)
-    label(right, "step $h$ [s]", "input error / peak", "original form, backward Euler", "upper right")
+    label(middle, "pieces $N - 1$", "force error / peak", "against d'Alembert")
+    stepped = [(key[1], values) for key, values in found.curves.items() if key[0] == "stepped"]
+    for (count, (h, values)), dash, mark in zip(stepped, DASHES, "ovx", strict=False):
+        line = look("original", ls=dash, marker=mark)
+        right.loglog(h, values, label=f"original, backward-euler, {count} masses, index {2 * count + 1}", **line)
+    label(right, "step $h$ (s)", "input error / peak", "original form by steps")
+    legend_below(figure, left, middle, right)
     return figure
+
+
+DASHES = ("-", "--", ":")
 
 
 ROW = Row(

@@ -10,7 +10,8 @@ import servocore as sc
 from benchmarks.atlas.conserving import Drift, Mechanism
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import slope
-from benchmarks.atlas.style import label, looks, panels, steps_in_ms
+from benchmarks.atlas.style import label, legend_below, panels, steps_in_ms
+from benchmarks.route_looks import look
 
 NAME = "conserved-quantities"
 STEPS = 10_000
@@ -129,29 +130,20 @@ def _too_far(found: Findings) -> None:
 
 def draw(found: Findings) -> Figure:
     """Energy and momentum over steps, and the drift of the energy over the step."""
-    figure, (left, middle, right) = panels(3, height=2.7, width=7.6)
+    figure, (left, middle, right) = panels(3, height=2.9, width=7.6)
     drifts = {route: drift for route, drift in found.curves.items() if isinstance(drift, Drift)}
-    order = [
-        "trapezoidal, index 3",
-        "energy-momentum",
-        *sorted(set(drifts) - {"trapezoidal, index 3", "energy-momentum"}),
-    ]
-    styles = dict(zip(order, looks(), strict=False))
     for route, drift in drifts.items():
-        look = styles[route]
         for axes, values in ((left, drift.energy), (middle, drift.momentum)):
             k = np.unique(np.geomspace(1, len(values) - 1, 200).astype(int))
-            axes.loglog(k, np.clip(values[k], 1e-17, 1e4), label=route, markevery=[-1], **look)
+            axes.loglog(k, np.clip(values[k], 1e-17, 1e4), label=route, markevery=[-1], **look(route))
     for axes, what in ((left, "energy"), (middle, "momentum")):
-        axes.set_ylim(1e-17, 1e15)
-        label(axes, "step", f"change of {what}, relative", f"crane, 9 coordinates, $h$ = {SHOWN[1]:g} s",
-              "upper left" if axes is left else None, fontsize=6)  # fmt: skip
+        label(axes, "step", f"change of {what}, relative", f"crane, 9 coordinates, $h$ = {SHOWN[1]:g} s")
     steps = {key[1]: value for key, value in found.curves.items() if isinstance(key, tuple)}
     for route, values in steps.items():
-        right.loglog(*values, label=route, **styles[route])
-    right.set_ylim(1e-17, 1e1)
+        right.loglog(*values, label=route, **look(route))
     steps_in_ms(right, steps["midpoint"][0])
-    label(right, "step $h$ [ms]", "change of energy, relative", "the same, over equal times", None)
+    label(right, "step $h$ (ms)", "change of energy, relative", "the same, over equal times")
+    legend_below(figure, left, middle, right)
     return figure
 
 

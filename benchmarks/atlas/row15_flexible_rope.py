@@ -12,7 +12,8 @@ import servocore as sc
 from benchmarks.atlas.conserving import Drift, Mechanism
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, slope
-from benchmarks.atlas.style import label, looks, panels
+from benchmarks.atlas.style import GOOD, label, legend_below, panels
+from benchmarks.route_looks import look
 from servocore.scenes.rotary_crane_rope import at_rest
 
 NAME = "flexible-rope"
@@ -135,29 +136,26 @@ def _swinging(found: Findings, elements: int, steps: int) -> None:
 
 def draw(found: Findings) -> Figure:
     """Energy while hoisting, convergence with the number of elements, and drift while swinging."""
-    figure, (left, middle, right) = panels(3, height=2.7, width=7.6)
+    figure, (left, middle, right) = panels(3, height=2.9, width=7.6)
     hoisted = [values for key, values in found.curves.items() if key[0] == "hoisted"]
     t, change, off = hoisted[-1]
     left.semilogy(t, np.maximum(np.abs(change), 1e-12), color="black", lw=2.6, alpha=0.35, label="change of energy")
-    left.semilogy(t, np.maximum(off, 1e-12), color="#0b3c68", ls="--", label="less work of the inputs")
-    left.set_ylim(1e-12, 1e9)
-    label(left, "time [s]", "[J]", "fast hoisting", "upper left")
+    left.semilogy(t, np.maximum(off, 1e-12), color=GOOD, ls="--", label="less work of the inputs")
+    label(left, "time (s)", "energy (J)", "energy-momentum, fast hoisting")
     counts, errors = found.curves["elements"]
-    middle.loglog(counts, 1e3 * errors, color="#0b3c68", marker="s", label="load")
+    middle.loglog(counts, 1e3 * errors, color=GOOD, marker="s", label="load")
     middle.loglog(counts, 1e3 * errors[0] * counts[0] ** 2.0 / counts**2.0, color="0.6", ls=":", label="$N^{-2}$")
     middle.set_xticks(counts, [str(each) for each in counts], minor=False)
     middle.minorticks_off()
-    label(middle, "elements $N$", f"distance from {found.facts['last']} elements [mm]", "its convergence", "lower left")
+    label(middle, "elements $N$", f"distance from {found.facts['last']} elements (mm)", "its convergence")
     drifts = {route: drift for route, drift in found.curves.items() if isinstance(drift, Drift)}
-    order = [*sorted(set(drifts) - {"energy-momentum"}, reverse=True)]
-    order.insert(1, "energy-momentum")
-    for route, look in zip(order, looks(), strict=False):
-        energy = drifts[route].energy
-        k = np.unique(np.geomspace(1, max(len(energy) - 1, 1), 200).astype(int))
-        k = k[k < len(energy)]
-        right.loglog(k, np.clip(energy[k], 1e-17, 1e5), label=route, markevery=[-1] if len(k) else None, **look)
-    right.set_ylim(1e-17, 1e16)
-    label(right, "step", "change of energy, relative", f"swinging, $h$ = {1e3 * STEP:g} ms", "upper left", fontsize=6)
+    for route, drift in drifts.items():
+        k = np.unique(np.geomspace(1, max(len(drift.energy) - 1, 1), 200).astype(int))
+        k = k[k < len(drift.energy)]
+        shown = np.clip(drift.energy[k], 1e-17, 1e5)
+        right.loglog(k, shown, label=route, markevery=[-1] if len(k) else None, **look(route))
+    label(right, "step", "change of energy, relative", f"swinging, $h$ = {1e3 * STEP:g} ms")
+    legend_below(figure, left, middle, right)
     return figure
 
 

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.atlas.record import Findings, Row
+from benchmarks.route_looks import EXACT, FAILING
 
 STYLE: Any = {
     "font.size": 8, "axes.titlesize": 8, "axes.titlelocation": "left", "axes.labelsize": 8, "legend.fontsize": 7,
@@ -24,19 +25,18 @@ STYLE: Any = {
     "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25, "grid.linewidth": 0.5,
     "savefig.dpi": 170, "svg.hashsalt": "servocore", "axes.formatter.use_mathtext": True,
 }  # fmt: skip
-BAD, GOOD, OTHER, FOURTH = "#b3260a", "#0b3c68", "#5f8f3a", "#8a5bb0"
+BAD, GOOD, OTHER, FOURTH = FAILING, EXACT, "#009e73", "#7b4fa3"
 """Failing, surviving, in between: different in grey as well."""
 
-_LOOKS = (
-    (BAD, "-", "o"), (GOOD, "--", "s"), (OTHER, "-.", "^"), (FOURTH, ":", "D"),
+_SHADES = (
+    ("#000000", "-", "o"), ("#56a0d0", "--", "s"), ("#b08a00", "-.", "^"), ("#7b4fa3", ":", "D"),
     ("#777777", (0, (5, 1, 1, 1, 1, 1)), "v"),
-    ("#c79a00", "--", "x"), ("#000000", "-", ""), ("#3aa0a0", "-.", "P"),
 )  # fmt: skip
 
 
 def looks() -> Any:
-    """Endless supply of (colour, dash, mark), different from one another in grey."""
-    return cycle({"color": colour, "ls": dash, "marker": mark} for colour, dash, mark in _LOOKS)
+    """Endless supply of (colour, dash, mark) for what is no route, different from one another in grey."""
+    return cycle({"color": colour, "ls": dash, "marker": mark} for colour, dash, mark in _SHADES)
 
 
 def drawn(row: Row, found: Findings) -> Figure:
@@ -51,13 +51,19 @@ def panels(columns: int, rows: int = 1, width: float = 6.6, height: float = 2.5,
     return figure, axes
 
 
-def label(axes: Axes, x: str, y: str, title: str, legend: str | None = "best", **more: Any) -> None:
+def label(axes: Axes, x: str, y: str, title: str, legend: str | None = None, **more: Any) -> None:
     """Label a panel; `legend` is its place, None for none."""
     axes.set(xlabel=x, ylabel=y)
     axes.set_title(title, fontsize=8)
     if legend:
         options: dict[str, Any] = {"loc": legend, "handlelength": 2.4, **more}
         axes.legend(**options)
+
+
+def legend_below(figure: Figure, *panels_: Axes, columns: int = 3, **more: Any) -> None:
+    """Put one legend for all panels below them, where it takes no room from a scale."""
+    entries = {text: line for axes in panels_ for line, text in zip(*axes.get_legend_handles_labels(), strict=True)}
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns, handlelength=3.0, **more)
 
 
 def steps_in_ms(axes: Axes, h: Any) -> None:
