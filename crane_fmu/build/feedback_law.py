@@ -24,7 +24,7 @@ load tell the whole motion, so the path gets an offset that begins with the meas
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
@@ -49,8 +49,8 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
-"""By which the cost-to-go is brought up to date in a step, and before the first."""
+RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, (20, 20)
+"""By which the cost-to-go is brought up to date in a step, and before the first, so often so many."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
@@ -109,8 +109,8 @@ class _Parts:
     """Pieces of the law.
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
-    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. riccati: (M, A, B,
-    B', f, W) -> M, K.
+    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared and
+    riccati: as of `_riccati_step`.
     resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
     which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
@@ -119,6 +119,7 @@ class _Parts:
     measured: ca.Function
     advance: ca.Function
     sampled: ca.Function
+    shared: ca.Function
     riccati: ca.Function
     resisting: ca.Function
     resting: ca.Function
@@ -126,12 +127,14 @@ class _Parts:
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
+    shared, riccati = _riccati_step()
     return _Parts(
         flat=flat_motion(),
         measured=measured_state(),
         advance=advance(system, _M),
         sampled=sampled(system, _M),
-        riccati=_riccati_step(),
+        shared=shared,
+        riccati=riccati,
         resisting=_resisting(system),
         resting=resting(_HALF, _LOAD, _M),
         offset=offset(),
@@ -145,67 +148,80 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     return function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
 
 
-def _riccati_step() -> ca.Function:
-    """Return (cost M of A e + B' w before w+ is chosen, A, B, B', f, W) -> (M a step earlier, K)."""
-    cost, A = ca.SX.sym("M", _N, _N), ca.SX.sym("A", _N, _N)
-    new, old = ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
+def _riccati_step() -> tuple[ca.Function, ca.Function]:
+    """Return what all Riccati steps of a model share, and a step.
+
+    (A, B, B', f, W) -> A', [A B'], [W^2 0], B^T, B'^T, 1/f^2; (cost M of A e + B' w before w+ is chosen, B, shared) ->
+    (M a step earlier, K). Products of whole matrices are left to loops, which machines take several numbers at once in.
+    """
+    A, new, old = ca.SX.sym("A", _N, _N), ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
     efforts, weights = ca.SX.sym("f", _M), ca.SX.sym("W", _M)
-    half = cost @ A
-    quadratic = ca.SX(_N, _N)
-    for k in range(_N):  # symmetric: half of it is enough
-        quadratic[: k + 1, k] = A[:, : k + 1].T @ half[:, k]
+    weighing = ca.SX.zeros(_N, _N + _M)
     for k in range(_M):
-        quadratic[_LOAD + k, _LOAD + k] += weights[k] ** 2
-    quadratic = ca.triu2symm(quadratic)
-    mixed = cost @ old
-    crossed = A.T @ mixed
-    N = quadratic @ new + crossed
-    S = ca.diag(1 / efforts**2) + new.T @ (N + crossed) + old.T @ mixed
+        weighing[_LOAD + k, _LOAD + k] = weights[k] ** 2
+    shared = [A.T, ca.horzcat(A, old), weighing, new.T, old.T, ca.densify(ca.diag(1 / efforts**2))]
+    S, N = ca.SX.sym("S", _M, _M), ca.SX.sym("N", _N, _M)
     scale = ca.diag(1 / ca.sqrt(ca.diag(S)))
-    gain = scale @ ca.ldl_solve(scale @ N.T, *ca.ldl(scale @ S @ scale))
-    earlier = ca.SX(_N, _N)
-    for k in range(_N):
-        earlier[: k + 1, k] = quadratic[: k + 1, k] - N[: k + 1, :] @ gain[:, k]
-    results = [ca.triu2symm(earlier), gain]
-    return ca.Function("riccati", [cost, A, new, old, efforts, weights], results, {"cse": True})
+    gain = function("gain", [S, N], [scale @ ca.ldl_solve(scale @ N.T, *ca.ldl(scale @ S @ scale))])
+    cost, B = ca.MX.sym("M", _N, _N), ca.MX.sym("B", _N, _M)
+    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate(shared)]
+    A_T, both, weighed, new_T, old_T, efforted = given
+    half, mixed = ca.horzsplit(cost @ both, [0, _N, _N + _M])
+    quadratic, crossed = ca.horzsplit(ca.mac(A_T, ca.horzcat(half, mixed), weighed), [0, _N, _N + _M])
+    found = ca.mac(quadratic, B, crossed)
+    K = gain(ca.mac(new_T, found + crossed, ca.mac(old_T, mixed, efforted)), found)
+    earlier = ca.mac(found, -K, quadratic)
+    step = ca.Function("riccati", [cost, B, *given], [(earlier + earlier.T) / 2, K])  # symmetric, to the last digit
+    return ca.Function("shared", [A, new, old, efforts, weights], shared), step
 
 
-def _efforts(p: Any, s: Any) -> Any:
+def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
     """Return the inputs worth 1 m/s2 of bridge (at the trolley), trolley, winch with load, as freely as wanted."""
+    s = ca.norm_2(state[:_LOAD])
     bridge, trolley, load, winch, radius = (p[k] for k in range(5))
     worth = bridge / s + trolley * s, trolley, (load + winch / radius**2) * radius
     return ca.vertcat(*(each * factor for each, factor in zip(worth, EFFORT, strict=True)))
 
 
-def _weights(h: ca.MX, strain: ca.MX) -> ca.MX:
+def _weights(h: ca.SX, strain: ca.SX | float) -> ca.SX:
     """Return what an error of the load in x, y and z weighs."""
     level, height = (ca.fmin(WEIGHT, each / h**2) for each in (WEIGHT_TIMES_SQUARE, HEIGHT_TIMES_SQUARE))
     return ca.exp(-EASE * strain) * ca.vertcat(level, level, height)
 
 
-def _over_a_step(
-    parts: _Parts, jet: ca.MX, force: ca.MX, p: ca.MX, h: ca.MX, strain: ca.MX, time: str, short: ca.MX
-) -> tuple[Any, ...]:
-    """Return A, B, B', f, W about a point of the path."""
-    state, inputs = parts.flat(jet, p)
-    A, first, second = parts.sampled(short, state, inputs, force, p, h)
-    new, old = (second, first - second) if time == "end" else (first + second, -second)
-    return A, new, old, _efforts(p, ca.norm_2(state[:_LOAD])), _weights(h, strain)
+def _inlined(name: str, rule: Callable[..., Sequence[ca.SX]], *given: ca.MX) -> Any:
+    """Return what a rule makes of some numbers, as one expression: loops over two or three numbers cost more."""
+    symbols = [ca.SX.sym(f"i{k}", *each.shape) for k, each in enumerate(given)]
+    return function(name, symbols, [ca.densify(each) for each in rule(*symbols)]).call(list(given))
+
+
+def _linear(parts: _Parts, time: str, short: ca.MX, *about: ca.MX) -> tuple[Any, ...]:
+    """Return A, B, B' about a point of the path: state, inputs, d, p, h."""
+    A, first, second = parts.sampled(short, *about)
+    return (A, second, first - second) if time == "end" else (A, first + second, -second)
 
 
 def _begin(parts: _Parts, time: str) -> ca.Function:
     """Return the memory before the first step, with the cost-to-go of a crane that would stay where it is."""
     jet, measured = ca.MX.sym("jet", _JET), ca.MX.sym("measured", 12)
     p, h = ca.MX.sym("p", 6), ca.MX.sym("h")
-    A, new, old, efforts, weights = _over_a_step(parts, jet, ca.MX.zeros(_M), p, h, ca.MX(0), time, ca.MX(0))
-    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate((A, new, old, efforts, weights))]
-    cost = ca.MX.sym("M", _N, _N)
-    one = ca.Function("one", [cost, *given], [parts.riccati(cost, *given)[0]])
-    many = [ca.repmat(each, 1, FIRST_RICCATI_STEPS) for each in (A, new, old, efforts, weights)]
-    found = one.fold(FIRST_RICCATI_STEPS)(1e-6 * ca.MX.eye(_N), *many)
+    about = *parts.flat(jet, p), ca.MX.zeros(_M), p, h
+    worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
+    model = *_linear(parts, time, ca.MX(0), *about), *worth
+    shared = model[1], *parts.shared.call(model)
+    found = _often(_often(parts.riccati, FIRST_RICCATI_STEPS[0]), FIRST_RICCATI_STEPS[1])(1e-6 * ca.MX.eye(_N), *shared)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
     memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
     return ca.Function(f"begin_{time}", [jet, measured, p, h], [ca.densify(memory)])
+
+
+def _often(step: ca.Function, count: int) -> ca.Function:
+    """Return a function that applies Riccati steps of one model, or what does, several times."""
+    given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
+    cost, *shared = given
+    for _ in range(count):
+        cost = step.call([cost, *shared])[0]
+    return ca.Function(f"{step.name()}_{count}", given, [cost])
 
 
 def _feedback(parts: _Parts, time: str) -> ca.Function:
@@ -213,44 +229,77 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     sizes = {"memory": sum(SIZES.values()), "jet": _JET, "jet_before": _JET, "measured": 12, "acting": _M}
     sizes |= {"feedforward": _M, "p": 6, "h": 1, "share": 1, "limits": _M}
     given = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
-    memory, jet, _, measured, acting, feedforward, p, h, share, limits = given.values()
-    known = dict(zip(SIZES, ca.vertsplit(memory, [0, *accumulate(SIZES.values())]), strict=True))
-    goes_on, none = known["step"] > 0, ca.MX.zeros(_M)
-    last = ca.fmax(known["step"], 1e-9)
-    crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
-    path = [given["jet_before"], jet, crackle]
-    led = known["offset"], known["return"]
-    pendulum = ca.fmax(p[5] + given["jet_before"][8], 0) / measured[2] * (1 + p[2] / p[1])
-    short = ca.sqrt(pendulum) * h <= SHORT_TURN  # as of `fastest_pendulum`
-    state = parts.measured(measured)
-    force = _learnt(parts, known, state, p, h)
-    (here, u_here), (there, u_there), beyond, middle = _places(parts, path, led, force, p, h, time)
-    A, new, old, efforts, weights = _over_a_step(parts, middle, force, p, h, known["strain"], time, short)
-    cost = ca.reshape(known["cost"], _N, _N)
-    model = A, new, old, efforts, weights
+    memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
+    cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])
+    situation = _inlined("situation", _situation(parts, time), ca.vertcat(*known), jet, before, measured, acting, p, h)
+    short, state, force, here, u_here, there, u_there, beyond, slope, ran, *about, efforts, weights, offset = situation
+    A, new, old = _linear(parts, time, short, *about, force, p, h)
+    cost = ca.reshape(cost, _N, _N)
+    shared = parts.shared(A, new, old, efforts, weights)
     for _ in range(RICCATI_STEPS):
-        cost, gain = parts.riccati(cost, *model)
-    slope = (u_there - u_here) / h
-    if time == "end":
-        e, origin, target = state - here, (here, u_here), there
-    else:
-        ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
-        after = parts.advance(short, state, acting, ran, force, p, h)
-        e, origin, target = after - there, (there, u_there), beyond
-    delta = parts.advance(short, *origin, slope, force, p, h) - target
+        cost, gain = parts.riccati(cost, new, *shared)
+    after = parts.advance(short, state, acting, ran, force, p, h) if time == "start" else state
+    e, origin = (state - here, (here, u_here)) if time == "end" else (after - there, (there, u_there))
+    delta = parts.advance(short, *origin, slope, force, p, h) - beyond
     e_d, w_d = parts.resting(A, new + old, delta)
-    wanted = u_there + w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
-    wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
-    inputs, strain = _within(limits, feedforward, share * (wanted - feedforward), known["strain"] - RECOVERY * h)
+    more = w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
+    strain = known[list(SIZES).index("strain") - 1]
+    inputs, strain = _inlined(
+        "bounded", _bounded(time), u_there, more, feedforward, acting, jet, p, h, share, limits, strain
+    )
     if time == "end":
         after = parts.advance(short, state, acting, (inputs - acting) / h, force, p, h)
-    offset_then = forgotten(parts.offset(*led, h)[0])
-    knew = ca.MX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
-    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, knew, offset_then, led[1])
+    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, offset)
     return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
 
 
-def _within(limits: ca.MX, feedforward: ca.MX, more: ca.MX, strain: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _situation(parts: _Parts, time: str) -> Callable[..., Sequence[ca.SX]]:
+    """Return the rule (memory behind M, jet, jet before, measured, acting, p, h) -> what is known before the design.
+
+    That is: whether the step is short; state; force on the load; where path and inputs are now, a step later, and where
+    the path is when what the law decides has acted; slopes of the inputs of the path and of those that act; state and
+    inputs of the step to be ruled; efforts and weights; the memory from `known` on.
+    """
+
+    def rule(
+        memory: ca.SX, jet: ca.SX, before: ca.SX, measured: ca.SX, acting: ca.SX, p: ca.SX, h: ca.SX
+    ) -> Sequence[ca.SX]:
+        sizes = [size for name, size in SIZES.items() if name != "cost"]
+        known = dict(zip(list(SIZES)[1:], ca.vertsplit(memory, [0, *accumulate(sizes)]), strict=True))
+        goes_on, none = known["step"] > 0, ca.SX.zeros(_M)
+        last = ca.fmax(known["step"], 1e-9)
+        crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
+        led = known["offset"], known["return"]
+        pendulum = ca.fmax(p[5] + before[8], 0) / measured[2] * (1 + p[2] / p[1])
+        short = ca.sqrt(pendulum) * h <= SHORT_TURN  # as of `fastest_pendulum`
+        state = parts.measured(measured)
+        force = _learnt(parts, known, state, p, h)
+        here, u_here, there, u_there, beyond, *middle = _places(parts, [before, jet, crackle], led, force, p, h, time)
+        slope = (u_there - u_here) / h
+        ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
+        worth = _efforts(p, middle[0]), _weights(h, known["strain"])
+        knew = ca.SX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
+        then = ca.vertcat(knew, forgotten(parts.offset(*led, h)[0]), led[1])
+        return [short, state, force, here, u_here, there, u_there, beyond, slope, ran, *middle, *worth, then]
+
+    return rule
+
+
+def _bounded(time: str) -> Callable[..., Sequence[ca.SX]]:
+    """Return the rule that adds to inputs of the path within what rope and drives can do; see `_feedback`."""
+
+    def rule(
+        flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX, share: ca.SX,
+        limits: ca.SX, strain: ca.SX,
+    ) -> Sequence[ca.SX]:  # fmt: skip
+        wanted = flat + more
+        wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
+        return _within(limits, feedforward, share * (wanted - feedforward), strain - RECOVERY * h)
+
+    return rule
+
+
+def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return inputs within limits that keep the direction of what is added to the feedforward, and the strain."""
     base = ca.fmax(-limits, ca.fmin(limits, feedforward))
     room = ca.if_else(more > 0, limits - base, limits + base) / ca.fmax(ca.fabs(more), 1e-9)
@@ -258,7 +307,7 @@ def _within(limits: ca.MX, feedforward: ca.MX, more: ca.MX, strain: ca.MX) -> tu
     return base + share * more, ca.fmin(ca.fmax(strain, 0) - ca.log(ca.fmax(share, 0.5)), 3)
 
 
-def _loosest(feedforward: ca.MX, acting: ca.MX, jet: ca.MX, p: ca.MX, time: str) -> ca.MX:
+def _loosest(feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, time: str) -> ca.SX:
     """Return the winch's torque that leaves the rope its share of tension, also where the plant goes on to."""
     load, winch, radius = p[2], p[3], p[4]
     most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
@@ -266,30 +315,32 @@ def _loosest(feedforward: ca.MX, acting: ca.MX, jet: ca.MX, p: ca.MX, time: str)
 
 
 def _places(
-    parts: _Parts, path: Sequence[ca.MX], led: tuple[ca.MX, ca.MX], force: ca.MX, p: ca.MX, h: ca.MX, time: str
+    parts: _Parts, path: Sequence[ca.SX], led: tuple[ca.SX, ca.SX], force: ca.SX, p: ca.SX, h: ca.SX, time: str
 ) -> tuple[Any, ...]:
-    """Return state and inputs on the path now and a step later, the state after two, a jet of the step to be ruled.
+    """Return state and inputs on the path now and a step later, the state when what is decided has acted, and more.
 
-    The rope pulls a load that is pushed as one that is accelerated otherwise.
+    That is state and inputs in the step to be ruled. The rope pulls a load that is pushed as one that is accelerated
+    otherwise.
     """
     before, jet, crackle = path
-    pulled = ca.vertcat(ca.MX.zeros(2 * DIMENSION), -force / p[2], ca.MX.zeros(2 * DIMENSION))
+    pulled = ca.vertcat(ca.SX.zeros(2 * DIMENSION), -force / p[2], ca.SX.zeros(2 * DIMENSION))
     now, then = (parts.offset(*led, steps * h)[1] + pulled for steps in (0, 1))
     if time == "end":
-        none = ca.MX.zeros(DIMENSION)
+        none = ca.SX.zeros(DIMENSION)
         before, jet = before + now, jet + then
         middle = (continued(before, none, h / 2) + continued(jet, none, -h / 2)) / 2
-        return parts.flat(before, p), parts.flat(jet, p), None, middle
+        ended = parts.flat(jet, p)
+        return *parts.flat(before, p), *ended, ended[0], *parts.flat(middle, p)
     there, beyond, middle = (
         continued(jet, crackle, k * h) + parts.offset(*led, k * h)[1] + pulled for k in (1, 2, 1.5)
     )
-    return parts.flat(jet + now, p), parts.flat(there, p), parts.flat(beyond, p)[0], middle
+    return *parts.flat(jet + now, p), *parts.flat(there, p), parts.flat(beyond, p)[0], *parts.flat(middle, p)
 
 
-def _learnt(parts: _Parts, known: dict[str, ca.MX], state: ca.MX, p: ca.MX, h: ca.MX) -> ca.MX:
+def _learnt(parts: _Parts, known: dict[str, ca.SX], state: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
     """Return the force on the load, corrected by what the prediction of the load's velocity missed."""
     missed = (state - known["predicted"])[_HALF + _LOAD :]
     share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
-    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.MX.zeros(_M))
+    more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(_M))
     most = LARGEST_FORCE * p[2] * p[5]
     return ca.fmax(-most, ca.fmin(most, known["force"] + more))

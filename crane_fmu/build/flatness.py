@@ -7,7 +7,7 @@ measured at first, and (d/dt + a)^4 delta = 0 from then on. With y_k = (d/dt + a
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 
@@ -16,6 +16,9 @@ from crane_fmu.slave.interface import DIMENSION, ORDERS
 RETURN_SHARE, RETURN_TURN, NO_OFFSET = 0.5, 0.3, 1e-12
 """How a load that begins off its path is led back: accelerations in g that this may take, how far a step may go, and
 offsets that are none."""
+
+
+Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 
 
 def flat_motion() -> ca.Function:
@@ -66,7 +69,7 @@ def measured_state() -> ca.Function:
     return ca.Function("measured", [given], [state])
 
 
-def continued(jet: ca.MX, crackle: ca.MX, tau: Any) -> ca.MX:
+def continued(jet: ca.SX, crackle: ca.SX, tau: Any) -> ca.SX:
     """Continue a path by its Taylor polynomial with a fifth derivative."""
     rows = [*(jet[DIMENSION * k : DIMENSION * (k + 1)] for k in range(len(ORDERS))), crackle]
     moved = []
@@ -101,9 +104,9 @@ def offset_at_start(jet: ca.MX, measured: ca.MX, p: ca.MX, h: ca.MX) -> tuple[ca
     return forgotten(ca.vertcat(*y)), a
 
 
-def forgotten(y: ca.MX) -> ca.MX:
+def forgotten(y: Matrix) -> Matrix:
     """Return an offset, or zeros in place of one that is mere round-off: its squares would underflow one day."""
-    return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, ca.MX.zeros(y.numel()))
+    return ca.if_else(ca.norm_inf(y) > NO_OFFSET, y, type(y).zeros(y.numel()))
 
 
 def offset() -> ca.Function:

@@ -26,13 +26,6 @@ def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Func
     return ca.Function(name, arguments, results, {"cse": True})
 
 
-def either(name: str, given: list[ca.MX], short: list[ca.MX], other: list[ca.MX]) -> ca.Function:
-    """Return a function of whether a step is short, and of what is given: one of two results, the other is left out."""
-    return ca.Function.if_else(
-        name, ca.Function(f"{name}_short", given, short), ca.Function(f"{name}_other", given, other)
-    )
-
-
 def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     """Return (whether the step is short, state, u, u_dot, d, p, h) -> state under inputs that run linearly."""
     n, m = 2 * system.q.numel(), system.u.numel()
@@ -51,7 +44,10 @@ def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     state, u_begin, u_dot, *others, whole = given
     half = step(state, u_begin, u_dot, *others, whole / 2)
     twice = step(half, u_begin + u_dot * (whole / 2), u_dot, *others, whole / 2)
-    return either("advance", given, [step(*given)], [twice])
+    short, other = (
+        ca.Function(f"advance_{name}", given, [each]) for name, each in (("short", step(*given)), ("other", twice))
+    )
+    return ca.Function.if_else("advance", short, other)
 
 
 def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
@@ -60,22 +56,24 @@ def sampled(system: sc.MechanicalSystem, forces: int) -> ca.Function:
     phi_k are the functions behind the matrix exponential.
     """
     linear, begin, term, driven = _linearized(system, forces), *_series(system.q.numel(), system.u.numel())
-    rates = [ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(("K", "D", "B"))]
-    h = ca.MX.sym("h")
-    K, D, B = rates
+    names = ("K", "D", "B")
 
-    def results(terms: int) -> list[ca.MX]:
+    def results(terms: int, K: Any, D: Any, B: Any, h: Any) -> list[Any]:
         phi = begin(K, D, h, 1 / math.factorial(terms + 1), 1 / math.factorial(terms + 2))
         for k in reversed(range(terms - 1)):
             phi = term(phi, K, D, h, 1 / math.factorial(k + 2))
         phi_1 = term(phi, K, D, h, 1)
         return [term(phi_1, K, D, h, 1), *driven(phi_1, phi, B, h)]
 
-    found = either("series", [*rates, h], results(_TERMS[True]), results(_TERMS[False]))
+    # One expression where there is little to sum up: half of the first powers are zeros and ones, which it leaves out.
+    few = [*(ca.SX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.SX.sym("h")]
+    many = [*(ca.MX.sym(name, linear.sparsity_out(k)) for k, name in enumerate(names)), ca.MX.sym("h")]
+    short = function("series_short", few, results(_TERMS[True], *few))
+    other = ca.Function("series_other", many, results(_TERMS[False], *many))
     given = [ca.MX.sym(f"i{k}", linear.sparsity_in(k)) for k in range(linear.n_in())]
-    is_short = ca.MX.sym("short")
-    arguments = [is_short, *linear.call(given), h]
-    return ca.Function("sampled", [is_short, *given, h], found.call(arguments))
+    is_short, h = ca.MX.sym("short"), ca.MX.sym("h")
+    found = ca.Function.if_else("series", short, other)
+    return ca.Function("sampled", [is_short, *given, h], found.call([is_short, *linear.call(given), h]))
 
 
 def _linearized(system: sc.MechanicalSystem, forces: int) -> ca.Function:

@@ -29,7 +29,7 @@ REQUIRED_PACKAGES = ("numpy", "casadi")
 _SOURCE = Path(__file__).with_name("shim.c")
 _HEADERS = Path(fmpy.__file__).parent / "c-code"
 _VERSIONS = ((3, 13), (3, 12), (3, 11))  # that the FMU runs on
-_OPTIONS = f"-std=gnu11 -O2 -fvisibility=hidden -Wall -Wextra -Werror -isystem {_HEADERS} -ldl -pthread"
+_OPTIONS = f"-std=gnu11 -O3 -fvisibility=hidden -Wall -Wextra -Werror -isystem {_HEADERS} -ldl -pthread"
 
 
 def with_shim(members: Mapping[str, bytes], name: str, guid: str, notice: Callable[[str], None]) -> dict[str, bytes]:

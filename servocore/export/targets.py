@@ -20,7 +20,7 @@ from servocore.numerics.machine_code import c_compiler
 Progress = Callable[[str], None]
 
 # No fused operations and nothing reordered: the digits must not depend on where they are computed.
-_OPTIONS = ("-std=c99", "-O2", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off",
+_OPTIONS = ("-std=c99", "-O3", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off",
             "-DCASADI_SYMBOL_EXPORT=", "-w")  # fmt: skip
 _SECONDS = 900.0
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS

@@ -175,7 +175,7 @@ def _by_normal_equations(matrix: csr_array, positions: FloatArray) -> FloatArray
     """Return the least-squares solution; None if corrections do not come to rest at round-off.
 
     A^T A has the squared condition of A, some 1e8 for degree 9, which only slows the corrections down: each is computed
-    from the residual, and so the answer is as good as that of an orthogonal factorisation.
+    from the residual, and so the answer is as good as that of an orthogonal factorization.
     """
     from scipy.sparse import csc_array  # noqa: PLC0415
     from scipy.sparse.linalg import splu  # noqa: PLC0415
