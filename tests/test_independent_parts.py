@@ -19,11 +19,12 @@ sys.path.insert(0, str(ROOT))
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
 from servocore.checks.branches import rank_losses  # noqa: E402
-from servocore.numerics.components import filled, parts_of, singular_values  # noqa: E402
+from servocore.numerics.compiled_calls import Array  # noqa: E402
+from servocore.numerics.components import Part, filled, parts_of, singular_values  # noqa: E402
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402
 from servocore.solvers import results, within_limits  # noqa: E402
-from servocore.structure.inversion import inversion  # noqa: E402
+from servocore.structure.inversion import determinant_signs, inversion, is_regular_throughout  # noqa: E402
 from servocore.structure.signature import condition_number, condition_numbers  # noqa: E402
 
 BLOCKS = np.array([[0, 2, 0, 1.0], [3, 0, 0, 0], [0, 5, 0, 4], [1, 0, 7, 0]])  # rows 0 and 2, rows 1 and 3
@@ -105,7 +106,56 @@ def groups(system: SquareSystem) -> list[int]:
     return sorted(len(each.parts) for each in system.alike)
 
 
-def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called() -> None:
+def in_two_parts(first: Array, second: Array) -> tuple[tuple[Part, ...], Array]:
+    """Return the parts of a matrix of two diagonal blocks at N instants, (N, 3, 3) each, and its entries (nnz, N)."""
+    blocks = np.zeros((len(first), 6, 6))
+    blocks[:, :3, :3], blocks[:, 3:, 3:] = first, second
+    pattern = ca.Sparsity.dense(3, 3)
+    both = ca.diagcat(pattern, pattern)
+    rows, columns = both.get_triplet()
+    return parts_of(both), blocks[:, rows, columns].T
+
+
+def test_signs_of_determinants_are_told_part_by_part_where_their_product_hides_them():
+    random = np.random.default_rng(3)
+    first = random.normal(size=(1, 3, 3)) * np.ones((4, 1, 1))
+    first[2:, 0] *= -1.0  # both change their sign at once
+    parts, entries = in_two_parts(first, first)
+    signs = determinant_signs(parts, entries)
+    assert (np.abs(signs) == 1.0).all()
+    assert (signs.prod(axis=1) == signs[0].prod()).all()
+    np.testing.assert_array_equal((signs[:-1] != signs[1:]).all(axis=1), [False, True, False])
+
+
+@pytest.mark.parametrize("least", [1.0, 1e-6, 1e-11, 1e-13, 0.0])
+def test_a_matrix_is_regular_throughout_where_its_condition_says_so(least):
+    random = np.random.default_rng(4)
+    many = random.normal(size=(5, 3, 3))
+    astray = many.copy()
+    u, values, v = np.linalg.svd(astray[3])
+    astray[3] = u * [*values[:2], least * values[0]] @ v
+    parts, entries = in_two_parts(many, astray)
+    for most in (1e3, 1e9, 1e12):
+        assert is_regular_throughout(parts, entries, most) == bool((condition_numbers(parts, entries) < most).all())
+
+
+def test_a_solve_of_many_cranes_takes_determinants_of_one_of_them_at_most(monkeypatch):
+    found, slogdet = [], np.linalg.slogdet
+
+    def recording(matrices: Array) -> object:
+        found.append(matrices.shape[-1])
+        return slogdet(matrices)
+
+    monkeypatch.setattr(np.linalg, "slogdet", recording)
+    sizes = []
+    for count in (1, 4):
+        found.clear()
+        sc.solve(together(count)[0])
+        sizes.append(max(found))
+    assert sizes[0] == sizes[1] > 0
+
+
+def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called():
     assert groups(equations((1.0, 1.0, 1.0))) == [3]
 
 

@@ -35,7 +35,7 @@ from servocore.structure.inversion import inversion
 
 FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
-CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16)
+CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32)
 CRANE, BAR, COLD, MANY = "gantry cranes in one system", "elastic bar, space marching", "cold start", "10,000 instants"
 CHAIN = "bodies in a closed chain"
 MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes

@@ -47,7 +47,8 @@ def suspects(problem: Problem, solution: Solution, native: bool | None = False) 
             return []
     values = solution.values.T[[*columns, *coordinates]]
     standing_out = _marked(values, positive)
-    inputs = [row for row, k in enumerate(columns) if solution.channels[k] in problem.system.inputs]
+    own = set(problem.system.inputs)
+    inputs = [row for row, k in enumerate(columns) if solution.channels[k] in own]
     turning_back = standing_out[len(columns) :].any(axis=0)  # coordinates do so short of a pole
     if turning_back.sum() <= max(_FEW_TURNS, _OFTEN * len(t)):  # what spins stands out everywhere, and says nothing
         standing_out[inputs] |= turning_back

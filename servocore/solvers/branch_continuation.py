@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -21,9 +20,9 @@ from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
+from servocore.solvers.jacobians_along_path import balanced, jacobian_entries, system_jacobians
 from servocore.solvers.taylor import SLIGHT, Taylor
-from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian
-from servocore.structure.signature import condition_number
+from servocore.structure.inversion import LARGEST_RESIDUAL, determinant_signs, inversion, is_regular_throughout
 
 CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
 FOLLOWED = "one: followed from instant to instant"
@@ -116,7 +115,7 @@ class Branch:
         IntegrationFailed
             If the equations determine no answer at one of some `instants`, or beside a sign that changes.
         """
-        matrices = _scaled(system_jacobians(self.problem, t, states))
+        matrices = balanced(system_jacobians(self.problem, t, states))
         signs, _ = np.linalg.slogdet(matrices)
         passed = np.flatnonzero(signs[:-1] * signs[1:] <= 0.0)
         for k in np.unique(np.concatenate([instants, passed, passed + 1])):
@@ -133,18 +132,22 @@ class Branch:
         of an interval in which the sign changes; a sign that changes twice between two of them is not seen.
         """
         looked = np.arange(_LOOKED_AT) * (len(t) - 1) // (_LOOKED_AT - 1)
-        matrices = system_jacobians(self.problem, t[looked], states[:, looked])
-        signs, _ = np.linalg.slogdet(matrices)
-        found = []
-        for k in np.flatnonzero(signs[:-1] * signs[1:] < 0.0):
-            if np.linalg.cond(_scaled(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
-                first, last = looked[k], looked[k + 1]
+        signs = self._signs(t[looked], states[:, looked])
+        changes, found = signs[:-1] * signs[1:] < 0.0, []
+        for k in np.flatnonzero(changes.any(axis=1)):
+            matrices = system_jacobians(self.problem, t[looked], states[:, looked])
+            if np.linalg.cond(balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
+                first, last, part = looked[k], looked[k + 1], changes[k].argmax()
                 while last - first > 1:
                     middle = (first + last) // 2
-                    sign = np.linalg.slogdet(system_jacobians(self.problem, t[[middle]], states[:, [middle]]))[0][0]
-                    first, last = (middle, last) if sign == signs[k] else (first, middle)
+                    sign = self._signs(t[[middle]], states[:, [middle]])[0, part]
+                    first, last = (middle, last) if sign == signs[k, part] else (first, middle)
                 found.append(int(first))
         return found
+
+    def _signs(self, t: Array, states: Array) -> Array:
+        """Return the signs of the determinants of the system Jacobian's independent parts, shape (N, parts)."""
+        return determinant_signs(*jacobian_entries(self.problem, t, states))
 
     def is_closed_form(self, t: Array, states: Array) -> bool:
         """Whether answers (size, N) are the guess of the model itself, and none of them is singular or seems to jump.
@@ -162,11 +165,9 @@ class Branch:
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
-        matrices = system_jacobians(self.problem, t, states)
-        signs, _ = np.linalg.slogdet(matrices)
-        return bool((signs == signs[0]).all()) and all(
-            condition_number(matrix) < _SINGULAR_CONDITION for matrix in matrices
-        )
+        parts, entries = jacobian_entries(self.problem, t, states)
+        signs = determinant_signs(parts, entries)
+        return bool((signs == signs[0]).all()) and is_regular_throughout(parts, entries, _SINGULAR_CONDITION)
 
     def connects(self, t: Array, states: Array) -> bool:
         """Whether following the branch of the first of two answers (size, 2) leads to the second."""
@@ -185,7 +186,7 @@ class Branch:
         """
         for k in seeming[1:][np.diff(seeming) == 1]:
             conditions = np.linalg.cond(
-                _scaled(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
+                balanced(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
             )
             worse = not conditions[1] < _WORSE * max(conditions[0], conditions[2])
             if worse and not self.connects(t[[k - 1, k + 1]], states[:, [k - 1, k + 1]]):
@@ -228,43 +229,6 @@ class Branch:
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
         found, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
         return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
-
-
-def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
-    """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite.
-
-    Parameters
-    ----------
-    problem : Problem
-        Whose derivative array they belong to.
-    t : ndarray, shape (N,)
-        Instants.
-    states : ndarray, shape (unknowns of the array, N)
-        Its unknowns there.
-    """
-    function, on_path = problem.resolved.once(_compiled_jacobian)
-    order = problem.array.reference_order
-    jets = problem.reference.jet(t, order) if on_path else np.zeros((len(t), order + 1, problem.reference.dimension))
-    (rows,) = at_instants(function, states, jets=jets, p=problem.p)
-    matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
-    return matrices
-
-
-def _compiled_jacobian(resolved: ResolvedSystem) -> tuple[ca.Function, bool]:
-    """Compile the system Jacobian, and tell whether it depends on the path: most do so by the motion alone."""
-    function = resolved.once(system_jacobian)
-    return function, bool(function.jac_sparsity(0, 1).nnz())
-
-
-def _scaled(matrices: Array) -> Array:
-    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
-
-    At a single instant scaling would hide an equation that loses all its terms there.
-    """
-    for axes in ((0, 2), (0, 1)):
-        largest = np.abs(matrices).max(axis=axes, keepdims=True)
-        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
-    return matrices
 
 
 def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -13,6 +14,7 @@ from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_formula, compile_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
+from servocore.structure.signature import condition_numbers, equilibrated
 
 LARGEST_RESIDUAL = 1e-9
 """Of the derivative array where its guess counts as exact."""
@@ -121,6 +123,34 @@ def system_jacobian_entries(resolved: Analysed) -> tuple[ca.Function, tuple[Part
     """Compile the same -> entries of the system Jacobian, column by column, and find its independent parts."""
     arguments, J = _system_jacobian(resolved.array)
     return ca.Function("sc_J_entries", arguments, [J.nz[:]]), parts_of(J.sparsity())
+
+
+def determinant_signs(parts: Sequence[Part], entries: Array) -> Array:
+    """Return the signs of the determinants of a matrix' parts, shape (N, parts), from its entries (nnz, N).
+
+    Part by part they also tell that two determinants change their signs at once, which their product hides.
+    """
+    found = np.zeros((entries.shape[1], len(parts)))
+    for k, part in enumerate(parts):
+        if len(part.rows) == len(part.columns):  # else the matrix is singular, and the sign 0
+            found[:, k] = np.linalg.slogdet(part.dense(entries))[0]
+    return found
+
+
+def is_regular_throughout(parts: Sequence[Part], entries: Array, most: float) -> bool:
+    """Whether the condition number of a matrix, from its entries (nnz, N), lies below a limit at all instants.
+
+    Inverses take a fifth of singular values, and Frobenius norms bound the condition number from above.
+    """
+    norms, inverses = np.zeros(entries.shape[1]), np.zeros(entries.shape[1])
+    with suppress(np.linalg.LinAlgError):  # of a part that is singular to the last bit, or not square
+        for part in parts:
+            matrices = equilibrated(part.dense(entries))
+            norms = np.maximum(norms, np.linalg.norm(matrices, axis=(1, 2)))
+            inverses = np.maximum(inverses, np.linalg.norm(np.linalg.inv(matrices), axis=(1, 2)))
+        if (norms * inverses < most).all():
+            return True
+    return bool((condition_numbers(parts, entries) < most).all())
 
 
 def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
