@@ -168,8 +168,11 @@ def travelling(module: str) -> dict[str, str]:
     return sources
 
 
-def _imports(source: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield modules of this project, and the names taken from each, that a source imports when it runs."""
+def _imports(source: str, later: bool = False) -> Iterator[tuple[str, list[str]]]:
+    """Yield modules of this project, and the names taken from each, that a source imports when it runs.
+
+    With `later`, also what it imports for types alone: there a face says where the names are that it offers later.
+    """
     tree = ast.parse(source)
     for_types = {
         node
@@ -178,7 +181,7 @@ def _imports(source: str) -> Iterator[tuple[str, list[str]]]:
         for node in ast.walk(branch)
     }
     for node in ast.walk(tree):
-        if not isinstance(node, ast.ImportFrom) or node in for_types or node.module is None:
+        if not isinstance(node, ast.ImportFrom) or node.module is None or (node in for_types and not later):
             continue
         if node.module.split(".")[0] in _OURS:
             yield node.module, [alias.name for alias in node.names]
@@ -186,7 +189,7 @@ def _imports(source: str) -> Iterator[tuple[str, list[str]]]:
 
 def _home(package: str, name: str) -> str | None:
     """Return the module in which a name that a package offers is written down; None if it offers no such name."""
-    for imported, names in _imports(_source(package)):
+    for imported, names in _imports(_source(package), later=True):
         if name in names:
             return _home(imported, name) if _is_package(imported) else imported
     return None
