@@ -19,7 +19,6 @@ sys.path.insert(0, str(ROOT))
 import servocore as sc  # noqa: E402
 from benchmarks.copies import cranes  # noqa: E402
 from servocore.checks.branches import rank_losses  # noqa: E402
-from servocore.numerics.compiled_calls import Array  # noqa: E402
 from servocore.numerics.components import Part, filled, parts_of, singular_values  # noqa: E402
 from servocore.numerics.square_systems import SquareSystem, compile_solver  # noqa: E402
 from servocore.problem import Problem  # noqa: E402

@@ -14,7 +14,6 @@ from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import PlanReport
-from servocore.planning.sensitivities import Sensitivities
 from servocore.planning.time_laws import polynomial_path
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -63,7 +62,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) ->
         axes.set_xlabel("time (s)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
-    return _saved(figure, kind)
+    return saved_figure(figure, kind)
 
 
 def _limited(problem: Problem) -> tuple[tuple[Limit, ...], Array, Array]:
@@ -86,30 +85,9 @@ def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array,
             label = "_more"
 
 
-def _saved(figure: Figure, kind: str) -> bytes:
+def saved_figure(figure: Figure, kind: str) -> bytes:
+    """Return a figure as a PNG, SVG or PDF file, alike from run to run."""
     stream = io.BytesIO()
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     figure.savefig(stream, format=kind, metadata=metadata)
     return stream.getvalue()
-
-
-def sensitivities_figure(found: Sensitivities, kind: str) -> bytes:
-    """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
-    rows = -(-len(found.quantities) // 2)
-    figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
-    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
-    for axes, quantity in zip(panels, found.quantities, strict=False):
-        for k, (name, size) in enumerate(zip(found.parameters, found.sizes, strict=True)):
-            look = ("-", "--", "-.", ":")[k % 4]
-            axes.plot(found.t, found[quantity.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
-        axes.set_title(f"{quantity.name} ({quantity.unit})", fontsize="medium", loc="left")
-        axes.margins(x=0.01)
-    for axes in panels[len(found.quantities) :]:
-        axes.set_visible(False)
-    for axes in panels[max(len(found.quantities) - 2, 0) : len(found.quantities)]:
-        axes.tick_params(labelbottom=True)
-        axes.set_xlabel("time (s)")
-    handles, labels = panels[0].get_legend_handles_labels()
-    title = "effect of one per cent more of"
-    figure.legend(handles, labels, loc="outside upper center", ncols=6, frameon=False, title=title)
-    return _saved(figure, kind)

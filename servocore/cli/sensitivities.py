@@ -59,9 +59,7 @@ def show_sensitivities(
         if output is not None:
             contents[output] = found.table()
         if plot is not None:
-            from servocore.cli.plan_figure import sensitivities_figure  # noqa: PLC0415 - slow to import
-
-            contents[plot] = sensitivities_figure(found, plot.suffix[1:].lower())
+            contents[plot] = _figure(found, plot.suffix[1:].lower())
     write_together(contents)
     table_console().print(_table(found), "Largest effect of one per cent more of a parameter.")
 
@@ -78,3 +76,29 @@ def _table(found: Sensitivities) -> rich.table.Table:
         shown = [f"{effect[np.abs(effect).argmax()]:.3g} {quantity.unit}" for effect in effects]
         table.add_row(quantity.name, *shown)
     return table
+
+
+def _figure(found: Sensitivities, kind: str) -> bytes:
+    """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
+    from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
+
+    from servocore.cli.plan_figure import saved_figure  # noqa: PLC0415
+
+    rows = -(-len(found.quantities) // 2)
+    figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    for axes, quantity in zip(panels, found.quantities, strict=False):
+        for k, (name, size) in enumerate(zip(found.parameters, found.sizes, strict=True)):
+            look = ("-", "--", "-.", ":")[k % 4]
+            axes.plot(found.t, found[quantity.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
+        axes.set_title(f"{quantity.name} ({quantity.unit})", fontsize="medium", loc="left")
+        axes.margins(x=0.01)
+    for axes in panels[len(found.quantities) :]:
+        axes.set_visible(False)
+    for axes in panels[max(len(found.quantities) - 2, 0) : len(found.quantities)]:
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("time (s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    title = "effect of one per cent more of"
+    figure.legend(handles, labels, loc="outside upper center", ncols=6, frameon=False, title=title)
+    return saved_figure(figure, kind)

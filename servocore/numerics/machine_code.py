@@ -95,9 +95,9 @@ class Build:
 
         tool = Path(shutil.which(command[0]) or command[0]).resolve()
         about = tool.stat() if tool.exists() else None
-        told = (self.source, *command, str(tool), about and (about.st_size, about.st_mtime_ns), *self.options())
+        inputs = (self.source, *command, str(tool), about and (about.st_size, about.st_mtime_ns), *self.options())
         machine = (platform.system(), platform.machine(), _processor() if self.vectors else "")
-        return hashlib.sha256(repr((told, machine)).encode()).hexdigest()[:40]
+        return hashlib.sha256(repr((inputs, machine)).encode()).hexdigest()[:40]
 
 
 def _processor() -> str:
@@ -178,9 +178,9 @@ def built(build: Build) -> Path:
     """
     command = c_compiler()
     key, kept = build.key(command), _cache()
-    found = kept.find(key)
-    if found is not None:
-        return found
+    library = kept.find(key)
+    if library is not None:
+        return library
     contents = _compiled_contents(build, command)
     path = kept.store(key, contents)
     if path is None:

@@ -79,9 +79,9 @@ class SquareSystem:
     def __post_init__(self) -> None:
         size = self.unknowns.numel()
         for attribute in ("residual", "guess", "unknown_scale", "residual_scale"):
-            found = getattr(self, attribute).numel()
-            if found != size:
-                raise InvalidModel(f"{size} unknowns, but {attribute} has {found} rows")
+            count = getattr(self, attribute).numel()
+            if count != size:
+                raise InvalidModel(f"{size} unknowns, but {attribute} has {count} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
     def alike(self) -> list[IsomorphicParts]:
@@ -156,8 +156,8 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     known = _solved(system, givens, flat)
     worst = largest(system.residual / system.residual_scale)
     wanted = [ca.densify(each) for each in known.resolved(*outputs, worst)]
-    *found, residual = known.evaluated("sc_finish", *wanted, common=not flat)
-    return ca.Function(name, [givens], [*found, known.counts(), residual])
+    *results, residual = known.evaluated("sc_finish", *wanted, common=not flat)
+    return ca.Function(name, [givens], [*results, known.counts(), residual])
 
 
 def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> KnownValues:
@@ -190,10 +190,10 @@ def _solve_isomorphic(
     first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[group.givens[0]])
-    given = ca.MX.sym("givens", size)
-    inner = _solved(part, given, flat)
+    part_givens = ca.MX.sym("givens", size)
+    inner = _solved(part, part_givens, flat)
     values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
-    solve = ca.Function("sc_alike", [given], [*values, inner.counts()]).map(count)
+    solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts()]).map(count)
     solved, counts = solve(ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count))
     columns = [column for each in group.parts for column in each.columns.tolist()]
     known.learn(system.unknowns[columns], ca.vec(solved))
@@ -210,18 +210,18 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     while system.unknowns.numel():
         jacobian = ca.jacobian(system.residual, system.unknowns)
         pattern = dependence(jacobian)
-        found: dict[int, tuple[int, ca.SX]] = {}
+        explicit: dict[int, tuple[int, ca.SX]] = {}
         for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
             j = int(pattern[i].argmax())
             value = -ca.substitute(system.residual[i], system.unknowns[j], ca.SX(0)) / jacobian[i, j]
             if jacobian[i, j].is_constant() and value.is_constant():
-                found.setdefault(j, (i, value))
-        if not found:
+                explicit.setdefault(j, (i, value))
+        if not explicit:
             break
-        numbers = [(system.unknowns[j], value) for j, (_, value) in found.items()]
+        numbers = [(system.unknowns[j], value) for j, (_, value) in explicit.items()]
         constants += numbers
-        kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in found.values()]).tolist()
-        kept = np.setdiff1d(range(len(pattern)), list(found)).tolist()
+        kept_rows = np.setdiff1d(range(len(pattern)), [i for i, _ in explicit.values()]).tolist()
+        kept = np.setdiff1d(range(len(pattern)), list(explicit)).tolist()
         system = _part(system, kept_rows, kept)
         system = replace(system, residual=substituted(numbers, system.residual)[0])
     return system, constants
@@ -342,12 +342,12 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
         **options, "max_iter": MAX_ITERATIONS - QUICK_ITERATIONS,
         "jacobian_function": ca.Function("sc_beyond", [x, p], [J, beyond], ["x", "p"], ["J", "g"], {"cse": True}),
     })  # fmt: skip
-    start, given = ca.MX.sym("start", x.numel()), ca.MX.sym("p", p.numel())
-    enough = ca.Function("sc_enough", [start, given], [start])
-    more = ca.Function("sc_more", [start, given], [careful(start, given)])
-    root = quick(start, given)
-    root = ca.Function.if_else("sc_rest", more, enough)(root[-1] > (QUICK_ITERATIONS - 0.5) * _TICK, root, given)
-    return ca.Function("sc_root", [start, given], [root])
+    start, parameters = ca.MX.sym("start", x.numel()), ca.MX.sym("p", p.numel())
+    enough = ca.Function("sc_enough", [start, parameters], [start])
+    more = ca.Function("sc_more", [start, parameters], [careful(start, parameters)])
+    root = quick(start, parameters)
+    root = ca.Function.if_else("sc_rest", more, enough)(root[-1] > (QUICK_ITERATIONS - 0.5) * _TICK, root, parameters)
+    return ca.Function("sc_root", [start, parameters], [root])
 
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
@@ -362,8 +362,8 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     symbols, values = known.needed(block.residual, block.unknown_scale)
     iterate = ca.Function("sc_iterate", [symbols, unknowns], [(better - correction) * verdict], {"cse": True})
     known.iterations.append(ca.MX(1))
-    found: ca.MX = iterate(values, start)
-    return found
+    solution: ca.MX = iterate(values, start)
+    return solution
 
 
 def _with_forces(block: SquareSystem) -> ca.SX:

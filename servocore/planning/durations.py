@@ -91,7 +91,7 @@ def _advice(scene: Scene, model: str | None) -> str:
     return f"the shortest duration at which the same law keeps all limits is {shortest:.10g} s"
 
 
-def _kept(rows: Rows, p: Array, jets: Array, own: float, duration: float) -> bool:
-    stretched = jets * (own / duration) ** np.arange(jets.shape[1])[:, None]
+def _kept(rows: Rows, p: Array, jets: Array, original: float, duration: float) -> bool:
+    stretched = jets * (original / duration) ** np.arange(jets.shape[1])[:, None]
     (values,) = at_instants(rows.function, jets=stretched, p=p)
     return bool(((values <= 1.0) & (values >= rows.lower[:, None])).all())

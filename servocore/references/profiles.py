@@ -318,9 +318,9 @@ def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
     """Coefficients in v of c G_0 ... c G_k, then of the derivatives of c G_k by T: the power of w is used up."""
     # 2^j c G_j has integer coefficients: exact, until each is divided and rounded once.
     factor, power = [factorial(2 * k + 1) // factorial(k) ** 2], 1
-    found = []
+    factors = []
     for j in range(2 * k + 1):
-        found.append(tuple(value / power for value in factor))
+        factors.append(tuple(value / power for value in factor))
         slope = [m * value for m, value in enumerate(factor)][1:]
         if j < k:  # 2 (k - j) v G + (v^2 - 1) G'
             raised = [0, *(2 * (k - j) * value for value in factor)]
@@ -331,7 +331,7 @@ def _slope_factors(k: int) -> tuple[tuple[float, ...], ...]:
             factor, power = raised, 2 * power
         else:
             factor = [-2 * value for value in slope]
-    return tuple(found)
+    return tuple(factors)
 
 
 DEGREE3 = polynomial(3)

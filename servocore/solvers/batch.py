@@ -135,10 +135,10 @@ class Batch:
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
             return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
-        found = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
-        if not np.isfinite(found).all():
-            found = self._searched(found, references, times, p)
-        values, signs = found[:, : len(self.names)], found[:, len(self.names) :]
+        inputs = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
+        if not np.isfinite(inputs).all():
+            inputs = self._searched(inputs, references, times, p)
+        values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.
         if not (signs > 0.0).all():
             values = np.where((signs > 0.0).all(axis=1, keepdims=True), values, np.nan)
@@ -202,10 +202,10 @@ class Batch:
             raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
         return p, references
 
-    def _parameters(self, given: Mapping[str, npt.ArrayLike]) -> Array:
+    def _parameters(self, values_by_name: Mapping[str, npt.ArrayLike]) -> Array:
         """Return the values of all parameters, shape (size,), or (cases, size) where some have values of their own."""
         quantities = {name: k for k, name in enumerate(self._problem.system.parameters.names)}
-        columns = {name: np.asarray(values, dtype=np.float64) for name, values in given.items()}
+        columns = {name: np.asarray(values, dtype=np.float64) for name, values in values_by_name.items()}
         for name, values in columns.items():
             if name not in quantities:
                 raise InvalidModel(f"{self._problem.name} has no parameter {name}; it has {', '.join(quantities)}")
@@ -219,16 +219,16 @@ class Batch:
             p[..., quantities[name]] = values
         return p
 
-    def _searched(self, found: Array, references: list[Reference], t: Array, p: Array) -> Array:
+    def _searched(self, inputs: Array, references: list[Reference], t: Array, p: Array) -> Array:
         """Solve by Newton's method the instants that the quick function left open."""
         # The quick function is NaN exactly where its guess was not good enough: only those instants pay for Newton.
-        left = np.asarray(~np.isfinite(found).all(axis=1))
+        left = np.asarray(~np.isfinite(inputs).all(axis=1))
         for case in np.flatnonzero(left.any(axis=1)):
             reference = references[case % len(references)] if references else self._problem.reference
             at = np.flatnonzero(left[case])
             jets = reference.jet(t[at], self._quick.order)
-            found[case][:, at] = at_instants(self._seeking, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
-        return found
+            inputs[case][:, at] = at_instants(self._seeking, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
+        return inputs
 
 
 def _require_allowed(parameter: Parameter, values: Array) -> None:

@@ -93,9 +93,9 @@ class Branch:
         waiting, trials = [end], 0
         while waiting:
             trials += 1
-            found = self._continued(state, begin, waiting[-1])
-            if found is not None:
-                state, begin = found, waiting.pop()
+            reached = self._continued(state, begin, waiting[-1])
+            if reached is not None:
+                state, begin = reached, waiting.pop()
                 continue
             middle = begin + _LESS_THAN_HALF * (waiting[-1] - begin)
             exhausted = len(waiting) > _MOST_BISECTIONS or trials > _MOST_TRIALS
@@ -172,10 +172,10 @@ class Branch:
     def connects(self, t: Array, states: Array) -> bool:
         """Whether following the branch of the first of two answers (size, 2) leads to the second."""
         try:
-            found = self.follow(states[:, 0], float(t[0]), float(t[1]))
+            reached = self.follow(states[:, 0], float(t[0]), float(t[1]))
         except IntegrationFailed:
             return False
-        off = found[self.taylor.q] - states[self.taylor.q, 1]
+        off = reached[self.taylor.q] - states[self.taylor.q, 1]
         off[self.taylor.wraps] = wrapped_angle(off[self.taylor.wraps])
         return bool((np.abs(off) <= SLIGHT * self.scale).all())
 
@@ -210,25 +210,25 @@ class Branch:
         if not len(solved):
             name = self.problem.system.name
             raise IntegrationFailed(f"{name}: the equations were solved at no instant, from the guess of the model")
-        first, found = int(solved[0]), states.copy()
+        first, followed = int(solved[0]), states.copy()
         for k in range(first, 0, -1):
-            found[:, k - 1] = self.follow(found[:, k], float(t[k]), float(t[k - 1]))
+            followed[:, k - 1] = self.follow(followed[:, k], float(t[k]), float(t[k - 1]))
         for k in range(first + 1, len(t)):
-            found[:, k] = self.follow(found[:, k - 1], float(t[k - 1]), float(t[k]))
-        return found
+            followed[:, k] = self.follow(followed[:, k - 1], float(t[k - 1]), float(t[k]))
+        return followed
 
     def _continued(self, state: Array, begin: float, end: float) -> Array | None:
-        found = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
-        if found is None:
+        solution = self._solved(end, self.taylor.ahead(state[:, None], end - begin)[:, 0])
+        if solution is None:
             return None
-        apart = self.taylor.apart(state[:, None], found[:, None], np.array([end - begin]), self.scale)
-        return None if apart[0] else found
+        apart = self.taylor.apart(state[:, None], solution[:, None], np.array([end - begin]), self.scale)
+        return None if apart[0] else solution
 
     def _solved(self, time: float, guess: Array) -> Array | None:
         problem = self.problem
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
-        found, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
-        return found if np.isfinite(found).all() and np.isfinite(residual).all() else None
+        unknowns, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
+        return unknowns if np.isfinite(unknowns).all() and np.isfinite(residual).all() else None
 
 
 def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:
@@ -272,13 +272,13 @@ def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None
             return states, CLOSED_FORM
         if not np.isfinite(states[:, k : k + 2]).all() or not branch.connects(t[k : k + 2], states[:, k : k + 2]):
             try:
-                found = branch.along_all(t, states)
+                followed = branch.along_all(t, states)
             except IntegrationFailed:
                 if branch.is_closed_form(t, states):
                     return states, CLOSED_FORM
                 raise
-            passed = branch.require_regular(t, found, np.flatnonzero(~np.isfinite(states).all(axis=0)))
-            return found, FOLLOWED + _told(t, passed)
+            passed = branch.require_regular(t, followed, np.flatnonzero(~np.isfinite(states).all(axis=0)))
+            return followed, FOLLOWED + _told(t, passed)
     branch.require_through(t, states, seeming)
     return states, CONTINUOUS + _told(t, branch.passed(t, states))
 
@@ -329,10 +329,10 @@ class BranchTable:
         near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
         first, h = self.states[:, near], t - self.t[near]
         problem, taylor = self.branch.problem, self.branch.taylor
-        found = problem.resolved.once(inversion).searched(jets, problem.p, taylor.ahead(first, h)).copy()
-        for k in np.flatnonzero(taylor.apart(first, found, h, self.branch.scale)):
-            found[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
-        return found
+        unknowns = problem.resolved.once(inversion).searched(jets, problem.p, taylor.ahead(first, h)).copy()
+        for k in np.flatnonzero(taylor.apart(first, unknowns, h, self.branch.scale)):
+            unknowns[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
+        return unknowns
 
 
 def prepared_table(problem: Problem) -> BranchTable | None:

@@ -103,14 +103,14 @@ class _Quick:
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return all results at some instants, shape (rows, N) each."""
-        found = self.exact(problem, t)
-        left = np.flatnonzero(~(found[2][0] < LARGEST_RESIDUAL))
+        results = self.exact(problem, t)
+        left = np.flatnonzero(~(results[2][0] < LARGEST_RESIDUAL))
         if len(left):
             jets = problem.reference.jet(t[left], self.exact.order)
             sought = problem.resolved.once(_compile_sought, self.program)
-            for each, own in zip(found, at_instants(sought, jets=jets, p=problem.p), strict=True):
-                each[:, left] = own.reshape(-1, len(left), order="F")
-        return found
+            for result, searched in zip(results, at_instants(sought, jets=jets, p=problem.p), strict=True):
+                result[:, left] = searched.reshape(-1, len(left), order="F")
+        return results
 
 
 def _compile_quick(resolved: ResolvedSystem, flat: ca.Function, program: Program, native: bool | None) -> _Quick:
@@ -164,17 +164,17 @@ def _all_results(
     for k in range(0, count, _CHUNK):
         t = times[k : k + _CHUNK]
         if quick is not None:
-            found = quick(problem, t)
+            columns = quick(problem, t)
         else:
             size = len(t)
             jets = side_by_side(problem.reference.jet(t, program.order))
             stepped = mapped(program.step, size)(
                 np.zeros((program.state_size, size)), jets, np.zeros(size), np.tile(p, size)
             )
-            found = [each.reshape(-1, size, order="F") for each in stepped]
+            columns = [each.reshape(-1, size, order="F") for each in stepped]
         # Each row lies in one piece, for what follows goes through results row by row.
-        results = results or [np.empty((len(each), count)) for each in found]
-        for result, part in zip(results, found, strict=True):
+        results = results or [np.empty((len(column), count)) for column in columns]
+        for result, part in zip(results, columns, strict=True):
             result[:, k : k + len(t)] = part
         if progress is not None:
             progress(min(k + _CHUNK, count) - 1, count - 1)
@@ -273,18 +273,18 @@ class ExactInversion:
         times = numbers_of(t, "the times of inputs")
         flat = times.reshape(-1)
         followed = self._table if isinstance(self._table, BranchTable) else None
-        found = self._followed(followed, flat) if followed else self._quick(flat)
-        finite = bool(np.isfinite(found).all())
+        inputs = self._followed(followed, flat) if followed else self._quick(flat)
+        finite = bool(np.isfinite(inputs).all())
         if not finite and not followed:
-            found = self._searched(found, flat)
-            finite = bool(np.isfinite(found).all())
+            inputs = self._searched(inputs, flat)
+            finite = bool(np.isfinite(inputs).all())
         if finite:
-            self._require_signs(found, flat)
+            self._require_signs(inputs, flat)
         if isinstance(self._table, IntegrationFailed):
             raise self._table  # a wrong sign is a better reason
         if not finite:
-            self._require_solved(found, flat)
-        return found[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
+            self._require_solved(inputs, flat)
+        return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
     def _quick(self, t: Array) -> Array:
         """Return inputs and what must be positive, shape (count, columns); NaN where the guess is not exact."""
@@ -300,24 +300,24 @@ class ExactInversion:
         states = table.states_at(t, side_by_side(jets))
         return at_instants(self._functions.read, states, jets=jets, p=self._problem.p)[0].T
 
-    def _searched(self, found: Array, t: Array) -> Array:
+    def _searched(self, inputs: Array, t: Array) -> Array:
         """Solve by Newton's method what the quick function left open."""
-        left = np.flatnonzero(~np.isfinite(found).all(axis=1))
-        found = found.copy()
+        left = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
+        inputs = inputs.copy()
         jets = self._problem.reference.jet(t[left], self._order)
-        found[left] = at_instants(self._functions.seeking, jets=jets, p=self._problem.p)[0].T
-        return found
+        inputs[left] = at_instants(self._functions.seeking, jets=jets, p=self._problem.p)[0].T
+        return inputs
 
-    def _require_solved(self, found: Array, t: Array) -> None:
+    def _require_solved(self, inputs: Array, t: Array) -> None:
         """Raise `IntegrationFailed` if an instant is not solved."""
-        unsolved = np.flatnonzero(~np.isfinite(found).all(axis=1))
+        unsolved = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
         if len(unsolved):
             name = self._problem.system.name
             raise IntegrationFailed(f"{name}: the equations were not solved at t = {t[unsolved[0]]:.6g} s")
 
-    def _require_signs(self, found: Array, t: Array) -> None:
+    def _require_signs(self, inputs: Array, t: Array) -> None:
         """Raise `IntegrationFailed` if a value has a sign that it must not have."""
-        signs = found[:, len(self.inputs) :]
+        signs = inputs[:, len(self.inputs) :]
         if not (signs > 0.0).all():
             at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
