@@ -18,11 +18,18 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
+from servocore.numerics.components import Part
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.jacobians_along_path import balanced, jacobian_entries, system_jacobians
 from servocore.solvers.taylor import SLIGHT, Taylor
-from servocore.structure.inversion import LARGEST_RESIDUAL, determinant_signs, inversion, is_regular_throughout
+from servocore.structure.inversion import (
+    LARGEST_RESIDUAL,
+    determinant_signs,
+    inversion,
+    is_regular_throughout,
+    system_jacobian,
+    system_jacobian_entries,
+)
 
 CONTINUOUS = "one: every instant, solved from the guess of the model, continues its neighbours"
 FOLLOWED = "one: followed from instant to instant"
@@ -115,7 +122,7 @@ class Branch:
         IntegrationFailed
             If the equations determine no answer at one of some `instants`, or beside a sign that changes.
         """
-        matrices = balanced(system_jacobians(self.problem, t, states))
+        matrices = _balanced(system_jacobians(self.problem, t, states))
         signs, _ = np.linalg.slogdet(matrices)
         passed = np.flatnonzero(signs[:-1] * signs[1:] <= 0.0)
         for k in np.unique(np.concatenate([instants, passed, passed + 1])):
@@ -136,7 +143,7 @@ class Branch:
         changes, found = signs[:-1] * signs[1:] < 0.0, []
         for k in np.flatnonzero(changes.any(axis=1)):
             matrices = system_jacobians(self.problem, t[looked], states[:, looked])
-            if np.linalg.cond(balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
+            if np.linalg.cond(_balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
                 first, last, part = looked[k], looked[k + 1], changes[k].argmax()
                 while last - first > 1:
                     middle = (first + last) // 2
@@ -147,7 +154,7 @@ class Branch:
 
     def _signs(self, t: Array, states: Array) -> Array:
         """Return the signs of the determinants of the system Jacobian's independent parts, shape (N, parts)."""
-        return determinant_signs(*jacobian_entries(self.problem, t, states))
+        return determinant_signs(*_jacobian_entries(self.problem, t, states))
 
     def is_closed_form(self, t: Array, states: Array) -> bool:
         """Whether answers (size, N) are the guess of the model itself, and none of them is singular or seems to jump.
@@ -165,7 +172,7 @@ class Branch:
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
-        parts, entries = jacobian_entries(self.problem, t, states)
+        parts, entries = _jacobian_entries(self.problem, t, states)
         signs = determinant_signs(parts, entries)
         return bool((signs == signs[0]).all()) and is_regular_throughout(parts, entries, _SINGULAR_CONDITION)
 
@@ -186,7 +193,7 @@ class Branch:
         """
         for k in seeming[1:][np.diff(seeming) == 1]:
             conditions = np.linalg.cond(
-                balanced(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
+                _balanced(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
             )
             worse = not conditions[1] < _WORSE * max(conditions[0], conditions[2])
             if worse and not self.connects(t[[k - 1, k + 1]], states[:, [k - 1, k + 1]]):
@@ -229,6 +236,42 @@ class Branch:
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
         unknowns, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
         return unknowns if np.isfinite(unknowns).all() and np.isfinite(residual).all() else None
+
+
+def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
+    """Return the system Jacobians at instants, shape (N, size, size), zeros for what is not finite.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose derivative array they belong to.
+    t : ndarray, shape (N,)
+        Instants.
+    states : ndarray, shape (unknowns of the array, N)
+        Its unknowns there.
+    """
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
+    matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
+    return matrices
+
+
+def _jacobian_entries(problem: Problem, t: Array, states: Array) -> tuple[tuple[Part, ...], Array]:
+    """Return the independent parts of the system Jacobian, and its entries (nnz, N), zeros for what is not finite."""
+    function, parts = problem.resolved.once(system_jacobian_entries)
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    return parts, np.nan_to_num(at_instants(function, states, jets=jets, p=problem.p)[0])
+
+
+def _balanced(matrices: Array) -> Array:
+    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
+
+    At a single instant scaling would hide an equation that loses all its terms there.
+    """
+    for axes in ((0, 2), (0, 1)):
+        largest = np.abs(matrices).max(axis=axes, keepdims=True)
+        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
+    return matrices
 
 
 def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:

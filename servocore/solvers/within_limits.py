@@ -25,8 +25,7 @@ from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
-from servocore.solvers.branch_continuation import BranchTable, prepared_table
-from servocore.solvers.jacobians_along_path import system_jacobians
+from servocore.solvers.branch_continuation import BranchTable, prepared_table, system_jacobians
 from servocore.stepping.path_function import PathFunction
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
