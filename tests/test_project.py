@@ -20,7 +20,7 @@ import servocore as sc
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PACKAGES = ("servocore", "crane_fmu")
-SHARED_MODULES = {"servocore.cli.console", "servocore.planning.durations", "servocore.files"}
+SHARED_MODULES = {"servocore.cli.console", "servocore.cli.telling", "servocore.planning.durations", "servocore.files"}
 """What programs around the library share with its own command line, and its compiler finder."""
 LONGEST_FUNCTION, LONGEST_FILE = 60, 400
 NUMERICAL_ROOMS = ("formulations", "methods", "numerics", "solvers", "stepping", "structure")

@@ -36,6 +36,7 @@ from crane_fmu.cli.options import (
     Start,
     Step,
     Tolerance,
+    WaypointsFile,
 )
 from servocore.cli.console import (
     SETTINGS,
@@ -47,6 +48,7 @@ from servocore.cli.console import (
     held_notes,
     table_console,
 )
+from servocore.cli.telling import Columns, Verbose, chosen_columns, details, summary, tell, timed
 from servocore.files import require_picture, require_places, write_together
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.
@@ -80,6 +82,7 @@ A path and a crane from files; the table goes into a file:
 @app.command(epilog=_FEEDFORWARD_EXAMPLES)
 def feedforward(
     reference: ReferenceFile = None,
+    waypoints: WaypointsFile = None,
     tolerance: Tolerance = None,
     start: Start = None,
     end: End = None,
@@ -96,26 +99,32 @@ def feedforward(
     output_step: OutputStep = None,
     limit: Limits = None,
     limits: LimitsFile = None,
+    columns: Columns = None,
     output: OutputFile = None,
     plot: PlotFile = None,
+    verbose: Verbose = False,
 ) -> None:
     """Compute the inputs that move the load along a path, as a table.
 
-    The path is either a file (--reference) or a straight line from rest to rest (--from, --to, --duration).
-    The table has the columns time,M_b,F,M_w,phi,s,l,x,y,z,tension in SI units and one row a step.
+    The path is a file of samples (--reference) or of waypoints (--waypoints), or a straight line from rest to rest
+    (--from, --to, --duration). The table has the columns time,M_b,F,M_w,phi,s,l,x,y,z,tension in SI units, or those of
+    --columns, and one row a step. Peaks, rest, and how far the inputs are from right are told on the error stream.
     Where an input is off by half of its peak or more, which can happen if the formulation is not the default one, the
     exit code is 1.
     """
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
-    path = path_request(reference, tolerance, line)
-    require_places({"--output": output, "--plot": plot}, [reference, parameters, limits])
+    path = path_request(reference, tolerance, line, waypoints)
+    require_places({"--output": output, "--plot": plot}, [reference, waypoints, parameters, limits])
     require_picture(plot)
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     contents: dict[Path, str | bytes] = {}
     route = ff.Route(model, formulation, method, step, rtol, atol, output_step)
     with held_notes() as notes, PatientProgress("computing the inputs") as progress:
-        solution = ff.feedforward(path, changed, route, progress, sc.limits_given(limit, limits))
-        table, far_off = ff.table_pieces(solution), ff.far_off(solution, path, changed, route)
+        names = chosen_columns(columns, sc.scenes.rotary_crane().model(model), ff.COLUMNS)
+        with timed() as seconds:
+            solution = ff.feedforward(path, changed, route, progress, sc.limits_given(limit, limits))
+        table, far_off = ff.table_pieces(solution, names), ff.far_off(solution, path, changed, route)
+        told = [] if far_off else summary(solution) + (details(solution, seconds) if verbose else [])
         if far_off:
             notes.clear()  # one sentence says it all
         if plot is not None:
@@ -126,6 +135,7 @@ def feedforward(
     deliver(table, output, contents)
     if far_off:
         end_as_of_no_use(NAME, far_off)
+    tell(told)
 
 
 app.command("plan", epilog=plan.EXAMPLES)(plan.plan_motion)
@@ -262,7 +272,7 @@ def run_demo(output: OutputFolder = Path("out")) -> None:
 
 
 def path_request(
-    reference: Path | None, tolerance: float | None, line: Mapping[str, Any]
+    reference: Path | None, tolerance: float | None, line: Mapping[str, Any], waypoints: Path | None = None
 ) -> Callable[[], sc.Reference]:
     """Turn the options that describe a path, a straight line by their names, into a function that makes it.
 
@@ -273,13 +283,18 @@ def path_request(
     """
     given = [name for name, value in line.items() if value is not None]
     if reference is not None:
+        given = given if waypoints is None else ["--waypoints", *given]
         if given:
             raise sc.InvalidSetting(f"a path is given either by --reference or by {given[0]}, not by both")
         return partial(sc.from_csv, reference, tolerance)
+    if waypoints is not None and given:
+        raise sc.InvalidSetting(f"a path is given either by --waypoints or by {given[0]}, not by both")
     if tolerance is not None:
         raise sc.InvalidSetting("--tolerance belongs to --reference")
+    if waypoints is not None:
+        return partial(sc.waypoints_from_csv, waypoints)
     if not given:
-        raise sc.InvalidSetting("no path is given: use --reference, or --from, --to and --duration")
+        raise sc.InvalidSetting("no path is given: use --reference or --waypoints, or --from, --to and --duration")
     missing = [name for name in ("--from", "--to", "--duration") if name not in given]
     if missing:
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")

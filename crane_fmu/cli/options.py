@@ -30,6 +30,12 @@ ReferenceFile = Annotated[
           help="Positions of the load over time: header time,x,y,z, optionally followed by vx,vy,vz, then"
           " ax,ay,az, then jx,jy,jz, then sx,sy,sz (s, m, m/s, ...)."),
 ]  # fmt: skip
+WaypointsFile = Annotated[
+    Path | None,
+    _file("--waypoints", metavar="FILE.csv",
+          help="Points with times, joined from rest to rest: header time,x,y,z, optionally followed by vx,vy,vz, which"
+          " may be empty, and stop, 1 where the load rests on its way."),
+]  # fmt: skip
 Tolerance = Annotated[
     float | None,
     _file("--tolerance", metavar="METRES",

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from servocore.cli.choice import chosen
@@ -23,14 +21,13 @@ from servocore.cli.options import (
     SceneName,
     Start,
     Step,
-    column_names,
     point,
 )
+from servocore.cli.telling import Columns, Verbose, chosen_columns, column_names, details, summary, tell, timed
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces, require_places
 from servocore.model.limit_files import limits_given
 from servocore.model.scene import Scene
-from servocore.model.system import MechanicalSystem
 from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -38,7 +35,6 @@ from servocore.references.csv_file import samples_or_waypoints, waypoints_from_c
 from servocore.references.profiles import DEGREE9, DEGREE13, Profile, polynomial, three_phase
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
-from servocore.solution import Solution
 from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -50,7 +46,6 @@ EXAMPLES = """[bold]Examples[/bold]
 
 PROFILES: dict[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, "three-phase": three_phase()}
 _MOST_ROWS = 1e7
-_REST = 1e-9  # of the largest speed, acceleration, ...: what is smaller is round-off of a path at rest
 
 Duration = Annotated[float | None, typer.Option("--duration", metavar="T", help="Time of the motion (s).")]
 ProfileName = Annotated[
@@ -72,11 +67,6 @@ Waypoints = Annotated[
     typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
                  " rest."),
 ]  # fmt: skip
-Columns = Annotated[
-    str | None,
-    typer.Option("--columns", metavar="NAMES", help="What the table holds after the time, divided by commas: inputs,"
-                 " observables, outputs, coordinates. Default: all but other coordinates."),
-]  # fmt: skip
 
 
 def feed_forward(
@@ -95,6 +85,7 @@ def feed_forward(
     limits: LimitsFile = None,
     columns: Columns = None,
     output: Output = None,
+    verbose: Verbose = False,
 ) -> None:
     """Compute the inputs that make a scene's outputs follow a path, as a table.
 
@@ -110,15 +101,15 @@ def feed_forward(
     bounded = subject.with_limits(**limits_given(limit, limits))
     moved = bounded if path is None else bounded.with_reference(path)
     system = subject.model(model)
-    names = _chosen_columns(columns, system)
+    names = chosen_columns(columns, system, column_names(system))
     if step is not None and step > 0.0 and moved.reference.duration / step > _MOST_ROWS:
         raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
     with PatientProgress("computing the inputs") as progress:
-        with shortest_duration_told(moved, model):
+        with shortest_duration_told(moved, model), timed() as seconds:
             solution = solve(moved, step=step, model=model, progress=progress)
-        told = summary(solution, system, moved.reference)
+        told = summary(solution) + (details(solution, seconds) if verbose else [])
     deliver(csv_pieces(["time", *names], [solution.t, *[solution[name] for name in names]]), output, {})
-    print(*told, sep="\n", file=sys.stderr)
+    tell(told)
 
 
 def _path(
@@ -174,42 +165,3 @@ def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order:
     else:
         raise InvalidSetting(f"there is no profile {name!r}; there are {', '.join(PROFILES)}")
     return rest_to_rest(first, last, duration, profile=law)
-
-
-def _chosen_columns(wanted: str | None, system: MechanicalSystem) -> list[str]:
-    if wanted is None:
-        return column_names(system)
-    known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
-    names = [name.strip() for name in wanted.split(",")]
-    for name in names:
-        if name not in known:
-            raise InvalidSetting(f"--columns: there is no {name!r}; there are {', '.join(known)}")
-    return names
-
-
-def summary(solution: Solution, system: MechanicalSystem, path: Reference) -> list[str]:
-    """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
-    lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
-    for name in [quantity.name for quantity in system.inputs] + (["swing"] if "swing" in solution else []):
-        k = int(np.abs(solution[name]).argmax())
-        value, unit = float(solution[name][k]), solution.unit(name)
-        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
-        lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
-    lines.append(f"  ends: {_rest(path)}")
-    if solution.fit_error is not None:
-        lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
-    error = solution.error
-    if error.largest is not None:
-        lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
-    return lines
-
-
-def _rest(path: Reference) -> str:
-    """Say at which ends a path rests, and what moves at the others."""
-    t = np.linspace(path.start_time, path.end_time, 101)
-    speeds = np.linalg.norm(path.jet(t, 1)[:, 1], axis=-1)
-    ends = [(end, speed) for end, speed in (("start", speeds[0]), ("end", speeds[-1])) if speed > _REST * speeds.max()]
-    if not ends:
-        return "at rest at start and end"
-    moving = " and ".join(f"with {speed:.3g} (SI units) at the {end}" for end, speed in ends)
-    return f"the path moves {moving}, so that the inputs jump there"

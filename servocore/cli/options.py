@@ -11,7 +11,6 @@ import typer
 from typer.core import TyperCommand
 
 from servocore.errors import InvalidSetting
-from servocore.model.system import MechanicalSystem
 
 SceneName = Annotated[
     str,
@@ -82,8 +81,3 @@ def point(option: str, text: str, names: Sequence[str]) -> list[float]:
     if len(found) != len(names):
         raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
     return found
-
-
-def column_names(system: MechanicalSystem) -> list[str]:
-    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
-    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))

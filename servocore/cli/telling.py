@@ -1,0 +1,117 @@
+"""What is told of a run on the error stream, and which columns a table has; shared by the project's command lines."""
+
+from __future__ import annotations
+
+import math
+import platform
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib import metadata
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from servocore.errors import InvalidSetting
+from servocore.model.system import MechanicalSystem
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.solution import Solution
+
+_REST = 1e-6  # of the largest speed, acceleration, ...: what is smaller is round-off of a path at rest
+_RATES = {0: "speed", 1: "acceleration", 2: "jerk"}
+
+Columns = Annotated[
+    str | None,
+    typer.Option("--columns", metavar="NAMES", help="What the table holds after the time, divided by commas: inputs,"
+                 " observables such as swing, outputs, coordinates."),
+]  # fmt: skip
+Verbose = Annotated[
+    bool, typer.Option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
+]
+
+
+def column_names(system: MechanicalSystem) -> list[str]:
+    """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
+    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))
+
+
+def chosen_columns(wanted: str | None, system: MechanicalSystem, default: Sequence[str]) -> list[str]:
+    """Return the names that a user chose, or the default; raises `InvalidSetting` for one that there is not."""
+    if wanted is None:
+        return list(default)
+    known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
+    names = [each.strip() for each in wanted.split(",")]
+    for each in names:
+        if each not in known:
+            raise InvalidSetting(f"--columns: there is no {each!r}; there are {', '.join(known)}")
+    return names
+
+
+def tell(lines: Sequence[str]) -> None:
+    """Print lines on the error stream."""
+    print(*lines, sep="\n", file=sys.stderr)
+
+
+def summary(solution: Solution) -> list[str]:
+    """Return what is told of a run, a line each: peaks, swing, rest at the ends, fit, error of the inputs."""
+    problem: Problem = solution.origin
+    system, path = problem.system, problem.reference
+    lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
+    for name in [each.name for each in system.inputs] + (["swing"] if "swing" in solution else []):
+        k = int(np.abs(solution[name]).argmax())
+        value, unit = float(solution[name][k]), solution.unit(name)
+        shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
+        lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
+    lines.append(f"  ends: {_rest(path, problem.array.reference_order, [each.unit for each in system.outputs])}")
+    if solution.fit_error is not None:
+        lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
+    error = solution.error
+    if error.largest is not None:
+        lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
+    return lines
+
+
+@contextmanager
+def timed() -> Iterator[list[float]]:
+    """Offer a list that holds the seconds of the processor and those of the clock, once this is left."""
+    seconds: list[float] = []
+    began = time.process_time(), time.perf_counter()
+    yield seconds
+    seconds += [time.process_time() - began[0], time.perf_counter() - began[1]]
+
+
+def details(solution: Solution, seconds: Sequence[float]) -> list[str]:
+    """Return what is told with --verbose, a line each: counts, violations, times, versions."""
+    counts = solution.statistics
+    versions = [f"{name} {metadata.version(name)}" for name in ("servocore", "casadi", "numpy")]
+    return [
+        f"  run: {counts.steps} steps, {counts.newton_iterations} Newton iterations, {counts.factorisations}"
+        f" factorisations, {counts.rejected} steps rejected; worst residual {counts.worst_residual:.1e}",
+        f"  equations: outputs off their path by {counts.servo_violation:.1e}, constraints by"
+        f" {counts.constraint_violation:.1e}",
+        *([f"  branch: {counts.branch}"] if counts.branch else []),
+        f"  time: {seconds[0]:.3g} s of the processor, {seconds[1]:.3g} s by the clock",
+        f"  versions: {', '.join(versions)}, Python {platform.python_version()}, {platform.system()}",
+    ]
+
+
+def _rest(path: Reference, order: int, units: Sequence[str]) -> str:
+    """Say at which ends a path rests, up to a derivative, and what moves at the others."""
+    order = min(order, path.max_order)
+    jets = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, 101), order)[:, 1:], axis=-1)
+    moving = []
+    for end, jet in (("start", jets[0]), ("end", jets[-1])):
+        found = [k for k in range(order) if jet[k] > _REST * jets[:, k].max()]
+        if found:
+            k = found[0]
+            unit = f"{units[0] if len(set(units)) == 1 else '(unit)'}/s{f'^{k + 1}' if k else ''}"
+            moving.append(f"at the {end} its {_RATES.get(k, f'derivative {k + 1}')} is {jet[k]:.3g} {unit}")
+    if not moving:
+        return "at rest at start and end"
+    return (
+        f"not at rest: {' and '.join(moving)}, so that the inputs jump there; let the file begin and end with rows at"
+        " rest, or take --waypoints"
+    )
