@@ -93,8 +93,9 @@ jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (som
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
 
-docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples (two minutes)
+docs: $(INSTALLED)  ## write the site with API reference and gallery to build/docs, run its examples and notebooks (three minutes)
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b html docs build/docs
+	$(BIN)/python docs/run_notebooks.py
 	MPLBACKEND=Agg $(RUN) sphinx -W --keep-going -q -b doctest -d build/docs/.doctrees docs build/doctest
 	@echo "The site is build/docs/index.html."
 

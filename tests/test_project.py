@@ -196,6 +196,18 @@ def test_every_public_name_has_its_place_in_the_api_reference() -> None:
     assert [name for name in set(listed) if listed.count(name) > 1] == []
 
 
+def test_public_functions_that_take_a_path_take_it_as_text_too() -> None:
+    public = [getattr(sc, name) for name in sc.__all__]
+    functions = [each for each in public if inspect.isfunction(each)]
+    functions += [value for each in public if inspect.isclass(each) for _, value in inspect.getmembers(each, callable)]
+    given = []
+    for function in functions:
+        of_paths = [text for text in getattr(function, "__annotations__", {}).items() if "Path" in str(text[1])]
+        given += [(function.__qualname__, name, str(text)) for name, text in of_paths if name != "return"]
+    assert len(given) >= 8
+    assert [each for each in given if "str" not in each[2]] == []
+
+
 def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> None:
     stories = sorted((ROOT / "examples").glob("story_*.py"))
     assert len(stories) >= 8

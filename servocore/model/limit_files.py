@@ -36,14 +36,14 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     return by_name
 
 
-def limits_given(texts: Iterable[str] | None, file: Path | None) -> dict[str, Bounds]:
+def limits_given(texts: Iterable[str] | None, file: str | Path | None) -> dict[str, Bounds]:
     """Return the limits of a file, if there is one, and of texts, which replace those of the file.
 
     Parameters
     ----------
     texts : iterable of str or None
         One a limit: ``F=60``, ``M_w=-104..-92``, ``swing=5 deg`` or ``s.rate=1.2``.
-    file : Path or None
+    file : str, Path or None
         TOML, see `read_limits`.
 
     Returns
@@ -88,12 +88,12 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     return factors
 
 
-def read_limits(path: Path) -> dict[str, Bounds]:
+def read_limits(path: str | Path) -> dict[str, Bounds]:
     """Read limits from a TOML file: ``F = 60``, ``M_w = [-104, -92]``, ``swing = "5 deg"``, ``s.rate = 1.2``.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         Names at top level, or in a table ``[limits]``.
 
     Returns
@@ -106,6 +106,7 @@ def read_limits(path: Path) -> dict[str, Bounds]:
     InvalidModel
         If the file cannot be read or is not TOML, or a value is no number, text or pair of these.
     """
+    path = Path(path)
     table = read_table(path)
     inner = table.get("limits")
     if isinstance(inner, Mapping) and len(table) == 1:

@@ -10,12 +10,12 @@ from servocore.model.scene import Scene
 from servocore.model.symbols import Parameter
 
 
-def read_parameters(path: Path, scene: Scene, more: Iterable[Parameter] = ()) -> dict[str, float]:
+def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = ()) -> dict[str, float]:
     """Read the parameters of a scene that a file changes.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         A TOML file, such as ``load_mass = 80.0``; names, units and bounds are the scene's.
     scene : Scene
         Whose parameters they are.
