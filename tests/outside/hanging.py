@@ -67,7 +67,7 @@ def quadrotor_with_a_load(
 ) -> Case:
     M, J, m, rope, gravity = 1.2, 0.03 * unit**2, 0.4, 0.9 * unit, g * unit
 
-    def exact(t, reference) -> dict[str, Array]:
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, z = jets.components(reference.jet(t, 6))
         pull = m * x.d().d(), m * (z.d().d() + gravity)
         tension = length(*pull)
@@ -98,7 +98,7 @@ def double_pendulum() -> sc.MechanicalSystem:
 
 
 def double_pendulum_crane() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, z = jets.components(reference.jet(t, 6))
         lower = 12.0 * x.d().d(), 12.0 * (z.d().d() + g)
         tension = length(*lower)
@@ -131,7 +131,7 @@ def boom() -> sc.MechanicalSystem:
 
 
 def boom_crane() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         """The tip lies on the line of the force in the rope, 6 m from the foot of the boom."""
         x, z = jets.components(reference.jet(t, 4))
         fx, fz = 20.0 * x.d().d(), 20.0 * (z.d().d() + g)
@@ -166,7 +166,7 @@ def tower() -> sc.MechanicalSystem:
 
 
 def tower_crane() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         radius, angle, z = jets.components(reference.jet(t, 4))
         c, s = cos_sin(angle)
         x, y = radius * c, radius * s
@@ -203,7 +203,7 @@ def ropes() -> sc.MechanicalSystem:
 
 
 def rope_robot() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         place = jets.components(reference.jet(t, 2))
         lines = [[c - p for p, c in zip(place, anchor, strict=True)] for anchor in ANCHORS]
         lengths = [length(*line) for line in lines]

@@ -9,6 +9,7 @@ import numpy as np
 from outside.writing import Case, constant, coordinates, cos_sin, g, implicit, lagrange, rate, square
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.scenes.jets import Jet
 
@@ -34,7 +35,7 @@ def flexible_joints() -> sc.MechanicalSystem:
 
 
 def arm_with_flexible_joints() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         a, b = jets.components(reference.jet(t, 4))
         (c_1, s_1), (c_2, s_2) = cos_sin(a), cos_sin(a + b)
         places = [(0.5 * c_1, 0.5 * s_1), (0.5 * c_1 + 0.4 * c_2, 0.5 * s_1 + 0.4 * s_2)]
@@ -66,7 +67,7 @@ def four_bars() -> sc.MechanicalSystem:
     middle = pin + 0.5 * COUPLER * e(b) - ca.vertcat(x, y)
     closure = pin + COUPLER * e(b) - end
 
-    def guess(at):
+    def guess(at: float) -> tuple[ca.SX | float, ...]:
         diagonal = ca.vertcat(GROUND, 0) - CRANK * e(at[0])
         d = ca.norm_2(diagonal)
         b = ca.atan2(diagonal[1], diagonal[0]) + ca.acos((COUPLER**2 + d**2 - ROCKER**2) / (2 * COUPLER * d))
@@ -81,7 +82,7 @@ def four_bars() -> sc.MechanicalSystem:
 
 
 def four_bars_driven_at_the_rocker() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         """All places as functions of the crank's angle; the torque by the power at a unit rate of it."""
         path = reference.jet(t, 2)[:, :, 0]
         a = Jet.from_derivatives([path[:, 0], np.ones_like(t), np.zeros_like(t)])
@@ -119,7 +120,7 @@ def five_bars() -> sc.MechanicalSystem:
     kinetic = sum((m * square(q.v[2 * k : 2 * k + 2]) for k, m in enumerate((1.0, 0.6, 1.0, 0.6))), ca.SX(0)) / 2
     kinetic += 0.02 * square(q.v[8:]) / 2
 
-    def guess(at):
+    def guess(at: float) -> tuple[ca.SX | float, ...]:
         """Cranks outside."""
         found = []
         for base, side in ((left, 1.0), (right, -1.0)):
@@ -140,7 +141,7 @@ def five_bars() -> sc.MechanicalSystem:
 
 
 def five_bars_pinned_twice() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         path = jets.components(reference.jet(t, 2))
         torques, found = [], {}
         forces = [0.0, 0.0]
@@ -195,7 +196,7 @@ def platform() -> sc.MechanicalSystem:
 
     rods = [corner(k, x, y, turn) - ca.DM(BASES[k]) - 0.45 * e(q.q[3 + k]) for k in range(3)]
 
-    def guess(at):
+    def guess(at: float) -> tuple[ca.SX | float, ...]:
         turn = ca.vertcat(ca.horzcat(ca.cos(at[2]), -ca.sin(at[2])), ca.horzcat(ca.sin(at[2]), ca.cos(at[2])))
         cranks = []
         for k in range(3):
@@ -212,7 +213,7 @@ def platform() -> sc.MechanicalSystem:
 
 
 def platform_on_three_legs() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, y, phi = jets.components(reference.jet(t, 2))
         c, s = cos_sin(phi)
         A, cranks = np.zeros((len(t), 3, 3)), []
@@ -252,7 +253,7 @@ def elastic_rod(rod: float, stretch: float) -> sc.MechanicalSystem:
     reach = rod + d
     closure = ca.vertcat(0.15 * ca.sin(a) + reach * ca.sin(b), 0.15 * ca.cos(a) + reach * ca.cos(b) - x)
 
-    def guess(at):
+    def guess(at: float) -> tuple[ca.SX | float, ...]:
         a = ca.acos((0.15**2 + at[0] ** 2 - rod**2) / (0.3 * at[0]))
         return a, ca.atan2(-0.15 * ca.sin(a), at[0] - 0.15 * ca.cos(a)), at[0], 0.0
 
@@ -276,12 +277,12 @@ def elastic_rod_in_two_coordinates(rod: float, stretch: float) -> sc.MechanicalS
 
 
 def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalized: bool = False) -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         (x,) = jets.components(reference.jet(t, 4))
         force = 2.0 * x.d().d()  # of the rod on the slider
         rigid = np.arccos((0.15**2 + x.value**2 - rod**2) / (0.3 * x.value))
 
-        def residual(a, d):
+        def residual(a: float, d: float) -> tuple[float, float]:
             c, s = cos_sin(a)
             dx, dy, reach = x - 0.15 * c, -0.15 * s, rod + d
             # The rod pulls the slider back by its tension, along itself.

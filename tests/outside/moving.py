@@ -61,7 +61,7 @@ def stretched(force: Jet, cubic: float) -> Jet:
 def chain_of_cars(masses: tuple[float, ...], cubic: float = 3.0, unit: float = 1.0, nominal: float = 1.0) -> Case:
     """From the last car to the first: the force on it, the stretch that gives it, the car before."""
 
-    def exact(t, reference) -> dict[str, Array]:
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         (x,) = jets.components(reference.jet(t, 2 * len(masses)))
         force, found = constant(0.0, x), {}
         for k in range(len(masses), 0, -1):
@@ -90,7 +90,7 @@ def two_cars_with_a_damper() -> Case:
     """The stretch d obeys c d' + d = m x'': one state, which decays."""
     m_1, m_2, c = 1.0, 2.0, 0.7
 
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x = reference.jet(t, 3)[:, :, 0].T
         (d,) = followed(lambda d, path: (m_2 * path[2] - d) / c, [0.0], t, reference, 3)
         d_1 = (m_2 * x[2] - d) / c
@@ -114,7 +114,7 @@ def maxwell() -> sc.MechanicalSystem:
 
 
 def spring_and_damper_in_series() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         (y,) = jets.components(reference.jet(t, 4))
         node = y + 2.0 / 4.0 * y.d() - constant(2.0 / 4.0 * reference.jet(0.0, 1)[1, 0], y)
         x = node + 2.0 / 50.0 * y.d().d()
@@ -147,7 +147,7 @@ def force_on_the_cart(x: np.ndarray, theta: np.ndarray, omega: np.ndarray, side:
 
 
 def cart_with_a_pendulum() -> Case:
-    def exact(t, reference) -> dict[str, Array]:
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         theta, omega = followed(
             lambda s, path: np.array([s[1], -(g * np.sin(s[0]) + path[2, 0] * np.cos(s[0])) / 0.7]),
             [0.0, 0.0], t, reference, 2,
@@ -161,11 +161,11 @@ def cart_with_a_pendulum() -> Case:
 def cart_pole() -> Case:
     """Upright: the bounded motion begins before the path and ends after it."""
 
-    def exact(t, reference) -> dict[str, Array]:
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         e = np.sqrt(g / 0.7)
         mesh = np.linspace(-5.0, 7.0, 1201)
 
-        def slope(time, s) -> Array:
+        def slope(time: float, s: Array) -> Array:
             x = reference.jet(time, 2)[:, 2, 0]
             return np.stack([s[1], (g * np.sin(s[0]) - x * np.cos(s[0])) / 0.7])
 
@@ -197,8 +197,8 @@ def furuta() -> sc.MechanicalSystem:
 def rotary_pendulum() -> Case:
     """Upright while the arm swings for ever: the one motion of the rod that has its period."""
 
-    def exact(t, reference):
-        def slope(time, s) -> Array:
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
+        def slope(time: float, s: Array) -> Array:
             _, rate, acceleration = reference.jet(time, 2)[:, :3, 0].T
             sin, cos = np.sin(s[0]), np.cos(s[0])
             return np.stack([s[1], rate**2 * sin * cos + (g * sin - 0.3 * acceleration * cos) / 0.4])
@@ -226,11 +226,11 @@ def container() -> sc.MechanicalSystem:
 
 
 def container_crane() -> Case:
-    def slope(s, path) -> Array:
+    def slope(s: Array, path: sc.Reference) -> Array:
         (x_2, z_2), paid = path[2], -path[0, 1] / np.cos(s[0])
         return np.array([s[1], -30.0 * paid * (x_2 * np.cos(s[0]) + (z_2 + g) * np.sin(s[0])) / 12.0])
 
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, z = np.moveaxis(reference.jet(t, 2), (2, 1), (0, 1))
         a, w = followed(slope, [0.0, 0.0], t, reference, 2)
         tan, sec = np.tan(a), 1.0 / np.cos(a)
@@ -264,7 +264,7 @@ def wedge() -> sc.MechanicalSystem:
 def block_on_a_wedge() -> Case:
     """Along the wedge nothing acts but gravity: X'' cos + s'' + g sin = 0, twice integrated."""
 
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         s = reference.jet(t, 2)[:, :, 0].T
         X = -(g * np.sin(SLOPE) * t**2 / 2 + s[0] - s[0][0]) / np.cos(SLOPE)
         X_2 = -(g * np.sin(SLOPE) + s[2]) / np.cos(SLOPE)
@@ -295,7 +295,7 @@ def quaternion() -> sc.MechanicalSystem:
 
 
 def satellite() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         e_1, e_2, e_3 = jets.components(reference.jet(t, 2))
         e_0 = jets.sqrt(1.0 - (e_1 * e_1 + e_2 * e_2 + e_3 * e_3))
         d_0, d_1, d_2, d_3 = (each.d() for each in (e_0, e_1, e_2, e_3))

@@ -11,6 +11,7 @@ from outside.hanging import thrust
 from outside.writing import Case, coordinates, g, lagrange, rate, square
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 
 
@@ -129,7 +130,7 @@ def huygens() -> sc.MechanicalSystem:
 
 
 def aircraft_at_its_centre_of_oscillation() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, z = jets.components(reference.jet(t, 4))
         lift, side = z.d().d() + g, -1.0 * x.d().d()
         tilt = jets.atan2(side, lift).derivatives()

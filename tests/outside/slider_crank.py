@@ -17,6 +17,7 @@ from outside.writing import Case
 from scipy.integrate import solve_ivp
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 OMEGA, END = 150.0, 0.1
 m_2, m_3, l_1, l_2, J_1, J_2 = 0.151104, 0.075552, 0.15, 0.30, 0.002727, 0.0045339259
@@ -108,7 +109,7 @@ def slider_crank(length: float = l_2, nominal: float = 1.0, duration: float = EN
 def slider_crank_from_rest(nominal: float = 1.0) -> Case:
     """A few hundredths of a turn; the deflections begin at zero, without rate, and oscillate."""
 
-    def exact(t, _):
+    def exact(t: Array, _: object) -> dict[str, Array]:
         found = integrated(t, np.zeros(8))
         return {name: found[name] for name in ("phi_2", "x_3", "q_1", "q_2", "q_3", "q_4", "lam_1", "lam_2", "T")}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from functools import cache, partial
 
 import casadi as ca
@@ -14,9 +15,12 @@ from outside.systems import GRAVITY, LOOP, MASS, elbow_arm, vtol
 from outside.writing import coordinates, g, lagrange
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 
-def assert_right(found, exact, tolerance: float = 1e-10) -> None:
+def assert_right(
+    found: sc.Solution | Mapping[str, Array], exact: Mapping[str, Array], tolerance: float = 1e-10
+) -> None:
     for name, values in exact.items():
         if name in found:
             assert np.abs(found[name] - values).max() <= tolerance * np.abs(values).max()
@@ -38,7 +42,7 @@ def inputs_of_the_aircraft() -> sc.ExactInversion:
 
 @settings(max_examples=20, deadline=None)
 @given(st.lists(st.floats(0.0, 5.0), min_size=7, max_size=7))
-def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times) -> None:
+def test_the_inputs_at_any_instants_in_any_order_are_those_of_that_branch(times: Array) -> None:
     exact, found = vtol().exact(np.array(times)), inputs_of_the_aircraft()(times)
     for k, name in enumerate(("f", "torque")):
         np.testing.assert_allclose(found[:, k], exact[name], rtol=1e-9, atol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache, partial
 
 import casadi as ca
@@ -73,7 +74,7 @@ def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps: int) -> Non
         sc.solve(out_and_back(REACH - 1e-9), step=2.0 / steps)
 
 
-def mass_on_a_rail(mass, force) -> sc.Scene:
+def mass_on_a_rail(mass: ca.SX | float, force: ca.SX | float) -> sc.Scene:
     q = coordinates("x")
     x, v = q.q[0], q.v[0]
     system = sc.MechanicalSystem(
@@ -85,7 +86,9 @@ def mass_on_a_rail(mass, force) -> sc.Scene:
 
 @pytest.mark.parametrize("method", [None, sc.RadauIIA(2)])
 @pytest.mark.parametrize("friction", [lambda v: -8 * v / ca.fabs(v), lambda v: -v * ca.log(ca.fabs(v))])
-def test_inputs_that_are_no_numbers_are_refused_with_the_time(friction, method: sc.RadauIIA | None) -> None:
+def test_inputs_that_are_no_numbers_are_refused_with_the_time(
+    friction: Callable[[ca.SX], ca.SX], method: sc.RadauIIA | None
+) -> None:
     with pytest.raises(sc.IntegrationFailed, match=r"at t = 0 s"):
         sc.solve(mass_on_a_rail(lambda _: ca.SX(2), friction), None if method is None else sc.Reduced(), method)
 

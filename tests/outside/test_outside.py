@@ -81,20 +81,20 @@ def errors(of: Case) -> dict[str, float]:
 
 
 @every_case()
-def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name) -> None:
+def test_the_analysis_finds_its_index_and_what_is_left_to_integrate(name: str) -> None:
     report = sc.analyse(case(name).scene)
     assert (report.index, report.internal_degrees_of_freedom) == (case(name).index, case(name).internal)
     assert (report.classification == "flat") == (case(name).internal == 0)
 
 
 @every_case()
-def test_its_solution_is_the_answer_by_other_means(name) -> None:
+def test_its_solution_is_the_answer_by_other_means(name: str) -> None:
     found = errors(case(name))
     assert max(found.values()) <= case(name).tolerance, found
 
 
 @pytest.mark.parametrize("name", [each for each in CASES if each != "cart_pole"])
-def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name) -> None:
+def test_its_inputs_at_random_instants_are_exact_where_it_is_flat(name: str) -> None:
     if case(name).internal:
         with pytest.raises(sc.InvalidModel, match="internal dynamics"):
             sc.ExactInversion(case(name).scene)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -44,7 +46,9 @@ def test_an_aircraft_tracked_at_its_huygens_point_is_flat_in_any_coordinates(cha
 @given(
     mass=st.floats(0.1, 50.0), inertia=st.floats(1e-3, 10.0), share=st.floats(0.01, 2.0), chart=st.sampled_from(CHARTS)
 )
-def test_it_is_flat_whatever_its_data(mass: float, inertia: float, share: float, chart) -> None:
+def test_it_is_flat_whatever_its_data(
+    mass: float, inertia: float, share: float, chart: Callable[[], sc.MechanicalSystem]
+) -> None:
     """`share` is the height of the tracked point in units of the radius of gyration."""
     assert_exact(huygens_flyer(chart, mass, inertia, share * (mass / inertia) ** 0.5), 5, 1e-9)
 
@@ -123,7 +127,7 @@ def test_terms_that_cancel_only_where_other_equations_hold_are_out_of_reach_and_
         sc.solve(sc.Scene("mixed", {"m": lambda: system}, sc.rest_to_rest(system.home, (0.5, -0.9), 3.0)))
 
 
-def skate(**changed) -> sc.MechanicalSystem:
+def skate(**changed: float) -> sc.MechanicalSystem:
     coordinates = sc.Coordinates(*named("x z"))
     fields = {
         "name": "skate", "coordinates": coordinates, "parameters": sc.Parameters(), "inputs": named("F"),

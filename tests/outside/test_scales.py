@@ -52,7 +52,7 @@ def exact_force(reference: np.ndarray, size: float) -> np.ndarray:
 
 @settings(max_examples=25, deadline=None)
 @given(st.floats(-10.0, 6.0), st.sampled_from([None, 1.0]), st.booleans())
-def test_cars_on_a_path_of_any_size_are_driven_alike(power: float, nominal, scaled_guess: bool) -> None:
+def test_cars_on_a_path_of_any_size_are_driven_alike(power: float, nominal: float, scaled_guess: bool) -> None:
     size = 10.0**power
     reference = sc.rest_to_rest((0.0,), (size,), 4.0)
     scene = sc.Scene("cars", {"spring": partial(cars, size, nominal, scaled_guess)}, reference)

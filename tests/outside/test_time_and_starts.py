@@ -10,6 +10,7 @@ from outside.writing import coordinates, g, lagrange, rate, square
 from scipy.integrate import solve_ivp
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 SWINGING = {"theta": 0.3, "theta_dot": -0.5}
 
@@ -35,7 +36,7 @@ def test_a_pendulum_on_a_shaken_pivot_moves_as_its_own_differential_equation_say
     scene = sc.Scene("shaken", {"pendulum": timed.shaken}, sc.rest_to_rest((0.2,), (0.5,), 1.0))
     t = np.linspace(0.0, 1.0, 101)
 
-    def slope(time, s):
+    def slope(time: float, s: Array) -> tuple[float, float]:
         weight = g - 0.05 * 3600.0 * np.cos(60.0 * time)
         return s[1], (weight * np.sin(s[0]) + 0.3 * np.cos(s[0])) / 0.5
 
@@ -48,7 +49,7 @@ def test_a_pendulum_on_a_shaken_pivot_moves_as_its_own_differential_equation_say
 
 
 def own_swing(scene: sc.Scene, t: np.ndarray) -> np.ndarray:
-    def slope(time, s):
+    def slope(time: float, s: Array) -> tuple[float, float]:
         x_2 = scene.reference.jet(min(time, 2.0 - 1e-15), 2)[2, 0]
         return s[1], -(g * np.sin(s[0]) + x_2 * np.cos(s[0])) / 0.7
 

@@ -10,6 +10,7 @@ from outside.writing import Case, coordinates, g, lagrange, square
 from scipy.integrate import solve_ivp
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.scenes.jets import Jet
 
@@ -32,7 +33,7 @@ def crane_on_a_ship() -> sc.MechanicalSystem:
 
 
 def load_below_a_ship() -> Case:
-    def exact(t, reference):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         x, z = jets.components(reference.jet(t, 4))
         shape = [HEAVE * WAVES**k * np.sin(WAVES * t + k * np.pi / 2) for k in range(5)]
         depth = Jet.from_derivatives(shape) - z
@@ -62,8 +63,8 @@ def cart_in_the_wind() -> sc.MechanicalSystem:
 
 
 def pendulum_in_the_wind() -> Case:
-    def exact(t, reference):
-        def slope(time, s):
+    def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
+        def slope(time: float, s: Array) -> tuple[float, float]:
             x_2 = reference.jet(min(max(time, 0.0), 2.0 - 1e-15), 2)[2, 0]
             return s[1], (1.5 * np.sin(3 * time) ** 2 / 0.5 - x_2) * np.cos(s[0]) / 0.7 - g * np.sin(s[0]) / 0.7
 
