@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import casadi as ca
@@ -28,7 +29,14 @@ class Motion:
         scene = sc.Scene(self.system.name, {"only": lambda: self.system}, sc.rest_to_rest(rest, rest, 1.0))
         object.__setattr__(self, "scene", scene)
 
-    def run(self, step: float, steps: int, every: int = 1, inputs=None, **how: sc.EnergyMomentum) -> sc.Solution:
+    def run(
+        self,
+        step: float,
+        steps: int,
+        every: int = 1,
+        inputs: Callable[[float], Sequence[float]] | None = None,
+        **how: sc.EnergyMomentum,
+    ) -> sc.Solution:
         t = step * np.arange(0, steps + 1, every)
         still = lambda _: np.zeros(len(self.system.inputs))  # noqa: E731
         how = how if "rtol" in how else {"method": sc.EnergyMomentum(), "step": step} | how
@@ -50,7 +58,7 @@ class Motion:
         return float(v @ np.asarray(mass(q, self.system.parameters.values())) @ v / 2)
 
 
-def started(names: tuple[str, ...] | list[str], q, v) -> dict[str, float]:
+def started(names: tuple[str, ...] | list[str], q: Array, v: Array) -> dict[str, float]:
     """Values and rates by name."""
     return dict(zip(names, map(float, q), strict=True)) | {
         f"{name}_dot": float(rate) for name, rate in zip(names, v, strict=True)
@@ -64,7 +72,7 @@ def turning(omega: tuple[float, float, float] | Array, directors: Array | None =
 
 
 def made(
-    assembly: Assembly, name: str, place: ca.SX, guess, constraints: dict[str, ca.SX] | None = None
+    assembly: Assembly, name: str, place: ca.SX, guess: Sequence[float], constraints: dict[str, ca.SX] | None = None
 ) -> sc.MechanicalSystem:
     """A system of parts with a push along x that nobody uses."""
     return assembly.system(
@@ -159,7 +167,12 @@ def braked_crane() -> Motion:
 
 
 def points_with(
-    name: str, count: int, masses: tuple[float, float] | Array, constraints, potential, start: tuple[Array, Array]
+    name: str,
+    count: int,
+    masses: tuple[float, float] | Array,
+    constraints: ca.SX,
+    potential: ca.SX | float,
+    start: tuple[Array, Array],
 ) -> Motion:
     """Point masses in space, or in the plane if the start has no third column."""
     q, v = start

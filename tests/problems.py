@@ -7,8 +7,10 @@ Small systems with known answers, made by hand, follow below.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -233,7 +235,7 @@ def jets_near_home(system: sc.MechanicalSystem, perturbations: np.ndarray) -> np
     return jets
 
 
-def polynomial_path(coefficients, duration: float = 1.0) -> sc.Reference:
+def polynomial_path(coefficients: Sequence[Sequence[float]] | Array, duration: float = 1.0) -> sc.Reference:
     """The polynomial sum_k coefficients[k] t^k as a reference, moving at both ends."""
     return Polynomial(
         start_time=0.0,
@@ -251,7 +253,7 @@ class Polynomial(sc.Reference):
 
     coefficients: tuple[tuple[float, ...], ...]
 
-    def _derivatives(self, t, order) -> Array:
+    def _derivatives(self, t: Array, order: int) -> Array:
         columns = []
         for k in range(order + 1):
             part = np.polynomial.polynomial.polyder(np.array(self.coefficients), k)
@@ -262,7 +264,7 @@ class Polynomial(sc.Reference):
 # Systems made by hand ------------------------------------------------------------------------------------------------
 
 
-def as_scene(system: sc.MechanicalSystem, reference: sc.Reference, **settings) -> sc.Scene:
+def as_scene(system: sc.MechanicalSystem, reference: sc.Reference, **settings: Any) -> sc.Scene:
     """Wrap one system as a scene of one model."""
     return sc.Scene(name=system.name, models={"only": lambda: system}, reference=reference, **settings)
 
@@ -389,7 +391,7 @@ def mass_on_car(alpha: float, damping: float) -> sc.MechanicalSystem:
     )
 
 
-def changed(system: sc.MechanicalSystem, **attributes) -> sc.MechanicalSystem:
+def changed(system: sc.MechanicalSystem, **attributes: Any) -> sc.MechanicalSystem:
     """Return a copy with other attributes; fails as construction does. What follows from M and inputs is made anew."""
     anew = {"gyroscopic": DERIVED, "u": DERIVED} | attributes
     return replace(system, **anew)

@@ -7,6 +7,7 @@ The truth is each scene's closed form, which knows nothing of systems, formulati
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 
@@ -16,9 +17,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from hypothesis.strategies._internal.core import DataObject
-from hypothesis.strategies._internal.strategies import SearchStrategy
-from problems import METHODS, SCENES, exact, jets_near_home, largest_errors, observed_orders, scene, solved
+from hypothesis.strategies import DataObject, SearchStrategy
+from problems import (
+    METHODS,
+    SCENES,
+    FormulationCase,
+    MethodCase,
+    Problem,
+    exact,
+    jets_near_home,
+    largest_errors,
+    observed_orders,
+    scene,
+    solved,
+)
 
 import servocore as sc
 from servocore import DEGREE3, BackwardEuler, rest_to_rest
@@ -28,6 +40,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import compile_solver
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program
+from servocore.stepping.stepper import Stepper
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.inversion import compile_inversion
 from servocore.structure.projection import project
@@ -47,7 +60,7 @@ def inversion(system: sc.MechanicalSystem) -> tuple[DerivativeArray, ca.Function
     return array, compile_inversion(array).function
 
 
-def inverted(system: sc.MechanicalSystem, jet: Array, p: Array):
+def inverted(system: sc.MechanicalSystem, jet: Array, p: Array) -> dict[str, Array]:
     """Return q, v, v_dot, lam, u of the exact inversion at a reference jet, by (variable, order)."""
     array, invert = inversion(system)
     y, _, residual = invert(jet[: array.reference_order + 1].T, p)
@@ -57,26 +70,26 @@ def inverted(system: sc.MechanicalSystem, jet: Array, p: Array):
     }
 
 
-def angle_difference(a, b: float):
+def angle_difference(a: Array, b: float) -> Array:
     return np.angle(np.exp(1j * (np.asarray(a) - np.asarray(b))))
 
 
 class SceneSuite:
     """What every scene promises; parametrized over `scene_name`."""
 
-    def test_models_are_made_once(self, scene_name) -> None:
+    def test_models_are_made_once(self, scene_name: str) -> None:
         one, other = scene(scene_name), scene(scene_name)
         for name in one.models:
             assert one.model(name) is other.model(name)
 
-    def test_models_agree_on_inputs_outputs_and_parameters(self, scene_name) -> None:
+    def test_models_agree_on_inputs_outputs_and_parameters(self, scene_name: str) -> None:
         first, *others = (scene(scene_name).model(name) for name in scene(scene_name).models)
         for system in others:
             assert system.inputs == first.inputs
             assert system.outputs == first.outputs
             assert system.parameters.declared == first.parameters.declared
 
-    def test_closed_form_answers_for_every_input_and_follows_the_path(self, scene_name) -> None:
+    def test_closed_form_answers_for_every_input_and_follows_the_path(self, scene_name: str) -> None:
         found, system = exact(scene_name, 40), scene(scene_name).model()
         reference = scene(scene_name).reference
         path = reference.jet(np.linspace(reference.start_time, reference.end_time, 41), 0)[:, 0]
@@ -85,13 +98,13 @@ class SceneSuite:
         for k, each in enumerate(system.outputs):
             np.testing.assert_array_equal(found[each.name], path[:, k])
 
-    def test_every_parameter_has_a_unit_a_description_and_a_default_inside_its_bounds(self, scene_name) -> None:
+    def test_every_parameter_has_a_unit_a_description_and_a_default_inside_its_bounds(self, scene_name: str) -> None:
         for each in scene(scene_name).model().parameters.declared:
             assert each.unit
             assert each.description
             assert each.lower < each.default < each.upper
 
-    def test_other_parameters_make_another_scene_and_leave_this_one_alone(self, scene_name) -> None:
+    def test_other_parameters_make_another_scene_and_leave_this_one_alone(self, scene_name: str) -> None:
         one = scene(scene_name)
         name, value = next(iter(one.parameter_values().items()))
         other = one.with_parameters(**{name: 2 * value})
@@ -99,21 +112,21 @@ class SceneSuite:
         assert one.parameter_values()[name] == value
 
     @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
-    def test_parameters_that_are_no_numbers_are_refused_by_name(self, scene_name, value: float) -> None:
+    def test_parameters_that_are_no_numbers_are_refused_by_name(self, scene_name: str, value: float) -> None:
         name = scene(scene_name).model().parameters.names[0]
         with pytest.raises(InvalidModel, match=rf"parameter {name} = .* outside its range"):
             scene(scene_name).with_parameters(**{name: value})
 
-    def test_unknown_parameters_are_refused_and_the_known_ones_listed(self, scene_name) -> None:
+    def test_unknown_parameters_are_refused_and_the_known_ones_listed(self, scene_name: str) -> None:
         name = scene(scene_name).model().parameters.names[0]
         with pytest.raises(InvalidModel, match=rf"no parameter is called colour; there are .*{name}"):
             scene(scene_name).with_parameters(colour=1.0)
 
-    def test_unknown_models_are_refused_and_the_known_ones_listed(self, scene_name) -> None:
+    def test_unknown_models_are_refused_and_the_known_ones_listed(self, scene_name: str) -> None:
         with pytest.raises(InvalidModel, match=f"has no model clay; it has .*{scene(scene_name).default_model}"):
             scene(scene_name).model("clay")
 
-    def test_paths_of_another_dimension_are_refused(self, scene_name) -> None:
+    def test_paths_of_another_dimension_are_refused(self, scene_name: str) -> None:
         m = len(scene(scene_name).model().outputs)
         path = rest_to_rest((0.0,) * (m + 1), (1.0,) * (m + 1), 1.0, DEGREE3)
         with pytest.raises(InvalidReference, match=f"needs a path with {m} components, this one has {m + 1}"):
@@ -124,24 +137,28 @@ class ModelSuite:
     """What every model promises; parametrized over `scene_name, model`."""
 
     @pytest.fixture
-    def system(self, scene_name, model) -> sc.MechanicalSystem:
+    def system(self, scene_name: str, model: str) -> sc.MechanicalSystem:
         return scene(scene_name).model(model)
 
-    def test_index_and_internal_degrees_of_freedom_are_those_of_the_literature(self, scene_name, system) -> None:
+    def test_index_and_internal_degrees_of_freedom_are_those_of_the_literature(
+        self, scene_name: str, system: sc.MechanicalSystem
+    ) -> None:
         found = analyse_structure(system)
         assert found.index == SCENES[scene_name].index
         assert found.degrees_of_freedom == SCENES[scene_name].internal_degrees_of_freedom
 
-    def test_constraints_are_independent_at_home(self, system) -> None:
+    def test_constraints_are_independent_at_home(self, system: sc.MechanicalSystem) -> None:
         system.require_full_rank(*system.home_configuration())
 
-    def test_mass_matrix_is_positive_semidefinite_at_home(self, system) -> None:
+    def test_mass_matrix_is_positive_semidefinite_at_home(self, system: sc.MechanicalSystem) -> None:
         M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])(*system.home_configuration()))
         assert np.linalg.eigvalsh(M).min() >= -1e-12 * np.abs(M).max()
 
     @settings(max_examples=10)
     @given(data=st.data())
-    def test_motion_of_the_inversion_keeps_the_equations_of_motion(self, scene_name, model, data: DataObject) -> None:
+    def test_motion_of_the_inversion_keeps_the_equations_of_motion(
+        self, scene_name: str, model: str, data: DataObject
+    ) -> None:
         system = scene(scene_name).model(model)
         jet = jets_near_home(system, data.draw(perturbations(len(system.outputs))))
         p = system.parameters.values()
@@ -167,7 +184,7 @@ class ModelSuite:
 class ProjectedModelSuite:
     """What models promise that have inertia where the servo constraints act; parametrized over `scene_name, model`."""
 
-    def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, scene_name, model) -> None:  # noqa: N802
+    def test_D_spans_the_kernel_of_C_and_W_solves_M_W_equals_C_transposed(self, scene_name: str, model: str) -> None:  # noqa: N802
         system = scene(scene_name).model(model)
         found = project(system)
         evaluate = ca.Function("CDWM", [system.q, system.p], [found.C, found.D, found.W, system.mass])
@@ -186,7 +203,9 @@ class FlatModelSuite:
 
     @settings(max_examples=15)
     @given(data=st.data())
-    def test_exact_inversion_gives_the_closed_form_at_any_instant(self, scene_name, model, data: DataObject) -> None:
+    def test_exact_inversion_gives_the_closed_form_at_any_instant(
+        self, scene_name: str, model: str, data: DataObject
+    ) -> None:
         system, this = scene(scene_name).model(model), scene(scene_name)
         m = len(system.outputs)
         jet = jets_near_home(system, data.draw(perturbations(m)))
@@ -206,7 +225,9 @@ class FormulationSuite:
 
     @settings(max_examples=8)
     @given(data=st.data())
-    def test_the_exact_motion_satisfies_its_equations(self, scene_name, model, of, data: DataObject) -> None:
+    def test_the_exact_motion_satisfies_its_equations(
+        self, scene_name: str, model: str, of: FormulationCase, data: DataObject
+    ) -> None:
         """H x_dot = f and 0 = h hold, to rounding, where the exact inversion puts the system."""
         system = scene(scene_name).model(model)
         dae = of.formulation.dae(system)
@@ -225,13 +246,15 @@ class FormulationSuite:
         np.testing.assert_allclose(H @ np.nan_to_num(rates), f.ravel(), atol=1e-9 * scale)
         np.testing.assert_allclose(h, 0.0, atol=1e-9 * scale)
 
-    def test_it_describes_every_unknown_and_equation_once(self, scene_name, model, of) -> None:
+    def test_it_describes_every_unknown_and_equation_once(
+        self, scene_name: str, model: str, of: FormulationCase
+    ) -> None:
         dae = of.formulation.dae(scene(scene_name).model(model))
         for described in ([each.name for each in dae.unknowns], [each.name for each in dae.equations]):
             assert len(described) == dae.x.numel() + dae.z.numel()
             assert len(set(described)) == len(described)
 
-    def test_equal_settings_share_one_compiled_program(self, scene_name, model, of) -> None:
+    def test_equal_settings_share_one_compiled_program(self, scene_name: str, model: str, of: FormulationCase) -> None:
         again = type(of.formulation)()
         first, second = (sc.Problem.of(scene(scene_name), model) for _ in range(2))
         assert program_of(first, of.formulation, BackwardEuler()) is program_of(second, again, BackwardEuler())
@@ -240,7 +263,7 @@ class FormulationSuite:
 class ProblemSuite:
     """What every scene, model, formulation and method give together; parametrized over `problem`."""
 
-    def test_inputs_converge_to_the_closed_form_with_the_order_of_the_method(self, problem) -> None:
+    def test_inputs_converge_to_the_closed_form_with_the_order_of_the_method(self, problem: Problem) -> None:
         errors = np.array([largest_errors(problem, steps, problem.inputs, True) for steps in problem.by.steps])
         if problem.pointwise:
             peaks = [
@@ -252,7 +275,7 @@ class ProblemSuite:
             assert np.abs(orders - problem.order).max() < 0.3
             assert np.abs(orders[-1] - problem.order).max() < 0.2
 
-    def test_what_servo_constraints_fix_is_exact_at_every_step_size(self, problem) -> None:
+    def test_what_servo_constraints_fix_is_exact_at_every_step_size(self, problem: Problem) -> None:
         """Unless the form differentiates positions numerically: there it converges as the inputs do."""
         names = problem.case.algebraic
         if not names:
@@ -266,7 +289,7 @@ class ProblemSuite:
             wrong = coarse > 1e-10
             assert np.abs(observed_orders(coarse[wrong], fine[wrong]) - problem.order).max() < 0.15
 
-    def test_it_follows_the_path_and_keeps_the_constraints(self, problem) -> None:
+    def test_it_follows_the_path_and_keeps_the_constraints(self, problem: Problem) -> None:
         solution, system = solved(problem, 200), problem.system
         path = problem.scene.reference.jet(solution.t, 0)[:, 0]
         for k, each in enumerate(system.outputs):
@@ -275,12 +298,12 @@ class ProblemSuite:
         assert solution.statistics.constraint_violation < 1e-9
         assert solution.statistics.worst_residual < 1e-8
 
-    def test_it_starts_with_the_exact_inputs(self, problem) -> None:
+    def test_it_starts_with_the_exact_inputs(self, problem: Problem) -> None:
         solution, expected = solved(problem, 200), exact(problem.scene_name, 200)
         for name in problem.inputs:
             assert solution[name][0] == pytest.approx(expected[name][0], abs=1e-9 * max(1.0, abs(expected[name][0])))
 
-    def test_its_error_is_known_within_a_factor_of_three_and_its_motion_is_one(self, problem) -> None:
+    def test_its_error_is_known_within_a_factor_of_three_and_its_motion_is_one(self, problem: Problem) -> None:
         """Where it exceeds a hundred times the floor; what may stay unknown is listed in docs/error-estimates.md."""
         solution, expected = solved(problem, 200), exact(problem.scene_name, 200)
         error = solution.error
@@ -292,7 +315,7 @@ class ProblemSuite:
             assert error[name] < 1e-9 * peak or error[name] < 3 * true
             assert true < 1e-9 * peak or true < 3 * error[name]
 
-    def test_every_step_takes_few_newton_iterations(self, problem) -> None:
+    def test_every_step_takes_few_newton_iterations(self, problem: Problem) -> None:
         statistics = solved(problem, 200).statistics
         assert statistics.steps == 200
         # A pointwise form starts every instant from the configuration at rest, the others from the last instants.
@@ -300,7 +323,7 @@ class ProblemSuite:
         assert statistics.newton_iterations <= most
         assert statistics.factorisations > 0  # linear blocks need no iteration, but they count
 
-    def test_solution_lists_inputs_first_and_every_quantity_with_its_unit(self, problem) -> None:
+    def test_solution_lists_inputs_first_and_every_quantity_with_its_unit(self, problem: Problem) -> None:
         solution, system = solved(problem, 200), problem.system
         assert solution.names[: len(system.inputs)] == problem.inputs
         quantities = (*system.inputs, *system.observables, *system.outputs, *system.coordinates.quantities)
@@ -310,7 +333,7 @@ class ProblemSuite:
             assert solution.unit(each.name) == each.unit
         assert np.isfinite(solution.values).all()
 
-    def test_stepping_by_hand_gives_the_same_as_solve(self, problem) -> None:
+    def test_stepping_by_hand_gives_the_same_as_solve(self, problem: Problem) -> None:
         solution, steps = solved(problem, 50), 50
         stepper = problem.stepper(problem.scene.reference.duration / steps)
         jets = problem.scene.reference.jet(solution.t, stepper.start_order)
@@ -324,14 +347,14 @@ class ProblemSuite:
             for name in problem.inputs:
                 assert found[name] == pytest.approx(solution[name][k], rel=1e-14, abs=1e-11)
 
-    def test_state_is_a_flat_vector_that_steps_do_not_change(self, problem) -> None:
+    def test_state_is_a_flat_vector_that_steps_do_not_change(self, problem: Problem) -> None:
         stepper, state, jets = self._started(problem)
         assert isinstance(state, np.ndarray)
         assert (state.dtype, state.ndim, state.size) == (np.float64, 1, stepper.program.state_size)
         state.setflags(write=False)
         stepper.advance(state, jets[0])
 
-    def test_going_back_to_a_copied_state_repeats_the_future_exactly(self, problem) -> None:
+    def test_going_back_to_a_copied_state_repeats_the_future_exactly(self, problem: Problem) -> None:
         stepper, state, jets = self._started(problem)
         state, _ = stepper.advance(state, jets[0])
         saved = state.copy()
@@ -340,7 +363,7 @@ class ProblemSuite:
         restored = np.array([float(repr(float(each))) for each in saved])  # as a list of numbers in a file
         np.testing.assert_array_equal(self._future(stepper, restored, jets[1:]), first)
 
-    def test_program_read_back_from_json_gives_identical_results(self, problem) -> None:
+    def test_program_read_back_from_json_gives_identical_results(self, problem: Problem) -> None:
         stepper, state, jets = self._started(problem)
         copy = Program.from_json(stepper.program.to_json())
         h, p = stepper.step, stepper.parameters
@@ -362,7 +385,7 @@ class ProblemSuite:
         ):
             assert getattr(copy, attribute) == getattr(stepper.program, attribute)
 
-    def _started(self, problem):
+    def _started(self, problem: Problem) -> tuple[Stepper, Array, list[Array]]:
         """Return a stepper, its state in the middle of the path and reference jets of the next four steps."""
         duration = problem.scene.reference.duration
         stepper = problem.stepper(duration / 200)
@@ -371,17 +394,17 @@ class ProblemSuite:
         return stepper, state, [self._node_jets(stepper, problem, t + k * stepper.step) for k in range(1, 5)]
 
     @staticmethod
-    def _start_jets(stepper, problem, t):
+    def _start_jets(stepper: Stepper, problem: Problem, t: float) -> Array:
         times = t + stepper.step * np.array(stepper.start_instants)
         return problem.scene.reference.jet(times, stepper.start_order)
 
     @staticmethod
-    def _node_jets(stepper, problem, t):
+    def _node_jets(stepper: Stepper, problem: Problem, t: float) -> Array:
         times = [t - (1.0 - c) * stepper.step for c in stepper.nodes]
         return problem.scene.reference.jet(np.array(times), stepper.start_order)
 
     @staticmethod
-    def _future(stepper, state: Array, jets) -> Array:
+    def _future(stepper: Stepper, state: Array, jets: Sequence[Array]) -> Array:
         states = []
         for jet in jets:
             state, _ = stepper.advance(state, jet)
@@ -389,7 +412,14 @@ class ProblemSuite:
         return np.array(states)
 
 
-def march(method: sc.Method, dae: sc.Dae, exact, path, h: float, count: int) -> Array:
+def march(
+    method: sc.Method,
+    dae: sc.Dae,
+    exact: Callable[[float], Sequence[float]],
+    path: Callable[[float], Array],
+    h: float,
+    count: int,
+) -> Array:
     """Take `count` steps of a bare `Dae` without parameters from t = 0; returns the unknowns, shape (count + 1, N).
 
     `exact` gives [x; z] at a time up to 0 for the start, `path` the reference and its derivatives, shape (orders,).
@@ -432,10 +462,10 @@ def small_dae(x: ca.SX, z: ca.SX, rate: ca.SX, constraint: ca.SX, gamma: ca.SX, 
     )
 
 
-def polynomial(coefficients: list[float]):
+def polynomial(coefficients: list[float]) -> Callable[[float], Array]:
     """Return t -> value and derivatives of a polynomial, lowest power first."""
 
-    def path(t) -> Array:
+    def path(t: float) -> Array:
         parts = [np.polynomial.polynomial.polyder(coefficients, k) for k in range(4)]
         return np.array([np.polynomial.polynomial.polyval(t, part) for part in parts])
 
@@ -448,7 +478,7 @@ ZERO = polynomial([0.0])
 class MethodSuite:
     """What every method promises, whatever the `Dae`; parametrized over `by`."""
 
-    def _quadrature_error(self, by, degree: int):
+    def _quadrature_error(self, by: MethodCase, degree: int) -> float:
         """Integrate x_dot = gamma(t) to x = t^degree from t = 0 to 2, relative to its size."""
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, gamma[0], z - x, gamma)
@@ -456,17 +486,17 @@ class MethodSuite:
         found = march(by.method, dae, lambda t: [t**degree, t**degree], rate, 0.25, 8)[:, 0]
         return np.abs(found - (0.25 * np.arange(9)) ** degree).max() / 2.0**degree
 
-    def test_it_integrates_polynomials_up_to_its_order_exactly_and_no_further(self, by) -> None:
+    def test_it_integrates_polynomials_up_to_its_order_exactly_and_no_further(self, by: MethodCase) -> None:
         for degree in range(1, by.differential + 1):
             assert self._quadrature_error(by, degree) < 1e-12
         assert self._quadrature_error(by, by.differential + 1) > 1e-7
 
-    def test_it_converges_with_its_orders_on_a_nonlinear_problem_of_index_one(self, by) -> None:
+    def test_it_converges_with_its_orders_on_a_nonlinear_problem_of_index_one(self, by: MethodCase) -> None:
         """z^3 + z = 2 x, x_dot = -(3 z^2 + 1) z^2/2: z = 1/(2 + t)."""
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -(3 * z**2 + 1) * z**2 / 2, z**3 + z - 2 * x, gamma)
 
-        def exact(t: Array):
+        def exact(t: Array) -> list[float]:
             return [(1 / (2 + t) ** 3 + 1 / (2 + t)) / 2, 1 / (2 + t)]
 
         errors = []
@@ -475,7 +505,7 @@ class MethodSuite:
             errors.append(np.abs(found - np.transpose(exact(np.linspace(0.0, 1.0, count + 1)))).max(axis=0))
         assert observed_orders(*errors) == pytest.approx([by.differential, by.by_index[0]], abs=0.35)
 
-    def test_it_says_its_orders(self, by) -> None:
+    def test_it_says_its_orders(self, by: MethodCase) -> None:
         index_one = by.method.orders(1)
         assert (index_one.positions, index_one.velocities) == (by.differential, by.differential)
         if by.damped:
@@ -484,18 +514,18 @@ class MethodSuite:
         else:
             assert index_one.forces <= by.by_index[0]
 
-    def test_only_a_damped_method_forgets_a_wrong_start_of_a_stiff_problem(self, by) -> None:
+    def test_only_a_damped_method_forgets_a_wrong_start_of_a_stiff_problem(self, by: MethodCase) -> None:
         """x_dot = -1e9 (x - gamma) from x = 1 with gamma = 0: within the history if stiffly accurate, else never."""
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -1e9 * (z - gamma[0]), z - x, gamma)
         last = march(by.method, dae, lambda _: [1.0, 1.0], ZERO, 0.1, 8)[-1, 0]
         assert (abs(last) < 1e-6) if by.damped else (abs(last) > 0.9)
 
-    def test_its_nodes_lie_within_the_step_in_order(self, by) -> None:
+    def test_its_nodes_lie_within_the_step_in_order(self, by: MethodCase) -> None:
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         nodes = by.method.discretise(small_dae(x, z, gamma[0], z - x, gamma)).nodes
         assert all(a < b for a, b in pairwise(nodes))
         assert 0.0 <= nodes[0] <= nodes[-1] <= 1.0
 
-    def test_its_name_is_its_own(self, by) -> None:
+    def test_its_name_is_its_own(self, by: MethodCase) -> None:
         assert [each.method.name for each in METHODS].count(by.method.name) == 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import casadi as ca
@@ -21,7 +22,7 @@ ALONG_X = ca.SX(np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]], dtype=float))
 Y = (0, 1, 0)
 
 
-def section(axial: float, bending: float, line_mass: float = 0.0, inertia: float = 0.0):
+def section(axial: float, bending: float, line_mass: float = 0.0, inertia: float = 0.0) -> Section:
     return Section(axial, (axial / 2, axial / 2), (bending, bending), bending, line_mass, (inertia, inertia))
 
 
@@ -35,7 +36,7 @@ def cantilever(elements: int) -> sc.MechanicalSystem:
     root, tip, phi = parts.node("beam", 0), parts.node("beam", -1), parts.augmented("phi")
     size = LENGTH / elements
 
-    def rolled(y):
+    def rolled(y: Array) -> dict[str, float]:
         nodes, place = [], ca.SX.zeros(3)
         for k in range(elements + 1):
             nodes.append((place, turned(Y, y[0] * k / elements) @ ALONG_X))
@@ -224,7 +225,7 @@ def arch(elements: int = 8, rise: float = 0.1, span: float = 2.0) -> tuple[sc.Me
     return system, height
 
 
-def stationary(system: sc.MechanicalSystem, q: Array, height):
+def stationary(system: sc.MechanicalSystem, q: Array, height: float) -> float:
     """The load in equilibrium at a height, by Newton's method on the stationary energy, and the configuration."""
     lam, load = ca.SX.sym("lam", system.lam.numel()), ca.SX.sym("P")
     energy = ca.SX(system.potential) + ca.dot(lam, system.constraints) + load * (system.output - height)
@@ -265,7 +266,7 @@ def test_a_shallow_arch_is_followed_past_both_limit_points() -> None:
         (ElasticRope("r", 1.0, 2, float("inf"), 1.0), "rope r: its axial stiffness is inf"),
     ],
 )
-def test_impossible_flexible_parts_are_refused(part, said: str) -> None:
+def test_impossible_flexible_parts_are_refused(part: Callable[[], object], said: str) -> None:
     with pytest.raises(sc.InvalidModel, match=said):
         Assembly((part,), sc.Parameters(), gravity=(0, 0, 0))
 

@@ -64,7 +64,7 @@ def bessel(count: int, load_mass: float, line_mass: float, length: float, above:
     tension = gravity * (load_mass + line_mass * length)
     bears = tension + gravity * line_mass * above / 2
 
-    def gap(omega):
+    def gap(omega: float) -> float:
         places = np.array([shift, shift + length])
         root = 2 * omega * np.sqrt(places / gravity)
         inner = omega / np.sqrt(gravity * places)

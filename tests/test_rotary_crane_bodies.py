@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import servocore as sc
 from servocore import BackwardEuler, rest_to_rest
 from servocore.formulations import Projected
 from servocore.model.system import MechanicalSystem
@@ -30,12 +31,12 @@ def crane() -> MechanicalSystem:
 
 
 @cache
-def inversion(model) -> tuple[DerivativeArray, ca.Function]:
+def inversion(model: Callable[[], sc.MechanicalSystem]) -> tuple[DerivativeArray, ca.Function]:
     array = derivative_array(model())
     return array, compile_inversion(array).function
 
 
-def inverted(model, jets: Array, changed: dict[str, float] | None = None) -> Array:
+def inverted(model: Callable[[], sc.MechanicalSystem], jets: Array, changed: dict[str, float] | None = None) -> Array:
     """Unknowns of the derivative array, shape (unknowns, N), for jets of shape (N, orders, 3)."""
     array, invert = inversion(model)
     gamma = np.concatenate([jet[: array.reference_order + 1].T for jet in jets], axis=1)

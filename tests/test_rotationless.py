@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -47,7 +49,7 @@ GRAVITY = 9.81
 vectors = arrays(float, 3, elements=st.floats(-3.0, 3.0))
 
 
-def rotation(vector):
+def rotation(vector: Sequence[float] | Array) -> Array:
     """Rotation matrix of a rotation vector."""
     size = np.linalg.norm(vector)
     K = cross(np.asarray(vector) / max(size, 1e-300))
@@ -58,12 +60,12 @@ def cross(w: Array) -> Array:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
-def motion(position: tuple[float, float, float] | Array, R, velocity: Array, w: Array) -> tuple[Array, Array]:
+def motion(position: tuple[float, float, float] | Array, R: Array, velocity: Array, w: Array) -> tuple[Array, Array]:
     """Coordinates and velocities of a body, shape (12,) each, of its pose and twist."""
     return np.concatenate([position, R.T.ravel()]), np.concatenate([velocity, (cross(w) @ R).T.ravel()])
 
 
-def jacobian(constraints: ca.SX, assembly, q: Array) -> Array:
+def jacobian(constraints: ca.SX, assembly: Assembly, q: Array) -> Array:
     G = ca.Function("G", [assembly.coordinates.q], [constraints, ca.jacobian(constraints, assembly.coordinates.q)])
     residual, matrix = G(q)
     np.testing.assert_allclose(residual, 0.0, atol=1e-12)
@@ -184,7 +186,7 @@ def test_a_joint_has_independent_rows_that_allow_its_motions_and_no_others(name:
             assert (np.abs(G @ v).max() < 1e-12) == allowed, (direction, twist)
 
 
-def triad(axis, normal) -> Array:
+def triad(axis: Array, normal: Array) -> Array:
     e = axis / np.linalg.norm(axis)
     n = normal - (normal @ e) * e
     n /= np.linalg.norm(n)
@@ -235,7 +237,9 @@ def test_turned_directors_are_those_of_the_rotation_vector() -> None:
 # --- mechanisms with known answers --------------------------------------------------------------------------------
 
 
-def one_angle(name: str, body, constraints_of, extra=()) -> MechanicalSystem:
+def one_angle(
+    name: str, body: RigidBody, constraints_of: Callable[[RigidBody], Sequence[Any]], extra: Any = ()
+) -> MechanicalSystem:
     """System of one body on the ground whose angle phi about y is driven and prescribed."""
     assembly = Assembly((body, Quantity("phi", "rad"), *extra), NONE, (0, 0, -GRAVITY))
     phi, hinge = assembly.augmented("phi"), (GROUND.at(axis=Y), assembly.body("b").at(axis=Y))
@@ -348,7 +352,7 @@ def test_a_slider_crank_with_a_rigid_link_pushes_its_slider_as_the_triangle_says
 
 
 @cache
-def howto():
+def howto() -> dict[str, Any]:
     """Run the code of the page."""
     names: dict[str, object] = {}
     for block in re.findall(r"```python\n(.*?)```", HOWTO.read_text(), re.DOTALL):
@@ -394,7 +398,7 @@ class FourBar:
         return float((forces * self.centres_1.conj()).real.sum() + moments @ self.w)
 
 
-def solve_complex(coefficients, right) -> Array:
+def solve_complex(coefficients: Array, right: Array) -> Array:
     """Two real unknowns of one complex equation."""
     matrix = np.array([coefficients.real, coefficients.imag])
     return np.linalg.solve(matrix, [right.real, right.imag])
@@ -410,7 +414,7 @@ def test_a_four_bar_linkage_of_spatial_bodies_has_one_degree_of_freedom_and_inde
     assert (system.degrees_of_freedom, found.degrees_of_freedom, found.index) == (1, 0, 3)
 
 
-def four_hinges():
+def four_hinges() -> MechanicalSystem:
     page = howto()
     closing = revolute(page["rocker"].at((page["ROCKER"], 0, 0)), page["coupler"].at((page["COUPLER"], 0, 0)))
     theta = page["linkage"].augmented("theta")
@@ -480,7 +484,7 @@ def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers
         (RigidBody("b", 1.0, (1.0, 1.0, 1.0), (0.0, 1.0)), "a vector in space has 3 components, not 2"),
     ],
 )
-def test_impossible_bodies_are_refused_in_a_sentence(part, sentence: str) -> None:
+def test_impossible_bodies_are_refused_in_a_sentence(part: Callable[[], object], sentence: str) -> None:
     with pytest.raises(InvalidModel, match=sentence):
         Assembly((part,), NONE, (0, 0, 0)).mass  # noqa: B018
 

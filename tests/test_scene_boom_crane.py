@@ -8,19 +8,20 @@ from problems import scene
 from scipy.interpolate import make_interp_spline
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("boom_crane")
 P = CRANE.parameter_values()
 REACH = P["boom_length"] + P["foot_offset"]
 
 
-def led(start, end, duration: float = 20.0) -> sc.Scene:
+def led(start: tuple[float, float, float], end: tuple[float, float, float], duration: float = 20.0) -> sc.Scene:
     """The crane with another line from rest to rest."""
     return CRANE.with_reference(sc.rest_to_rest(start, end, duration))
 
 
 @pytest.mark.parametrize("model", CRANE.models)
-def test_the_tip_is_on_the_rope_s_line_and_on_the_boom_s_torus(model):
+def test_the_tip_is_on_the_rope_s_line_and_on_the_boom_s_torus(model: str) -> None:
     found = sc.solve(CRANE, step=0.5, model=model)
     load = np.column_stack([found[name] for name in ("x", "y", "z")])
     pull = CRANE.reference.jet(found.t, 2)[:, 2] + [0.0, 0.0, P["gravity"]]
@@ -31,11 +32,11 @@ def test_the_tip_is_on_the_rope_s_line_and_on_the_boom_s_torus(model):
     assert found["theta"].min() > 0.0
 
 
-def test_the_work_of_its_inputs_raises_load_and_boom():
+def test_the_work_of_its_inputs_raises_load_and_boom() -> None:
     t = np.linspace(0.0, CRANE.reference.duration, 4001)
     found = CRANE.exact(t)
 
-    def rate(name):
+    def rate(name: str) -> Array:
         return make_interp_spline(t, found[name], k=7).derivative()(t)
 
     power = found["M_s"] * rate("phi") + found["M_l"] * rate("theta") + found["M_w"] * rate("l") / P["winch_radius"]
@@ -44,7 +45,7 @@ def test_the_work_of_its_inputs_raises_load_and_boom():
     assert work == pytest.approx(P["gravity"] * (raised[-1] - raised[0]), rel=1e-8)
 
 
-def test_at_rest_the_boom_carries_itself_and_the_load():
+def test_at_rest_the_boom_carries_itself_and_the_load() -> None:
     found = CRANE.exact(np.array([0.0, CRANE.reference.duration]))
     moment = P["boom_mass"] * P["boom_centre"] + P["load_mass"] * P["boom_length"]
     np.testing.assert_allclose(found["M_l"], P["gravity"] * moment * np.cos(found["theta"]), rtol=1e-12)
@@ -53,7 +54,7 @@ def test_at_rest_the_boom_carries_itself_and_the_load():
 
 
 @pytest.mark.parametrize("model", CRANE.models)
-def test_under_the_exact_inputs_the_load_returns_to_its_path(model):
+def test_under_the_exact_inputs_the_load_returns_to_its_path(model: str) -> None:
     """In 4 s: a boom that a torque alone holds up falls over, and round-off grows tenfold in less than two seconds."""
     quick = led((6.0, 0.0, -1.0), (4.0, 3.0, 1.0), 4.0)
     inputs = sc.solve(quick, step=0.005)
@@ -61,7 +62,7 @@ def test_under_the_exact_inputs_the_load_returns_to_its_path(model):
 
 
 @pytest.mark.parametrize("model", CRANE.models)
-def test_a_load_that_swings_far_is_solved_exactly(model):
+def test_a_load_that_swings_far_is_solved_exactly(model: str) -> None:
     """In weak gravity the rope's line meets the torus far from where a vertical one would."""
     light = led((5.0, -1.5, -1.0), (5.0, 1.5, -1.0), 6.0).with_parameters(gravity=1.2)
     found = sc.solve(light, step=0.05, model=model)
@@ -71,7 +72,7 @@ def test_a_load_that_swings_far_is_solved_exactly(model):
         np.testing.assert_allclose(found[name], exact[name], rtol=0.0, atol=1e-11 * np.abs(exact[name]).max())
 
 
-def test_a_load_at_rest_can_be_held_up_to_the_boom_s_length_and_the_offset():
+def test_a_load_at_rest_can_be_held_up_to_the_boom_s_length_and_the_offset() -> None:
     inside, outside = led((6.0, 0.0, -1.0), (REACH - 0.002, 0.0, -1.0)), led((6.0, 0.0, -1.0), (REACH, 0.0, -1.0))
     assert inside.exact(np.array([20.0]))["theta"][0] == pytest.approx(np.sqrt(2 * 0.002 / P["boom_length"]), rel=1e-3)
     assert sc.solve(inside)["theta"][-1] == pytest.approx(inside.exact(np.array([20.0]))["theta"][0], abs=1e-9)
@@ -88,6 +89,8 @@ def test_a_load_at_rest_can_be_held_up_to_the_boom_s_length_and_the_offset():
         ((6.0, 0.0, 5.0), (6.0, 0.0, -1.0), 1.0, "at t = .* s the rope goes slack"),
     ],
 )
-def test_a_path_that_it_cannot_follow_is_refused_with_the_reason_and_the_time(start, end, duration, sentence):
+def test_a_path_that_it_cannot_follow_is_refused_with_the_reason_and_the_time(
+    start: tuple[float, float, float], end: tuple[float, float, float], duration: float, sentence: str
+) -> None:
     with pytest.raises(sc.InvalidReference, match=sentence):
         sc.solve(led(start, end, duration))

@@ -21,14 +21,14 @@ def test_every_scene_has_a_section_and_every_section_a_scene() -> None:
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_its_example_has_three_lines_and_runs(name) -> None:
+def test_its_example_has_three_lines_and_runs(name: str) -> None:
     (example,) = BLOCK.findall(SECTIONS[name])
     assert len(example.strip().splitlines()) <= 4 if "import" in example else 3
     exec(compile(PREAMBLE + example, "docs/scenes.md", "exec", dont_inherit=True), {})
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_its_sketch_models_index_exact_answer_and_limits_are_there(name) -> None:
+def test_its_sketch_models_index_exact_answer_and_limits_are_there(name: str) -> None:
     section = SECTIONS[name]
     assert re.search(r"^     *.*[|/\\=\[]", section, re.MULTILINE)
     for heading in ("Needs", "Models", "Kind", "Exact answer", "Limits"):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 from problems import (
     BACKWARD_EULER,
     FLAT_MODELS,
@@ -90,7 +91,9 @@ class TestEveryProblem(ProblemSuite):
 
 @pytest.mark.parametrize(("scene_name", "model", "formulation"), UNSTABLE)
 @pytest.mark.parametrize("steps", [200, 800])
-def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(scene_name, model, formulation, steps):
+def test_no_step_size_saves_the_original_equations_in_generalized_coordinates(
+    scene_name: str, model: str, formulation: str, steps: int
+) -> None:
     (of,) = (each.formulation for each in FORMULATIONS if each.formulation.name == formulation)
     step = scene(scene_name).reference.duration / steps
     with pytest.raises(sc.IntegrationFailed, match=r"the step from t = .* was not solved"):
@@ -139,7 +142,7 @@ def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_
 
 @pytest.mark.parametrize("other", ROTARY_MODELS[1:])
 def test_models_differ_by_an_amount_that_halves_with_the_step(other: str) -> None:
-    def distance(steps: int):
+    def distance(steps: int) -> float:
         one, two = (solved(problem("rotary_crane", model), steps) for model in ("points", other))
         return max(np.abs(one[name] - two[name]).max() / np.abs(one[name]).max() for name in INPUTS)
 
@@ -150,21 +153,21 @@ def test_models_differ_by_an_amount_that_halves_with_the_step(other: str) -> Non
     assert (ratios < 2.2).all()
 
 
-def sane_cranes():
+def sane_cranes() -> SearchStrategy[dict[str, float]]:
     """Draw parameters within a factor of three of the default."""
     factor = st.floats(0.35, 3.0)
     values = scene("rotary_crane").parameter_values()
     return st.fixed_dictionaries({name: factor.map(lambda f, v=value: f * v) for name, value in values.items()})
 
 
-def load_points():
+def load_points() -> SearchStrategy[tuple[float, float, float]]:
     """Draw points at 2.5 to 8 m from the axis and 1.5 to 8 m below the girder, whole millimetres."""
     return st.tuples(st.floats(2.5, 8.0), st.floats(-np.pi, np.pi), st.floats(-8.0, -1.5)).map(
         lambda c: (round(c[0] * np.cos(c[1]), 3), round(c[0] * np.sin(c[1]), 3), round(c[2], 3))
     )
 
 
-def smallest_radius(start, end) -> float:
+def smallest_radius(start: tuple[float, float, float], end: tuple[float, float, float]) -> float:
     """Distance of the straight line between two points from the slewing axis."""
     a, b = np.array(start[:2]), np.array(end[:2])
     way = b - a
@@ -175,7 +178,7 @@ def smallest_radius(start, end) -> float:
 @settings(max_examples=12)
 @given(parameters=sane_cranes(), start=load_points(), end=load_points(), duration=st.floats(15.0, 40.0))
 def test_every_sane_crane_and_manoeuvre_is_solved_to_first_order_with_exact_configuration(
-    parameters, start, end, duration: float
+    parameters: dict[str, float], start: tuple[float, float, float], end: tuple[float, float, float], duration: float
 ) -> None:
     assume(smallest_radius(start, end) > 2.0)
     assume(np.linalg.norm(np.subtract(start, end)) > 1.0)
@@ -245,7 +248,7 @@ def test_inputs_of_the_closed_form_do_the_work_that_raises_the_load(scene_name: 
 
 
 @pytest.mark.parametrize("scene_name", ["rotary_crane", "overhead_crane", "gantry_crane"])
-def test_at_rest_only_the_winch_holds_the_load(scene_name):
+def test_at_rest_only_the_winch_holds_the_load(scene_name: str) -> None:
     crane = scene(scene_name)
     p = crane.parameter_values()
     found = crane.exact(np.array([crane.reference.start_time, crane.reference.end_time]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -29,7 +31,7 @@ def test_no_coordinates_are_an_empty_column() -> None:
 
 
 @pytest.mark.parametrize("access", [lambda c: c["y"], lambda c: c.index("y"), lambda c: c.velocity("y")])
-def test_an_unknown_coordinate_is_refused_and_the_known_ones_listed(access) -> None:
+def test_an_unknown_coordinate_is_refused_and_the_known_ones_listed(access: Callable[[sc.Coordinates], object]) -> None:
     with pytest.raises(sc.InvalidModel, match="no coordinate is called y; there are x, z"):
         access(sc.Coordinates(sc.Quantity("x"), sc.Quantity("z")))
 

@@ -93,7 +93,7 @@ def test_gyroscopic_forces_of_polar_coordinates_are_coriolis_and_centrifugal() -
 
 @settings(max_examples=20)
 @given(st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
-def test_gyroscopic_forces_do_the_work_that_a_changing_mass_takes(numbers) -> None:
+def test_gyroscopic_forces_do_the_work_that_a_changing_mass_takes(numbers: tuple[float, ...]) -> None:
     """v . (M_dot v - grad(v^T M v)/2) = v^T M_dot v / 2, so that kinetic energy balances for any M(q)."""
     q3, v3 = ca.SX.sym("q", 3), ca.SX.sym("v", 3)
     root = ca.SX(3, 3)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject
 from problems import actuated_chain, changed, driven_pendulum, redundant_pendulum, scene
 
 import servocore as sc
@@ -28,7 +29,9 @@ FIELDS = ("mass", "output", "input_matrix", "potential", "force", "constraints",
 
 
 def refused(
-    error: type[sc.InvalidModel] | type[sc.InvalidReference] | type[sc.InvalidSetting], said: str, make
+    error: type[sc.InvalidModel] | type[sc.InvalidReference] | type[sc.InvalidSetting],
+    said: str,
+    make: Callable[[], object],
 ) -> None:
     """Check that `make` raises `error` with exactly this sentence, but for what follows ``...``."""
     with pytest.raises(sc.ServocoreError) as caught:
@@ -51,7 +54,9 @@ def a_scene(
 
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(FIELDS), st.sampled_from(NOT_FINITE), st.booleans(), st.data())
-def test_an_entry_that_is_no_finite_number_is_refused_by_name(field, value, hidden: bool, data: DataObject) -> None:
+def test_an_entry_that_is_no_finite_number_is_refused_by_name(
+    field: str, value: object, hidden: bool, data: DataObject
+) -> None:
     """Wherever it stands, plainly or within an expression."""
     system = redundant_pendulum()
     wrong = ca.densify(getattr(system, field)) + 0
@@ -285,7 +290,7 @@ def test_one_input_takes_a_row_as_a_list() -> None:
         ),
     ],
 )
-def test_a_field_of_the_wrong_kind_or_size_is_refused(fields, said: str) -> None:
+def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], said: str) -> None:
     refused(sc.InvalidModel, said, lambda: changed(actuated_chain(), **fields))
 
 
@@ -323,7 +328,7 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields, said: str) -> None
         ),
     ],
 )
-def test_parts_of_a_model_of_the_wrong_kind_are_refused(make, said: str) -> None:
+def test_parts_of_a_model_of_the_wrong_kind_are_refused(make: Callable[[], object], said: str) -> None:
     refused(sc.InvalidModel, said, make)
 
 
@@ -338,7 +343,7 @@ def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write() -> Non
 @pytest.mark.parametrize(
     "call", [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion, lambda s: sc.export_fmu(s, "x.fmu")]
 )
-def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call) -> None:
+def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call: Callable[[sc.Scene], object]) -> None:
     with pytest.raises(sc.InvalidModel, match=r"takes a Scene, not the system pendulum: Scene\(name, models=.*lambda"):
         call(driven_pendulum())
 
@@ -397,7 +402,7 @@ def test_a_reference_of_another_dimension_is_refused_with_both_and_the_outputs(
         ),
     ],
 )
-def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments, said: str) -> None:
+def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments: Any, said: str) -> None:
     refused(sc.InvalidSetting, said, lambda: sc.solve(CRANE, **arguments))
 
 
@@ -422,7 +427,7 @@ def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments, sa
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),
     ],
 )
-def test_paths_from_what_is_no_number_are_refused(make, said: str) -> None:
+def test_paths_from_what_is_no_number_are_refused(make: Callable[[], object], said: str) -> None:
     refused(sc.InvalidReference, said, make)
 
 
@@ -444,7 +449,7 @@ def test_paths_from_what_is_no_number_are_refused(make, said: str) -> None:
         ),
     ],
 )
-def test_dead_and_doubled_inputs_and_outputs_are_named(fields, said: str) -> None:
+def test_dead_and_doubled_inputs_and_outputs_are_named(fields: dict[str, Any], said: str) -> None:
     system = actuated_chain()
     wrong = changed(system, **{key: each(system.q) if callable(each) else each for key, each in fields.items()})
     said = f"actuated chain: structurally singular, {said}"
