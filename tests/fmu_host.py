@@ -96,7 +96,7 @@ class Host:
         self.callbacks.freeMemory = defaultCallbacks.freeMemory
         self.fmu.instantiate(callbacks=self.callbacks, loggingOn=logging)
 
-    def _log(self, _environment, _name, _status, _category, message) -> None:
+    def _log(self, _environment: object, _name: object, _status: object, _category: object, message: bytes) -> None:
         self.messages.append(message.decode())
 
     def __enter__(self) -> Host:

@@ -24,6 +24,7 @@ from hostile_fmu import DISCARD, ERROR, OK, Fmu, Instance
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis.stateful import (
     Bundle,
+    MultipleResults,
     RuleBasedStateMachine,
     consumes,
     initialize,
@@ -33,6 +34,7 @@ from hypothesis.stateful import (
 )
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 HOSTILE = (math.nan, math.inf, -math.inf, 1e300, -1e300, -0.0, 5e-324, 0.0)
 VALUES = st.sampled_from((*HOSTILE, 1.0, 5.0, -5.0, 0.1, 100.0))
@@ -90,7 +92,7 @@ class Hostile(RuleBasedStateMachine):
     # --- instances ------------------------------------------------------------------------------------------------
 
     @initialize(target=lives, count=st.integers(1, 2), jet=CHOSEN, well=st.booleans())
-    def first(self, count, jet, well):
+    def first(self, count: int, jet: Array, well: bool) -> MultipleResults[Live]:
         lives = [self.made() for _ in range(count)]
         if well:
             self.begin_well(lives[0], jet, 0.0)
@@ -98,7 +100,7 @@ class Hostile(RuleBasedStateMachine):
         return multiple(*lives)
 
     @rule(target=lives)
-    def another(self):
+    def another(self) -> Live | MultipleResults[Live]:
         return self.made() if len(self.alive) < MOST_INSTANCES else multiple()
 
     def made(self) -> Live:
@@ -107,7 +109,7 @@ class Hostile(RuleBasedStateMachine):
         return live
 
     @rule(live=consumes(lives), states_first=st.booleans())
-    def free(self, live, states_first) -> None:
+    def free(self, live: Live, states_first: bool) -> None:
         if live in self.alive:
             self.alive.remove(live)
             self.end(live, states_first=states_first)
@@ -131,15 +133,15 @@ class Hostile(RuleBasedStateMachine):
         self.move(live, ("setup", time), "instantiated", "instantiated", time)
 
     @rule(live=lives)
-    def enter(self, live):
+    def enter(self, live: Live) -> None:
         self.move(live, ("enter",), "instantiated", "initializing")
 
     @rule(live=lives)
-    def leave(self, live):
+    def leave(self, live: Live) -> None:
         self.move(live, ("leave",), "initializing", "stepping")
 
     @rule(live=lives)
-    def terminate(self, live) -> None:
+    def terminate(self, live: Live) -> None:
         self.move(live, ("terminate",), "stepping", "terminated")
 
     def move(self, live: Live, call: tuple[object, ...], wanted: str, then: str, time: float | None = None) -> None:
@@ -154,7 +156,7 @@ class Hostile(RuleBasedStateMachine):
             account.time = account.time if time is None else time
 
     @rule(live=lives, jet=CHOSEN, time=st.sampled_from((0.0, 2.5)))
-    def begin_well(self, live: Live, jet, time: float) -> None:
+    def begin_well(self, live: Live, jet: Array, time: float) -> None:
         """Bring an instance to where it can step, whatever happened to it."""
         if live not in self.alive:
             return
@@ -167,7 +169,7 @@ class Hostile(RuleBasedStateMachine):
     # --- values ---------------------------------------------------------------------------------------------------
 
     @rule(live=lives, data=st.data(), unknown=st.booleans())
-    def set_reals(self, live, data, unknown) -> None:
+    def set_reals(self, live: Live, data: st.DataObject, unknown: int) -> None:
         if live not in self.alive:
             return
         known = [each.reference for each in self.fmu.reals]
@@ -183,14 +185,14 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(("set_reals", [r for r, _ in kept], [v for _, v in kept]))
 
     @rule(live=lives, jet=CHOSEN)
-    def set_jet(self, live: Live, jet) -> None:
+    def set_jet(self, live: Live, jet: Array) -> None:
         if live in self.alive:
             values = self.good[jet % len(self.good)]
             assert live.instance.set_reals(self.fmu.inputs, values) == OK
             live.account.calls.append(("set_reals", self.fmu.inputs, values))
 
     @rule(live=lives, data=st.data())
-    def choose(self, live, data) -> None:
+    def choose(self, live: Live, data: st.DataObject) -> None:
         if live not in self.alive or not self.fmu.choices:
             return
         variable = data.draw(st.sampled_from(self.fmu.choices))
@@ -202,7 +204,7 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(call)
 
     @rule(live=lives, reference=st.sampled_from((0, 20, 999)), text=st.sampled_from((b"", b"%n%s", b"x" * 100)))
-    def other_types(self, live, reference, text) -> None:
+    def other_types(self, live: Live, reference: int, text: str) -> None:
         if live in self.alive:
             assert live.instance.set_integers("Boolean", [reference], [1]) == OK
             assert live.instance.get_integers("Boolean", [reference]) == (OK, [0])
@@ -212,12 +214,12 @@ class Hostile(RuleBasedStateMachine):
     @rule(
         live=lives, text=st.sampled_from((b"\xff\xfe", b"\xc0\xaf", b"\xed\xa0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82"))
     )
-    def text_that_is_none(self, live, text) -> None:
+    def text_that_is_none(self, live: Live, text: str) -> None:
         if live in self.alive and self.fmu.has_shim:
             assert live.instance.set_text(0, text) == ERROR
 
     @rule(live=lives, unknown=st.booleans())
-    def get(self, live, unknown) -> None:
+    def get(self, live: Live, unknown: int) -> None:
         if live not in self.alive:
             return
         references = [each.reference for each in self.fmu.reals] + [999, 2**32 - 1] * unknown
@@ -229,7 +231,7 @@ class Hostile(RuleBasedStateMachine):
     # --- steps ----------------------------------------------------------------------------------------------------
 
     @rule(live=lives, h=STEPS, offset=st.sampled_from((0.0, 0.0, 0.0, -0.1, 0.3, math.nan, 1e300)))
-    def step(self, live, h, offset) -> None:
+    def step(self, live: Live, h: float, offset: float) -> None:
         """A step that may be anything; one that is refused changes nothing."""
         if live not in self.alive:
             return
@@ -245,7 +247,7 @@ class Hostile(RuleBasedStateMachine):
             assert live.instance.everything() == before
 
     @rule(live=lives, jet=CHOSEN, count=st.integers(1, 4))
-    def step_well(self, live, jet, count):
+    def step_well(self, live: Live, jet: Array, count: int) -> None:
         """Steps that nothing is wrong with are taken, if the initialization succeeded and parameters are legal."""
         if live not in self.alive or live.account.phase != "stepping" or not self.healthy(live):
             return
@@ -270,14 +272,14 @@ class Hostile(RuleBasedStateMachine):
     # --- states ---------------------------------------------------------------------------------------------------
 
     @rule(live=lives)
-    def get_state(self, live) -> None:
+    def get_state(self, live: Live) -> None:
         if live in self.alive and len(live.states) < 4:
             status, state = live.instance.get_state()
             assert status == OK
             live.states.append((state, live.account.copy()))
 
     @rule(live=lives, data=st.data())
-    def set_state(self, live, data) -> None:
+    def set_state(self, live: Live, data: st.DataObject) -> None:
         """Back to an earlier state of this instance, or of another of the same FMU."""
         offered = [(state, account) for each in self.alive for state, account in each.states]
         if live in self.alive and offered:
@@ -287,20 +289,20 @@ class Hostile(RuleBasedStateMachine):
             self.compare(live)
 
     @rule(live=lives)
-    def free_state(self, live) -> None:
+    def free_state(self, live: Live) -> None:
         if live in self.alive and live.states:
             state, _ = live.states.pop()
             assert live.instance.free_state(state) == OK
 
     @rule(target=serialized, live=lives)
-    def serialize(self, live):
+    def serialize(self, live: Live) -> tuple[Live, bytes] | MultipleResults[tuple[Live, bytes]]:
         if live not in self.alive or not live.states:
             return multiple()
         state, account = live.states[-1]
         return live.instance.serialized(state), account.copy()
 
     @rule(live=lives, form=serialized, damage=st.sampled_from((None, None, "cut", "shorter", "empty", "other")))
-    def deserialize(self, live, form, damage):
+    def deserialize(self, live: Live, form: tuple[Live, bytes], damage: int) -> None:
         if live not in self.alive:
             return
         text, account = form

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -189,7 +190,7 @@ class Native:
                 self.numbers_set([name], [value])
         return self
 
-    def numbers_set(self, names, values) -> None:
+    def numbers_set(self, names: Sequence[str], values: Sequence[float]) -> None:
         setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
         setter([self.references[name] for name in names], [float(each) for each in values])
 
@@ -199,7 +200,7 @@ class Native:
             return np.array(self.fmu.getReal(references))
         return np.array(self.fmu.getFloat64(references, sum(self.sizes[name] for name in names)))
 
-    def tell(self, jet) -> Native:
+    def tell(self, jet: Array) -> Native:
         """Set all inputs, for a jet of shape (orders, m)."""
         self.numbers_set(self.inputs, np.ravel(jet))
         return self
@@ -207,7 +208,7 @@ class Native:
     def values(self) -> np.ndarray:
         return self.get(*self.outputs)
 
-    def start(self, jet=None, time: float = 0.0, **parameters: float) -> Native:
+    def start(self, jet: Array = None, time: float = 0.0, **parameters: float) -> Native:
         self.set(**parameters)
         if self.fmi == 2:
             self.fmu.setupExperiment(startTime=time)
@@ -241,7 +242,7 @@ class Native:
         getattr(self.fmu, f"set{prefix}")(state)
         getattr(self.fmu, f"free{prefix}")(state)
 
-    def sensitivities(self, knowns, weights: Array) -> np.ndarray:
+    def sensitivities(self, knowns: Sequence[str], weights: Array) -> np.ndarray:
         """Derivatives of a weighted sum of all outputs by some variables."""
         unknowns, by = ([self.references[name] for name in names] for names in (self.outputs, knowns))
         sizes = sum(self.sizes[name] for name in knowns)
@@ -256,7 +257,7 @@ class Native:
         assert status == OK, self.messages
         return np.array(found)
 
-    def derivatives(self, knowns, seeds) -> np.ndarray:
+    def derivatives(self, knowns: Sequence[str], seeds: Sequence[float]) -> np.ndarray:
         """Derivatives of all outputs along a direction of variables."""
         unknowns = [self.references[name] for name in self.outputs]
         by = [self.references[name] for name in knowns]
@@ -266,12 +267,12 @@ class Native:
         return np.array(self.fmu.getDirectionalDerivative(*given, sum(self.sizes[name] for name in self.outputs)))
 
 
-def size_of(variable) -> int:
+def size_of(variable: Any) -> int:
     """Return how many numbers a variable has."""
     return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
 
 
-def jets_of(name: str, t) -> np.ndarray:
+def jets_of(name: str, t: float | Array) -> np.ndarray:
     """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
     return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).mathematics.orders - 1)
 

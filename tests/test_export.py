@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -104,7 +105,7 @@ def test_with_internal_dynamics_its_inputs_are_those_of_solve(
 
 
 def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_python_fmu() -> None:
-    def run(file: Path, names, t: Array, jets: Array) -> Array:
+    def run(file: Path, names: Sequence[str], t: Array, jets: Array) -> Array:
         columns = [("time", float), *((name, float) for name in names)]
         signals = np.array([(time, *jet.ravel()) for time, jet in zip(t, jets, strict=True)], dtype=columns)
         result = simulate_fmu(str(file), stop_time=20.0, output_interval=0.1, input=signals)
@@ -123,7 +124,7 @@ def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_pytho
 
 
 def test_the_rotary_crane_has_the_variables_of_the_python_fmu() -> None:
-    def table(file: Path):
+    def table(file: Path) -> dict[str, Array]:
         root = ET.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
         return {each.get("name"): (each.get("causality"), each[0].get("unit")) for each in root.iter("ScalarVariable")}
 
@@ -158,7 +159,7 @@ def test_directional_derivatives_are_those_of_the_step_that_was_computed(name: s
         by = tuple(each for each in host.parameters if each in scene_called(name).parameters)
         values = host.get(*by)
 
-        def outputs(jet, parameters: Array) -> Array:
+        def outputs(jet: Array, parameters: Array) -> Array:
             host.restore(saved)
             host.numbers_set(by, parameters)
             assert host.tell(jet).step(t, h) == OK, host.messages

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import casadi as ca
@@ -161,7 +162,7 @@ def one_mass(name: str = "hoist", **names: str) -> sc.Scene:
         ("x" * 100, "x" * 40),
     ],
 )
-def test_any_name_of_a_scene_has_an_identifier(name, identifier) -> None:
+def test_any_name_of_a_scene_has_an_identifier(name: str, identifier: str) -> None:
     assert identifier_of(name) == identifier
 
 
@@ -183,7 +184,7 @@ def test_names_that_only_c_would_confuse_are_told_apart(compiler: list[str]) -> 
         (lambda: one_mass().with_limits(**{"F.rate": 1.0}), "its limit of F.rate: .* the rate of a force"),
     ],
 )
-def test_what_an_fmu_cannot_say_or_keep_is_refused(make, sentence) -> None:
+def test_what_an_fmu_cannot_say_or_keep_is_refused(make: Callable[[], sc.Scene], sentence: str) -> None:
     scene = make()
     with pytest.raises(sc.InvalidModel, match=f"{scene.name} cannot be exported.*{sentence}"):
         sc.export_fmu(scene, "x.fmu", targets="host")

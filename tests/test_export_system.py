@@ -6,6 +6,7 @@ import os
 import warnings
 import zipfile
 from _collections_abc import dict_values
+from collections.abc import Mapping
 from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
@@ -42,7 +43,7 @@ run, crane = CommandLine(app, "servocore"), CommandLine(crane_app, "crane-fmu")
 
 @pytest.mark.parametrize("fmi", [2, 3] if FULL else [2])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_checker_has_nothing_to_say(name: str, fmi) -> None:
+def test_a_checker_has_nothing_to_say(name: str, fmi: int) -> None:
     assert validate_fmu(str(native_file(name, fmi))) == []
 
 
@@ -177,7 +178,7 @@ def moved(name: str, shift: dict[str, np.ndarray] | None = None) -> Native:
     return host
 
 
-def set_all(host: Native, values, shift: dict[str, Array] | None = None) -> None:
+def set_all(host: Native, values: Mapping[str, float], shift: dict[str, Array] | None = None) -> None:
     """Set all inputs, one number after the other, and what is shifted besides."""
     sizes, place = {each.name: each.size or 1 for each in exported(host.name).of("input")}, 0
     for name in host.inputs:
@@ -210,7 +211,7 @@ def test_derivatives_of_a_plant_are_difference_quotients() -> None:
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "rotary_crane plant"] if FULL else ["rotary_crane"])
-def test_adjoint_products_are_those_of_directions(name) -> None:
+def test_adjoint_products_are_those_of_directions(name: str) -> None:
     along = directions(name)
     with moved(name) as host:
         forward = host.derivatives(list(along), np.concatenate(list(along.values())))

@@ -10,7 +10,7 @@ import os
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
 
@@ -66,7 +66,7 @@ def largest_difference(found: dict[str, Array], solution: sc.Solution) -> float:
     return max(np.abs(values - solution[name]).max() / peaks[name] for name, values in found.items())
 
 
-def marched(name: str, **parameters: float):
+def marched(name: str, **parameters: float) -> tuple[Array, Array, sc.Scene]:
     scene, t = scene_called(name), instants(name, STEPS)
     h = (t[-1] - t[0]) / STEPS
     times = np.concatenate([t[0] + h * np.array(module(name).about["instants"]), t[1:]])
@@ -75,7 +75,7 @@ def marched(name: str, **parameters: float):
 
 @needs_wasmtime
 @pytest.mark.parametrize("name", [name for name in SCENES if name not in ("mass_on_car", "passive_joint_arm")])
-def test_inputs_at_a_thousand_instants_are_those_of_the_library(name) -> None:
+def test_inputs_at_a_thousand_instants_are_those_of_the_library(name: str) -> None:
     t = instants(name, INSTANTS)
     found, verdicts = module(name).invert(jets(name, t))
     assert not verdicts.any()
@@ -185,7 +185,7 @@ def times_of_javascript() -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0.0, 20.0, 5001), np.arange(-1, 201)[[1, 0, *range(2, 202)]] * 0.1
 
 
-def assert_as_in_the_library(found) -> None:
+def assert_as_in_the_library(found: Mapping[str, Array]) -> None:
     scene = scene_called("rotary_crane")
     exact, heavy = (sc.solve(each, step=0.004)["M_b"] for each in (scene, scene.with_parameters(load_mass=80.0)))
     assert found["solved"] == len(exact)

@@ -26,7 +26,7 @@ from crane_fmu.catalogue.fmu_kinds import FmuKind
 ROOT = Path(__file__).parents[1]
 
 
-def members(file: Path | io.BytesIO):
+def members(file: Path | io.BytesIO) -> dict[str, bytes]:
     with zipfile.ZipFile(file) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
@@ -82,7 +82,7 @@ def test_a_file_missing_from_the_bundle_is_found_by_the_check(
 ) -> None:
     packed = build.packed
 
-    def without_one_program(content, _) -> bytes:
+    def without_one_program(content: bytes, _: object) -> bytes:
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w") as archive:
             for name, data in members(io.BytesIO(packed(content))).items():

@@ -6,6 +6,8 @@ import gc
 import json
 import math
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,11 +33,11 @@ def moved(**changes: tuple[int, int, float]) -> Array:
     return jet
 
 
-def inputs_with(row: int, column: int, value: float):
+def inputs_with(row: int, column: int, value: float) -> Callable[[Host], None]:
     return lambda host: host.start().tell(moved(change=(row, column, value))).step(0.0, 0.1)
 
 
-def after_a_step(time: float, h: float):
+def after_a_step(time: float, h: float) -> Callable[[Host], None]:
     return lambda host: host.start().step(0.0, 0.1) and host.step(time, h)
 
 
@@ -61,7 +63,7 @@ MISTAKES = (
 
 
 @pytest.mark.parametrize(("mistake", "sentence"), list(zip(MISTAKES, SENTENCES, strict=True)), ids=SENTENCES)
-def test_every_refusal_is_the_sentence_that_the_page_promises(mistake, sentence) -> None:
+def test_every_refusal_is_the_sentence_that_the_page_promises(mistake: Callable[[Host], object], sentence: str) -> None:
     with Host() as host:
         assert not mistake(host)
         assert host.messages[-1] == sentence
@@ -160,7 +162,9 @@ def test_fmpy_stops_short_at_a_refused_step_and_says_why() -> None:
         ({"load.position[1]": math.nan}, "the input load.position[1] is nan"),
     ],
 )
-def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(settings, sentence):
+def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(
+    settings: dict[str, str | float], sentence: str
+) -> None:
     with Host() as host:
         host.set(**settings).start()
         for _ in range(2):
@@ -173,7 +177,7 @@ def test_a_failed_initialization_is_told_by_every_step_and_outputs_are_nan(setti
 
 
 @pytest.mark.parametrize(("name", "value"), [("gravity", 1.6), ("winch_radius", 0.2), ("model", "bodies")])
-def test_fixed_parameters_keep_their_value_after_the_initialization(name, value):
+def test_fixed_parameters_keep_their_value_after_the_initialization(name: str, value: float | str) -> None:
     with Host() as host:
         host.start().set(**{name: value})
         assert host.messages == [f"{name} cannot change after the initialization; the new value is ignored"]
@@ -207,7 +211,7 @@ def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> No
 # --- state -----------------------------------------------------------------------------------------------------------
 
 
-def drive(host: Host, t: Array, jets: Array):
+def drive(host: Host, t: Array, jets: Array) -> list[dict[str, float]]:
     rows = []
     for k in range(len(t) - 1):
         assert host.tell(jets[k]).step(t[k], t[k + 1] - t[k]), host.messages
@@ -258,7 +262,7 @@ with Host(file) as host:
 """
 
 
-def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path):
+def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path: Path) -> None:
     t = 5.0 + np.arange(31) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:

@@ -98,7 +98,7 @@ def test_a_plant_that_starts_off_its_path_is_led_back_with_a_taut_rope(
     assert min(tensions) > 0.8 * 981.0
 
 
-def at_rest(shift: float):
+def at_rest(shift: float) -> dict[str, float]:
     """What a crane at rest measures whose load hangs off by a distance along x."""
     return {"measured.s": 5.0 + shift, "measured.l": 5.0, "measured.position[1]": 5.0 + shift,
             "measured.position[3]": -5.0}  # fmt: skip
@@ -180,7 +180,7 @@ def test_a_short_step_is_computed_with_less_work_and_the_same_result() -> None:
     assert 0.0 < np.abs(short - other).max() < 1e-6
 
 
-def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential():
+def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() -> None:
     u, d, p = UNDER
     model, turn = sampled(hanging(CRANE.model("points")), 3), fastest(Case())
     for is_short, h in ((1, SHORT_TURN / turn), (0, 1.0 / turn)):

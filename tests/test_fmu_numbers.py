@@ -33,12 +33,12 @@ def table(t: Array, jets: Array) -> Array:
     return rows
 
 
-def worst(found: dict[str, Array], wanted: sc.Solution | dict[str, Array], names: tuple[str, ...] = OUTPUTS):
+def worst(found: dict[str, Array], wanted: sc.Solution | dict[str, Array], names: tuple[str, ...] = OUTPUTS) -> float:
     """Largest deviation of any output from what is wanted, relative to its peak."""
     return max(np.abs(found[name] - wanted[name]).max() / np.abs(wanted[name]).max() for name in names)
 
 
-def simulate(step: float, **settings: str):
+def simulate(step: float, **settings: str) -> tuple[Array, Array]:
     t = np.arange(round(20 / step) + 1) * step
     result = simulate_fmu(
         str(fmu_file()),
@@ -147,7 +147,7 @@ def test_steps_of_a_nanosecond_stay_as_exact_as_the_start() -> None:
     assert abs(found["M_b"][14:] - exact["M_b"][14:]).max() < 0.3 * abs(exact["M_b"]).max()
 
 
-def test_outputs_are_exact_after_an_initialization_in_motion():
+def test_outputs_are_exact_after_an_initialization_in_motion() -> None:
     with Host() as host:
         host.start(CRANE.reference.jet(np.array([7.0]), 4)[0], 7.0)
         exact = CRANE.exact(np.array([7.0]))
@@ -164,7 +164,7 @@ def test_a_start_in_motion_is_forgotten_after_one_step() -> None:
     assert error[2:].max() < 0.05
 
 
-def test_outputs_follow_inputs_during_the_initialization():
+def test_outputs_follow_inputs_during_the_initialization() -> None:
     with Host() as host:
         host.fmu.setupExperiment(startTime=0.0)
         host.fmu.enterInitializationMode()
@@ -173,7 +173,7 @@ def test_outputs_follow_inputs_during_the_initialization():
         assert host["tension"] == pytest.approx(490.5)
 
 
-def test_inputs_that_come_only_after_the_initialization_are_taken_for_the_start():
+def test_inputs_that_come_only_after_the_initialization_are_taken_for_the_start() -> None:
     jets = CRANE.reference.jet(np.array([7.0, 7.1]), 4)
     with Host() as late, Host() as early:
         early.start(jets[0], 7.0)
@@ -231,7 +231,7 @@ def test_every_model_of_the_scene_is_in_the_fmu() -> None:
 
 
 @given(st.lists(st.floats(-3, 3), min_size=10, max_size=10), st.floats(0.01, 5.0), st.floats(0, 1))
-def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients, h: float, at: float) -> None:
+def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients: Array, h: float, at: float) -> None:
     polynomial = np.polynomial.Polynomial(coefficients)
 
     def jet(tau: float) -> Array:
@@ -243,7 +243,7 @@ def test_hermite_joins_two_jets_by_the_polynomial_that_has_both(coefficients, h:
 
 
 @given(st.lists(st.floats(-3, 3), min_size=5, max_size=5), st.floats(-2.0, 2.0))
-def test_taylor_continues_a_quartic_exactly(coefficients, tau: float) -> None:
+def test_taylor_continues_a_quartic_exactly(coefficients: Array, tau: float) -> None:
     polynomial = np.polynomial.Polynomial(coefficients)
     jet = np.array([[polynomial.deriv(k)(0.0)] * 3 for k in range(5)])
     wanted = np.array([[polynomial.deriv(k)(tau)] * 3 for k in range(5)])

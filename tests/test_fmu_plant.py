@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def test_fmpy_finds_no_problems(name: str) -> None:
 # The plant ---------------------------------------------------------------------------------------------------------
 
 
-def follow(host: Host, step: float, inputs, until: float = 2.0, at: str = "start") -> Array:
+def follow(host: Host, step: float, inputs: Sequence[float], until: float = 2.0, at: str = "start") -> Array:
     """Drive the plant with sampled inputs."""
     host.set(input_time=at)
     u = inputs(0.0)
@@ -53,7 +54,7 @@ def follow(host: Host, step: float, inputs, until: float = 2.0, at: str = "start
     return load(host)
 
 
-def push(time: float):
+def push(time: float) -> tuple[Array, Array, Array]:
     return 300.0 * np.sin(time), 20.0 * np.sin(2 * time), -98.1 + 5.0 * np.sin(time)
 
 
@@ -127,7 +128,7 @@ def test_a_mass_error_makes_the_load_heavier() -> None:
         assert host["tension"] == pytest.approx(981.0 * 1.05 - 105.0 * host_acceleration(), rel=1e-9)
 
 
-def host_acceleration():
+def host_acceleration() -> Array:
     """Of a load of 105 kg on a winch that holds 100 kg."""
     return (105.0 - 100.0) * 9.81 / (105.0 + 10.0)
 
@@ -142,7 +143,7 @@ def test_it_may_start_in_motion_and_swinging() -> None:
         assert load(host)[2] == pytest.approx(-5.0 * math.cos(0.1))
 
 
-def mistakes():
+def mistakes() -> dict[str, Callable[[Host], object]]:
     """What a host does wrong, in the order of the pages' sentences."""
     return {
         "CranePlant": (
@@ -219,7 +220,7 @@ def test_a_state_goes_on_bit_by_bit_here_and_in_another_process(name: str, tmp_p
 
 
 @pytest.mark.parametrize("name", KINDS)
-def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(name):
+def test_a_state_of_an_initialization_that_will_fail_is_restored_all_the_same(name: str) -> None:
     setting = next(each.name for each in interface(name).of("parameter") if each.is_choice)
     output = interface(name).of("output")[0].name
     with Host(fmu_file(name)) as host, Host(fmu_file(name)) as other:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
@@ -33,7 +34,13 @@ def sine(t: Array | float) -> Array:
     return jets
 
 
-def driven(step: float, connected: str, stop: float = 3.0, settings=None, jets=sine):
+def driven(
+    step: float,
+    connected: str,
+    stop: float = 3.0,
+    settings: Mapping[str, float] | None = None,
+    jets: Callable[[Array], Array] = sine,
+) -> tuple[Array, dict[str, Array], list[str]]:
     """Times and outputs of a host that connects derivatives up to one order, from the first step on."""
     t = np.arange(round(stop / step) + 1) * step
     names = ("M_b", "F", "M_w", "s", "l")
@@ -49,7 +56,7 @@ def driven(step: float, connected: str, stop: float = 3.0, settings=None, jets=s
     return t[1:], dict(zip(names, np.array(rows).T, strict=True)), said
 
 
-def _told(jet, connected: str):
+def _told(jet: Array, connected: str) -> dict[str, float]:
     told = jet.copy()
     told[ORDERS.index(connected) + 1 :] = 0.0
     return told
@@ -59,7 +66,7 @@ def exact(t: Array) -> dict[str, Array]:
     return sc.scenes.rotary_crane().closed_form(sine(t), CRANE.parameter_values())
 
 
-def error(name: str, step: float, connected: str = "snap", **settings):
+def error(name: str, step: float, connected: str = "snap", **settings: float) -> float:
     t, found, _ = driven(step, connected, settings={"connected": connected, **settings})
     late = t > 1.0
     return np.abs(found[name] - exact(t)[name])[late].max()
@@ -112,7 +119,7 @@ def estimator() -> Estimation:
 def estimates(times: Array, path: Polynomial, order: int) -> SimpleNamespace:
     """Return the estimated derivatives above one of a path of scalars or vectors at the last of some times."""
 
-    def told(time) -> Array:
+    def told(time: float) -> Array:
         jet = np.zeros((5, 3))
         jet[order] = path(time)
         return jet.ravel()
@@ -133,7 +140,9 @@ def test_estimates_fall_with_third_order_in_snap(connected: str) -> None:
 
 
 @given(st.lists(st.floats(-1, 1), min_size=5, max_size=5), st.sampled_from(range(4)), st.floats(0.005, 0.2))
-def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(coefficients, order, step: float) -> None:
+def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(
+    coefficients: Array, order: int, step: float
+) -> None:
     path = np.polynomial.Polynomial(coefficients)
     times = np.cumsum([0.0, *(step * f for f in (1.0, 0.7, 1.3, 1.0, 0.9, 1.1, 1.0))])
     times -= times[-1]
@@ -162,7 +171,7 @@ def uneven(step: float, share: float) -> Array:
     return t[t <= 20.0]
 
 
-def worst_torque(times: Array, jets: Array | None = None):
+def worst_torque(times: Array, jets: Array | None = None) -> tuple[float, list[str]]:
     """Largest error of M_b as a share of its peak with positions connected, and what was said."""
     jets = MANOEUVRE.jet(times, 4) if jets is None else jets
     found = []

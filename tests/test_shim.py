@@ -96,7 +96,7 @@ def test_the_active_virtual_environment_is_used() -> None:
 
 
 @pytest.mark.parametrize("folder", ["Krähe", "a b [1] #é", "50%"])
-def test_the_folder_may_have_any_name(folder) -> None:
+def test_the_folder_may_have_any_name(folder: str) -> None:
     done = run(unpacked(folder), **HERE)
     assert done.returncode == 0, done.stdout
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from fmu_host import only_one, scratch
 from native_fmu import scene_called
 
 import servocore as sc
 from servocore.export.wasm import SECTION
+from servocore.numerics.compiled_calls import Array
 
 
 @cache
@@ -55,7 +58,9 @@ class Module:
     def parameters(self, **values: float) -> np.ndarray:
         return np.array([values.get(each["name"], each["start"]) for each in self.about["parameters"]])
 
-    def invert(self, jets: np.ndarray, times=None, **parameters: float) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    def invert(
+        self, jets: np.ndarray, times: Array | None = None, **parameters: float
+    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Return outputs by name and verdicts for jets of shape (N, orders, m)."""
         count = len(jets)
         times = np.zeros(count) if times is None else times
@@ -64,7 +69,7 @@ class Module:
             lambda t, path, p, to, verdicts: self.exports["invert"](self.store, count, t, path, p, to, verdicts),
         )  # fmt: skip
 
-    def march(self, jets: np.ndarray, h: float, start: float = 0.0, **parameters: float):
+    def march(self, jets: np.ndarray, h: float, start: float = 0.0, **parameters: float) -> tuple[Array, Array]:
         """The same in steps; the first jets belong to the instants that a start needs."""
         count = len(jets)
         return self._called(
@@ -72,7 +77,9 @@ class Module:
             lambda path, p, to, verdicts: self.exports["march"](self.store, count, start, h, path, p, to, verdicts),
         )  # fmt: skip
 
-    def _called(self, instants: int, numbers, call):
+    def _called(
+        self, instants: int, numbers: Sequence[float], call: str
+    ) -> tuple[dict[str, Array], npt.NDArray[np.int32]]:
         memory, base = self.exports["memory"], self.exports["__heap_base"].value(self.store)
         sizes = [*(each.nbytes for each in numbers), 8 * len(self.outputs) * instants, 4 * instants]
         places = -(-base // 8) * 8 + np.concatenate([[0], np.cumsum(sizes)])
