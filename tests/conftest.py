@@ -17,14 +17,14 @@ BUILT = "SERVOCORE_TEST_FMUS"
 """Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
 
 
-def pytest_configure(config) -> None:
+def pytest_configure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):  # the process that starts the others
         os.environ[BUILT] = tempfile.mkdtemp(prefix="fmus of a test run ")
         os.environ["SERVOCORE_CACHE"] = tempfile.mkdtemp(prefix="machine code of a test run ")
         os.environ["SERVOCORE_MACHINE_CODE"] = "off"  # a compiler beside every test would take their time
 
 
-def pytest_unconfigure(config) -> None:
+def pytest_unconfigure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         for name in (BUILT, "SERVOCORE_CACHE"):
             shutil.rmtree(os.environ.pop(name), ignore_errors=True)
@@ -48,7 +48,7 @@ FRESH, TIMES_AS_MANY = "fresh", 5
 settings.register_profile(FRESH, settings.get_profile("repeatable"), derandomize=False, print_blob=True)
 
 
-def pytest_collection_modifyitems(config, items) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     if config.getoption("--hypothesis-profile", None) != FRESH:
         return
     tests = {getattr(item.obj, "__func__", item.obj) for item in items if hasattr(item, "obj")}

@@ -6,8 +6,9 @@ import subprocess
 import sys
 import tomllib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -38,7 +39,9 @@ def table(text: str) -> tuple[str, Array]:
     return lines[0], np.array([[float(cell) for cell in line.split(",")] for line in lines[1:]])
 
 
-def reference_csv(name: str = "path.csv", groups: int = 5, count: int = 41, change=None) -> str:
+def reference_csv(
+    name: str = "path.csv", groups: int = 5, count: int = 41, change: Callable[[Array], None] | None = None
+) -> str:
     """Write the default manoeuvre with so many groups of columns."""
     reference = sc.scenes.rotary_crane().reference
     t = np.linspace(0.0, reference.duration, count)
@@ -114,7 +117,7 @@ class TestFeedforward:
             np.testing.assert_allclose(values[:, k], exact[name], atol=1e-8, err_msg=name)
 
     @pytest.mark.parametrize("options", [["--rtol", 1e-3], ["--atol", 0.5], ["--rtol", 1e-3, "--atol", 0.1]])
-    def test_a_tolerance_takes_the_place_of_a_step(self, options) -> None:
+    def test_a_tolerance_takes_the_place_of_a_step(self, options: Sequence[str]) -> None:
         result = run("feedforward", *LINE, "--formulation", "projected", "--method", "radau3", *options)
         _, values = table(result.stdout)
         assert values.shape == (201, 11)
@@ -129,7 +132,7 @@ class TestFeedforward:
     def test_a_warning_of_the_library_is_a_note_and_the_table_comes_all_the_same(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        def warn(*arguments, **options) -> sc.Solution:
+        def warn(*arguments: Any, **options: Any) -> sc.Solution:
             warnings.warn("mind the gap", sc.ServocoreWarning, stacklevel=1)
             return solve(*arguments, **options)
 
@@ -148,7 +151,7 @@ class TestFeedforward:
             ["--formulation", "original", "--method", "trapezoidal", "--step", 0.05],
         ],
     )
-    def test_inputs_off_by_half_their_peak_end_with_code_1_and_one_true_sentence(self, options) -> None:
+    def test_inputs_off_by_half_their_peak_end_with_code_1_and_one_true_sentence(self, options: Sequence[str]) -> None:
         result = run("feedforward", *LINE, *options, "--output", "inputs.csv")
         assert result.exit_code == 1
         assert result.stdout == ""
@@ -309,11 +312,11 @@ class TestFeedforward:
         assert Path("inputs.csv").read_text().startswith(HEADER)
 
 
-def _not_a_number(values) -> None:
+def _not_a_number(values: Array) -> None:
     values[3, 2] = np.nan
 
 
-def _back_in_time(values) -> None:
+def _back_in_time(values: Array) -> None:
     values[3, 0] = values[2, 0]
 
 
@@ -372,7 +375,7 @@ REFUSED_PATHS = {
 
 
 @pytest.mark.parametrize(("options", "word"), REFUSED_PATHS.values(), ids=REFUSED_PATHS)
-def test_refusals_are_one_sentence_and_leave_no_file(options, word: str) -> None:
+def test_refusals_are_one_sentence_and_leave_no_file(options: Sequence[str], word: str) -> None:
     assert_refused(run("feedforward", "--output", "o.csv", *options), word)
     assert os.listdir() == []
 
@@ -479,7 +482,7 @@ EXAMPLES = [
 
 
 @pytest.mark.parametrize("arguments", EXAMPLES, ids=" ".join)
-def test_the_examples_of_the_page_run(arguments) -> None:
+def test_the_examples_of_the_page_run(arguments: Sequence[str]) -> None:
     reference_csv(count=201)
     write("way.csv", re.findall(r"^```text\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1])
     write("crane.toml", re.search(r"^```toml\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)[1])

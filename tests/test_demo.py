@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -41,7 +42,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Demo:
 
 
 class TestDemo:
-    def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done) -> None:
+    def test_the_folder_holds_fmu_table_report_and_every_figure_twice(self, done: Demo) -> None:
         expected = {"RotaryCrane.fmu", "inputs.csv", "report.html", "system/Crane.ssp", "system/CranePlant_in.csv"}
         expected |= {f"system/{name}{end}" for name in KINDS for end in (".fmu", "_ref.csv", "_ref.opt")}
         expected |= {"system/RotaryCrane_in.csv"}
@@ -51,7 +52,7 @@ class TestDemo:
         assert [each.name for each in done.folder.parent.iterdir()] == ["out"]
         assert done.notes == ()
 
-    def test_the_table_of_inputs_is_the_closed_form_to_1e_9_of_the_peaks(self, done) -> None:
+    def test_the_table_of_inputs_is_the_closed_form_to_1e_9_of_the_peaks(self, done: Demo) -> None:
         lines = (done.folder / "inputs.csv").read_text().splitlines()
         names = lines[0].split(",")
         assert names == ["time", "M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension"]
@@ -61,7 +62,7 @@ class TestDemo:
             off = np.abs(values[:, k] - exact[name]).max()
             assert off <= 1e-9 * np.abs(exact[name]).max(), name
 
-    def test_the_default_is_told_first_and_the_scheme_of_the_paper_by_that_name_after_it(self, done) -> None:
+    def test_the_default_is_told_first_and_the_scheme_of_the_paper_by_that_name_after_it(self, done: Demo) -> None:
         default, paper = done.summary
         assert "exact inversion" in default
         assert "paper" not in default
@@ -72,7 +73,7 @@ class TestDemo:
         assert sorted(text.index(each) for each in said) == [text.index(each) for each in said]
         assert text.index(said[0]) < text.index("scheme of the paper")
 
-    def test_the_report_computes_in_a_browser_what_it_says(self, done, tmp_path: Path) -> None:
+    def test_the_report_computes_in_a_browser_what_it_says(self, done: Demo, tmp_path: Path) -> None:
         require_browser()
         file = done.folder / "report.html"
         assert file.stat().st_size <= 6_000_000
@@ -81,28 +82,28 @@ class TestDemo:
             assert page.run("servocore.run.t.length") == 2001
             assert page.errors == []
 
-    def test_every_table_says_its_form_and_method(self, done) -> None:
+    def test_every_table_says_its_form_and_method(self, done: Demo) -> None:
         for each in done.tables:
             assert "form reduced, exact inversion" in each.by or "form projected, method backward Euler" in each.by
         assert "form reduced" in done.tables[0].by
 
-    def test_the_fmu_is_shown_with_its_default_formulation(self, done) -> None:
+    def test_the_fmu_is_shown_with_its_default_formulation(self, done: Demo) -> None:
         fmu = next(each for each in done.tables if "FMU's outputs" in each.title)
         assert "form reduced" in fmu.by
         (torque,) = (row for row in fmu.rows if row[0] == "M_b")
         assert 0.0 < float(torque[1].removesuffix(" N m")) < 5.0  # with the projected form it is 66 N m at this step
 
-    def test_the_report_says_that_the_fmu_ran_to_its_end(self, done) -> None:
+    def test_the_report_says_that_the_fmu_ran_to_its_end(self, done: Demo) -> None:
         assert "101 rows up to t = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
 
-    def test_the_tables_name_every_model_and_step(self, done) -> None:
+    def test_the_tables_name_every_model_and_step(self, done: Demo) -> None:
         assert [row[0] for row in done.tables[0].rows] == ["points", "generalized", "bodies"]
         paper = next(each for each in done.tables if each.title.startswith("The scheme of the paper: largest errors"))
         assert {row[0] for row in paper.rows} == {"points", "generalized", "bodies"}
         assert {row[1] for row in paper.rows} == {"0.2", "0.1"}
 
     def test_a_second_run_replaces_what_is_there_and_keeps_the_rest(
-        self, done, monkeypatch: pytest.MonkeyPatch
+        self, done: Demo, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         (done.folder / "notes.txt").write_text("mine")
         (done.folder / "report.html").write_text("old")
@@ -113,7 +114,7 @@ class TestDemo:
         (done.folder / "notes.txt").unlink()
 
     def test_without_the_examples_the_rest_is_done_and_the_gap_is_named(
-        self, done, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, done: Demo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         _make_light(monkeypatch, done)
         monkeypatch.setattr(crane_fmu.demo, "examples_folder", lambda: None)
@@ -122,14 +123,14 @@ class TestDemo:
         assert (result.folder / "report.html").read_text() == "10 sections"
 
 
-def _make_light(monkeypatch: pytest.MonkeyPatch, done) -> None:
+def _make_light(monkeypatch: pytest.MonkeyPatch, done: Demo) -> None:
     """Take the FMU of an earlier demo, and write how many sections the report would have."""
 
-    def copied(folder, _):
+    def copied(folder: Path, _: object) -> Path:
         (folder / "RotaryCrane.fmu").write_bytes((done.folder / "RotaryCrane.fmu").read_bytes())
         return done.folder / "system" / "Crane.ssp"
 
-    def counted(folder, _, sections) -> None:
+    def counted(folder: Path, _: object, sections: Sequence[object]) -> None:
         (folder / "report.html").write_text(f"{len(sections)} sections")
 
     monkeypatch.setattr(crane_fmu.demo, "build_system", copied)
@@ -177,7 +178,7 @@ def test_build_is_the_same_as_build_fmu(fmu: Path, tmp_path: Path) -> None:
 
 
 class TestRunFmu:
-    def test_it_follows_the_library_at_every_row(self, fmu) -> None:
+    def test_it_follows_the_library_at_every_row(self, fmu: Path) -> None:
         crane = sc.scenes.rotary_crane()
         outputs = run_fmu(fmu, crane.reference, 0.1, formulation="projected")
         library = sc.solve(crane, sc.Projected(), sc.BackwardEuler(), step=0.1)
@@ -185,19 +186,19 @@ class TestRunFmu:
         for name, tolerance in (("M_b", 0.05), ("F", 0.01), ("M_w", 1e-4), ("phi", 1e-6), ("s", 1e-5), ("l", 1e-6)):
             np.testing.assert_allclose(outputs[name], library[name], atol=tolerance, err_msg=name)
 
-    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu) -> None:
+    def test_a_run_that_ends_early_is_an_error_with_what_the_fmu_said(self, fmu: Path) -> None:
         over_the_axis = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
         with pytest.raises(sc.IntegrationFailed, match=r"stopped at t = .* of 10 s .*slewing axis"):
             run_fmu(fmu, over_the_axis, 0.1)
 
-    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu) -> None:
+    def test_a_run_leaves_no_module_of_the_fmu_behind(self, fmu: Path) -> None:
         before = set(sys.modules), list(sys.path)
         run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.5)
         stayed = [name for name in set(sys.modules) - before[0] if name.startswith("rotary_crane")]
         assert stayed == []
         assert sys.path == before[1]
 
-    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu) -> None:
+    def test_a_parameter_out_of_bounds_is_an_error_with_what_the_fmu_said(self, fmu: Path) -> None:
         with pytest.raises(sc.IntegrationFailed, match="load_mass"):
             run_fmu(fmu, sc.scenes.rotary_crane().reference, 0.1, load_mass=-1.0)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from command_lines import CommandLine
 import crane_fmu.cli
 import servocore as sc
 from servocore.cli import commands
+from servocore.numerics.compiled_calls import Array
 
 run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
 LEVEL = ["--from", 0, -4, "--to", 5, -4]
@@ -23,7 +25,7 @@ def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def read(file: str):
+def read(file: str) -> dict[str, Array]:
     with Path(file).open(encoding="utf-8") as stream:
         rows = list(csv.reader(stream))
     return dict(zip(rows[0], np.array(rows[1:], dtype=float).T, strict=True))
@@ -113,7 +115,7 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
     ],
 )
-def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options, sentence: str) -> None:
+def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Sequence[str], sentence: str) -> None:
     run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
     assert os.listdir() == []
 

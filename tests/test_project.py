@@ -117,7 +117,7 @@ OXFORD = re.compile(  # stems that take -ize; other words do not: otherwise, pre
 PUBLIC_SPELLING = re.compile(r"\b(generalise|[Dd]iscretis(e|ation)|factorisations|linearised?)\b|emphasis")
 
 
-def test_words_are_spelled_as_in_oxford():
+def test_words_are_spelled_as_in_oxford() -> None:
     """With -ize where the ending is Greek, but analyse; public names keep theirs."""
     rooms = ("servocore/", "crane_fmu/", "docs/", "examples/", "tests/", "README.md", "CONTRIBUTING.md")
     wrong = [
@@ -129,7 +129,7 @@ def test_words_are_spelled_as_in_oxford():
     assert wrong == []
 
 
-def test_nothing_mentions_the_machine_it_was_written_on():
+def test_nothing_mentions_the_machine_it_was_written_on() -> None:
     places = ("/" + "work/", "/" + "home/", "/" + "root/", "share" + "d/design", "share" + "d/theory", "bash" + "_jobs")
     found = [f"{name} mentions {place}" for name, text in tracked_texts() for place in places if place in text]
     assert found == []
@@ -150,13 +150,13 @@ def taken_by(value: object) -> list[str]:
 @pytest.mark.parametrize(
     "name", [name for name, value in PUBLIC if inspect.isclass(value) or inspect.isfunction(value)]
 )
-def test_a_public_name_says_what_it_is(name) -> None:
+def test_a_public_name_says_what_it_is(name: str) -> None:
     text = inspect.getdoc(getattr(sc, name)) or ""
     assert text.splitlines()[0].endswith((".", ":")), f"{name} has no summary sentence"
 
 
 @pytest.mark.parametrize("name", [name for name, value in PUBLIC if len(taken_by(value)) > 1])
-def test_a_public_name_says_what_it_takes(name) -> None:
+def test_a_public_name_says_what_it_takes(name: str) -> None:
     value, text = getattr(sc, name), inspect.getdoc(getattr(sc, name)) or ""
     section = re.search(r"^(Parameters|Attributes)\n-+\n(.*?)(?=^\w+\n-+$|\Z)", text, re.DOTALL | re.MULTILINE)
     assert section, f"{name} takes {', '.join(taken_by(value))}, but its docstring has no such section"
@@ -220,7 +220,9 @@ def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> No
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if CODE_BLOCK.search(p.read_text(encoding="utf-8"))], ids=short)
-def test_python_blocks_of_a_page_run_one_after_another(page, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_of_a_page_run_one_after_another(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page"}
     text = page.read_text(encoding="utf-8")

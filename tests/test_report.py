@@ -40,59 +40,59 @@ def written(crane: sc.Scene, found: Study, cycle: Cycle) -> dict[str, list[str |
     return contents.sections(found, outputs, loop(crane), cycle)
 
 
-def loop(crane: sc.Scene):
+def loop(crane: sc.Scene) -> list[LoadRun]:
     t = np.linspace(0.0, 20.0, 201)
     wanted = crane.reference.jet(t, 0)[:, 0]
     return [LoadRun(label, t, wanted, wanted + size * np.sin(t)[:, None]) for label, size in (("a", 1e-3), ("b", 1e-6))]
 
 
 @pytest.fixture(scope="module")
-def drawings(written: dict[str, list[str | Table | Illustration]]):
+def drawings(written: dict[str, list[str | Table | Illustration]]) -> dict[str, str]:
     shown = [part for parts in written.values() for part in parts if isinstance(part, Illustration)]
     return {name: data for each in shown for name, data in each.files().items()}
 
 
 @pytest.fixture(scope="module")
-def html(found: Study, written: dict[str, list[str | Table | Illustration]], drawings) -> str:
+def html(found: Study, written: dict[str, list[str | Table | Illustration]], drawings: dict[str, str]) -> str:
     return page(contents.TITLE, contents.facts(found), sc.live_part(found.base), written, drawings)
 
 
-def labels(figure: Figure):
+def labels(figure: Figure) -> list[str]:
     return [axes.get_ylabel() for axes in figure.axes]
 
 
-def legend(figure: Figure):
+def legend(figure: Figure) -> list[str]:
     holders = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
     return [text.get_text() for each in holders for text in each.get_texts()]
 
 
 class TestNumbers:
-    def test_errors_of_the_scheme_of_the_paper_halve_with_the_step_in_every_model(self, found) -> None:
+    def test_errors_of_the_scheme_of_the_paper_halve_with_the_step_in_every_model(self, found: Study) -> None:
         for model in found.models:
             for name in INPUTS:
                 ratio = found.paper_errors[model, STEPS[0]][name] / found.paper_errors[model, STEPS[1]][name]
                 assert ratio == pytest.approx(2.0, rel=0.15), (model, name)
 
-    def test_the_motion_is_exact(self, found) -> None:
+    def test_the_motion_is_exact(self, found: Study) -> None:
         both = [*found.errors.values(), *found.paper_errors.values()]
         assert max(errors[name] for errors in both for name in MOTION) < 1e-9
 
-    def test_the_models_approach_one_another(self, found) -> None:
+    def test_the_models_approach_one_another(self, found: Study) -> None:
         assert len(found.differences) == 3 * len(STEPS)
         for pair in {pair for pair, _ in found.differences}:
             assert found.differences[pair, STEPS[1]]["M_b"] < 0.6 * found.differences[pair, STEPS[0]]["M_b"]
 
-    def test_by_default_there_is_no_error_in_any_model(self, found) -> None:
+    def test_by_default_there_is_no_error_in_any_model(self, found: Study) -> None:
         assert set(found.errors) == set(found.models)
         assert max(errors[name] for errors in found.errors.values() for name in INPUTS) < 1e-12
 
-    def test_the_load_strays_less_with_better_inputs(self, found) -> None:
+    def test_the_load_strays_less_with_better_inputs(self, found: Study) -> None:
         exact, rows, coarse, fine = (each.largest for each in found.tracking)
         assert exact < 1e-8
         assert exact < rows < 1e-3 * fine
         assert fine < coarse
 
-    def test_an_error_is_relative_for_inputs_and_absolute_for_the_motion(self, crane) -> None:
+    def test_an_error_is_relative_for_inputs_and_absolute_for_the_motion(self, crane: sc.Scene) -> None:
         solution = sc.solve(crane, sc.Reduced(), step=0.5)
         solution.values[3, solution.names.index("M_b")] += 1.0
         solution.values[3, solution.names.index("s")] += 0.25
@@ -100,12 +100,12 @@ class TestNumbers:
         assert errors["M_b"] == pytest.approx(1.0 / np.abs(crane.exact(solution.t)["M_b"]).max())
         assert errors["s"] == pytest.approx(0.25)
 
-    def test_samples_and_waypoints_give_one_path(self, cycle) -> None:
+    def test_samples_and_waypoints_give_one_path(self, cycle: Cycle) -> None:
         assert cycle.apart < 1e-8
 
 
 class TestFigures:
-    def test_the_reference_function_rises_from_zero_to_one(self, crane) -> None:
+    def test_the_reference_function_rises_from_zero_to_one(self, crane: sc.Scene) -> None:
         figure = trajectories.reference_function(crane.reference)
         above, below = figure.axes
         s = above.lines[0].get_ydata()
@@ -116,13 +116,13 @@ class TestFigures:
         assert labels(figure) == ["share of the line", "its second derivative (1/s²)"]
         assert below.get_xlabel() == "time (s)"
 
-    def test_the_motion_is_drawn_in_degrees_and_metres(self, found, crane) -> None:
+    def test_the_motion_is_drawn_in_degrees_and_metres(self, found: Study, crane: sc.Scene) -> None:
         figure = trajectories.beside_closed_form(MOTION, found.base, crane)
         assert labels(figure) == [LABELS[name] for name in ("phi", "s", "l")]
         assert figure.axes[0].lines[0].get_ydata()[-1] == pytest.approx(135.0)
         assert legend(figure) == ["exact inversion", "closed form"]
 
-    def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found):
+    def test_both_sets_of_coordinates_are_on_top_of_each_other_and_of_the_default(self, found: Study) -> None:
         redundant, generalized = found.paper["bodies", 0.2], found.paper["generalized", 0.2]
         figure = trajectories.inputs_compared(redundant, generalized, found.base)
         assert labels(figure) == [LABELS[name] for name in INPUTS]
@@ -134,13 +134,13 @@ class TestFigures:
         for values, run in zip(drawn, (found.base, generalized, redundant), strict=True):
             np.testing.assert_array_equal(values, run["M_w"])
 
-    def test_what_plot_draws_has_six_panels_with_units(self, found) -> None:
+    def test_what_plot_draws_has_six_panels_with_units(self, found: Study) -> None:
         figure = trajectories.inputs_and_motion(found.base)
         assert sorted(labels(figure)) == sorted(LABELS.values())
         assert all(re.search(r"\(.+\)$", label) for label in labels(figure))
 
     @pytest.mark.parametrize("index", [0, -1])
-    def test_a_posture_shows_the_crane_where_it_is(self, found, index: int) -> None:
+    def test_a_posture_shows_the_crane_where_it_is(self, found: Study, index: int) -> None:
         figure = postures.posture(found.base, index)
         (axes,) = figure.axes
         drawn = {line.get_label(): np.array(line.get_data_3d()) for line in axes.lines}
@@ -153,14 +153,14 @@ class TestFigures:
         assert [axes.get_xlabel(), axes.get_ylabel(), axes.get_zlabel()] == ["$x$ (m)", "$y$ (m)", "$z$ (m)"]
         assert {"path of the load", "bridge", "rope", "load"} <= set(legend(figure))
 
-    def test_the_sketch_names_what_it_measures(self, crane):
+    def test_the_sketch_names_what_it_measures(self, crane: sc.Scene) -> None:
         (axes,) = postures.sketch(crane).axes
         assert {"$\\varphi$", "$s$", "$l$"} <= {text.get_text() for text in axes.texts}
         path = np.array(axes.lines[0].get_data_3d()).T
         manoeuvre = crane.reference
         np.testing.assert_allclose(path[[0, -1]], [manoeuvre.start, manoeuvre.end], atol=1e-12)
 
-    def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found) -> None:
+    def test_the_error_is_drawn_against_the_step_with_a_line_of_slope_one(self, found: Study) -> None:
         figure = convergence.error_against_step(found.paper_errors)
         (axes,) = figure.axes
         assert (axes.get_xscale(), axes.get_yscale()) == ("log", "log")
@@ -170,13 +170,13 @@ class TestFigures:
         slope = np.polyfit(np.log(guide.get_xdata()), np.log(guide.get_ydata()), 1)[0]
         assert slope == pytest.approx(1.0)
 
-    def test_a_load_that_strays_is_shown_with_its_path_and_its_distance(self, found) -> None:
+    def test_a_load_that_strays_is_shown_with_its_path_and_its_distance(self, found: Study) -> None:
         figure = trajectories.strayed(found.tracking, found.tracking)
         assert labels(figure) == ["position of the load (m)", "distance from the path (mm)"]
         assert figure.axes[1].get_yscale() == "log"
         assert len(legend(figure)) == 1 + len(found.tracking)
 
-    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane) -> None:
+    def test_a_quantity_that_is_constant_but_for_rounding_is_a_flat_line(self, crane: sc.Scene) -> None:
         radial = crane.with_reference(sc.rest_to_rest((5.0, 0.0, -5.0), (3.0, 0.0, -5.0), 10.0))
         figure = trajectories.inputs_and_motion(sc.solve(radial, sc.Projected(), sc.BackwardEuler(), step=0.1))
         for axes in figure.axes:
@@ -184,13 +184,13 @@ class TestFigures:
             assert high - low > 1e-3
 
     @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
-    def test_a_picture_is_the_same_every_time(self, crane, suffix: str) -> None:
+    def test_a_picture_is_the_same_every_time(self, crane: sc.Scene, suffix: str) -> None:
         one, other = (picture(trajectories.reference_function(crane.reference), suffix, "by hand") for _ in range(2))
         assert one == other
 
 
 class TestPage:
-    def test_it_needs_nothing_else(self, html) -> None:
+    def test_it_needs_nothing_else(self, html: str) -> None:
         assert "http" not in html
         assert "<link" not in html
         assert "@import" not in html
@@ -198,23 +198,27 @@ class TestPage:
         assert sources
         assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
 
-    def test_its_pictures_are_those_of_the_files(self, html, drawings) -> None:
+    def test_its_pictures_are_those_of_the_files(self, html: str, drawings: dict[str, str]) -> None:
         inside = [b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', html)]
         assert inside == [data for name, data in drawings.items() if name.endswith(".svg")]
 
-    def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html) -> None:
+    def test_figures_and_tables_are_numbered_in_order_and_pictures_described(self, html: str) -> None:
         assert re.findall(r"<b>Figure (\d+)\.</b>", html) == [str(k) for k in range(1, 13)]
         assert re.findall(r"<b>Table (\d+)\.</b>", html) == [str(k) for k in range(1, 9)]
         assert all(re.findall(r'alt="([^"]*)"', html))
 
-    def test_every_table_and_every_figure_says_its_form_and_method_or_that_it_has_none(self, written, html) -> None:
+    def test_every_table_and_every_figure_says_its_form_and_method_or_that_it_has_none(
+        self, written: dict[str, list[str | Table | Illustration]], html: str
+    ) -> None:
         shown = [part for parts in written.values() for part in parts if not isinstance(part, str)]
         assert html.count('<span class="by">') == len(shown) == 20
         for each in shown:
             computed = "form reduced, exact inversion" in each.by or "form projected, method backward Euler" in each.by
             assert computed or "nothing is" in each.by, each.title
 
-    def test_a_figure_carries_its_form_and_method_where_it_goes_without_its_caption(self, written) -> None:
+    def test_a_figure_carries_its_form_and_method_where_it_goes_without_its_caption(
+        self, written: dict[str, list[str | Table | Illustration]]
+    ) -> None:
         (inputs,) = (part for part in written["The inputs"] if isinstance(part, Illustration))
         assert inputs.files()
         assert (
@@ -222,7 +226,7 @@ class TestPage:
         )
 
     def test_projected_backward_euler_is_called_the_scheme_of_the_paper_and_comes_after_the_default(
-        self, written
+        self, written: dict[str, list[str | Table | Illustration]]
     ) -> None:
         headings = list(written)
         assert headings[-1] == "The scheme of the paper"
@@ -235,14 +239,14 @@ class TestPage:
         assert "scheme of the paper" in texts[first + 1]
         assert "scheme of the paper" not in "".join(texts[: first + 1])
 
-    def test_it_declares_its_data_an_assumption(self, html) -> None:
+    def test_it_declares_its_data_an_assumption(self, html: str) -> None:
         assert "declared assumption" in " ".join(html.split())
 
-    def test_it_names_no_machine_and_no_day(self, html) -> None:
+    def test_it_names_no_machine_and_no_day(self, html: str) -> None:
         assert not re.search(r"/(home|root|tmp|usr|work)/|\b20[12]\d-\d\d", html)
         assert "@media print" in html
 
-    def test_the_reference_of_the_paper_is_the_only_year(self, html) -> None:
+    def test_the_reference_of_the_paper_is_the_only_year(self, html: str) -> None:
         text = re.sub(r"<script.*?</script>|base64,[^\"]*", "", html, flags=re.DOTALL)
         assert set(re.findall(r"\b(?:19|20)\d\d\b", text)) == {"2009"}
 
@@ -250,7 +254,7 @@ class TestPage:
         assert formula("a < b & M_b") == "a &lt; b &amp; <i>M</i><sub>b</sub>"
         assert formula("bridge_inertia") == "bridge_inertia"
 
-    def test_the_data_of_the_crane_are_all_there(self, crane) -> None:
+    def test_the_data_of_the_crane_are_all_there(self, crane: sc.Scene) -> None:
         table = parameter_table(crane.with_parameters(load_mass=80.0))
         assert {row[2]: row[1] for row in table.rows} == {
             "bridge_inertia": "480 kg m²", "trolley_mass": "10 kg", "load_mass": "80 kg",
@@ -262,7 +266,7 @@ class TestPage:
     ("value", "text"),
     [(0.0, "0"), (23.398, "23.4"), (0.00298, "0.00298"), (7.45e-4, "7.5·10⁻⁴"), (1.94e-13, "2·10⁻¹³")],
 )  # fmt: skip
-def test_numbers_are_short(value: float | str, text) -> None:
+def test_numbers_are_short(value: float | str, text: str) -> None:
     assert number(value) == text
 
 

@@ -32,11 +32,11 @@ LARGEST_PAGE = 6_000_000
 
 
 @pytest.fixture(scope="module")
-def page_of(tmp_path_factory: pytest.TempPathFactory):
+def page_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     """Return what writes the page of a scene, once."""
     folder, made = tmp_path_factory.mktemp("pages"), {}
 
-    def write(name, scene=None) -> Path:
+    def write(name: str, scene: sc.Scene | None = None) -> Path:
         if name not in made:
             scene = scene or sc.scenes.REGISTRY[name]()
             made[name] = sc.view(sc.solve(scene, step=scene.reference.duration / 200), folder / f"{name}.html")
@@ -201,7 +201,9 @@ def test_cranes_with_more_physics_are_drawn_as_well(name: str, effect: str) -> N
         (lambda _: ["body"], "must be a sequence of Part"),
     ],
 )
-def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(drawing, sentence: str) -> None:
+def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(
+    drawing: Callable[[dict[str, ca.SX]], object], sentence: str
+) -> None:
     with pytest.raises(sc.InvalidModel, match=re.escape(sentence)):
         picture_of(own_crane().model(), OWN_QUANTITIES, drawing)
 
@@ -227,7 +229,7 @@ def test_the_command_writes_a_page_of_any_scene_with_limits_that_may_be_exceeded
 # In a browser ---------------------------------------------------------------------------------------------------------
 
 
-def settled(page: Page, script: str):
+def settled(page: Page, script: str) -> object:
     """Run a script, and wait until what it changed is shown."""
     shown = "await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
     return page.run(f"(async () => {{ {script}; {shown}; }})()")
@@ -360,7 +362,7 @@ def test_it_follows_the_dark_mode_and_prints_on_white(opened: Page) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in SCENES if name != "rotary_crane"])
-def test_the_page_of_every_scene_runs(opened: Page, page_of: Callable[..., Path], name) -> None:
+def test_the_page_of_every_scene_runs(opened: Page, page_of: Callable[..., Path], name: str) -> None:
     opened.errors.clear()
     opened.open(page_of(name))
     settled(opened, "servocore.go(servocore.timeOf(0.5))")

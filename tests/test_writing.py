@@ -23,7 +23,7 @@ def test_several_files_appear_together_or_not_at_all(tmp_path: Path) -> None:
 
 
 def test_an_interrupted_write_leaves_no_rest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_) -> None:
+    def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Path, "replace", interrupted)
