@@ -87,7 +87,7 @@ def test_multistep_spikes_follow_from_the_coefficients() -> None:
     assert prediction(sc.RadauIIA(2)) == (pytest.approx(14.0), 2)
 
 
-def test_the_stabilized_control_of_the_drift_row_is_what_simulate_integrates():
+def test_the_stabilized_control_of_the_drift_row_is_what_simulate_integrates() -> None:
     t = np.array([0.0, 0.4])
     state = np.array([0.0, -1.0, *(0.5 * 2 * np.pi / 2.56, 0.0)])  # as the path starts: hanging, in motion
     moved = sc.simulate(pendulum_scene(1), lambda _: np.zeros(1), t=t, rtol=1e-12, atol=1e-12)

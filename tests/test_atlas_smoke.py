@@ -44,7 +44,7 @@ def test_the_page_that_is_committed_shows_the_table_that_is_committed() -> None:
 
 
 @pytest.mark.parametrize(("number", "row"), list(enumerate(ROWS, 1)), ids=[row.name for row in ROWS])
-def test_the_page_has_the_fixed_sections_of_a_row(number, row) -> None:
+def test_the_page_has_the_fixed_sections_of_a_row(number: int, row: str) -> None:
     text = (PAGE / "index.md").read_text(encoding="utf-8")
     start = text.index(f"## {number}. {row.title}\n")
     following = text.find("\n## ", start + 1)

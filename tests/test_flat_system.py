@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,16 +38,16 @@ every_scene = pytest.mark.parametrize("name", SCENES)
 
 
 @cache
-def flat(name: str):
+def flat(name: str) -> Any:
     return sc.to_control(SCENES[name])
 
 
-def at_rest(name: str, place: tuple[float, ...]):
+def at_rest(name: str, place: tuple[float, ...]) -> Any:
     order = sc.Problem.of(SCENES[name]).array.reference_order
     return flat(name).reverse([[each, *[0.0] * order] for each in place])
 
 
-def planned(name: str):
+def planned(name: str) -> Any:
     """A trajectory of python-control from rest to rest, its instants, state and inputs."""
     system = flat(name)
     ends = [each for place in ENDS[name] for each in at_rest(name, place)]
@@ -55,7 +56,7 @@ def planned(name: str):
     return flatsys.point_to_point(system, [0.0, DURATION], *ends, basis=basis)
 
 
-def as_reference(trajectory, smoothness: int) -> PiecewisePolynomial:
+def as_reference(trajectory: Any, smoothness: int) -> PiecewisePolynomial:
     """The path of a trajectory in powers of t/T, from its coefficients."""
     t, T = np.polynomial.Polynomial([0.5, 1.0]), DURATION
     powers = np.array(list(trajectory.coeffs))
@@ -69,7 +70,7 @@ def as_reference(trajectory, smoothness: int) -> PiecewisePolynomial:
     )  # fmt: skip
 
 
-def assert_inputs_of_the_inversion(name: str, trajectory) -> None:
+def assert_inputs_of_the_inversion(name: str, trajectory: Any) -> None:
     t = np.linspace(0.0, DURATION, 41)
     _, inputs = trajectory.eval(t)
     order = sc.Problem.of(SCENES[name]).array.reference_order
@@ -80,7 +81,7 @@ def assert_inputs_of_the_inversion(name: str, trajectory) -> None:
 @every_scene
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_state_and_inputs_come_back_from_their_flag(name, seed: int) -> None:
+def test_state_and_inputs_come_back_from_their_flag(name: str, seed: int) -> None:
     system, draw = flat(name), np.random.default_rng(seed)
     x, u = at_rest(name, ENDS[name][0])
     x, u = x + 0.1 * draw.standard_normal(len(x)), u * (1.0 + 0.1 * draw.standard_normal(len(u)))
@@ -90,7 +91,7 @@ def test_state_and_inputs_come_back_from_their_flag(name, seed: int) -> None:
 
 
 @every_scene
-def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name) -> None:
+def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name: str) -> None:
     assert_inputs_of_the_inversion(name, planned(name))
 
 
@@ -100,7 +101,7 @@ class OfBasis(Reference):
 
     trajectory: object
 
-    def _derivatives(self, t, order) -> Array:
+    def _derivatives(self, t: Array, order: int) -> Array:
         basis = self.trajectory.basis
         rows = [
             [sum(c * basis.eval_deriv(i, k, t) for i, c in enumerate(coefficients)) for k in range(order + 1)]
@@ -118,7 +119,7 @@ BASES = {
 
 @pytest.mark.parametrize("basis", BASES.values(), ids=BASES)
 @pytest.mark.parametrize("name", ["rotary crane", "overhead crane", "aircraft of somebody else"])
-def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_inversion(name: str, basis) -> None:
+def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_inversion(name: str, basis: Any) -> None:
     order, draw = sc.Problem.of(SCENES[name]).array.reference_order, np.random.default_rng(1)
     flags = [[[each, *(0.2 * draw.standard_normal(order))] for each in place] for place in ENDS[name]]
     ends = [each for flag in flags for each in flat(name).reverse(flag)]
@@ -134,7 +135,7 @@ def test_a_plan_from_motion_to_motion_in_any_basis_has_the_inputs_of_the_exact_i
 
 
 @every_scene
-def test_a_simulation_by_python_control_arrives_under_these_inputs(name) -> None:
+def test_a_simulation_by_python_control_arrives_under_these_inputs(name: str) -> None:
     t = np.linspace(0.0, DURATION, 401)
     state, inputs = planned(name).eval(t)
     tight = {"rtol": 1e-9, "atol": 1e-9}
@@ -163,7 +164,7 @@ def test_an_optimal_plan_within_bounds_has_the_inputs_of_the_exact_inversion(nam
 
 
 @every_scene
-def test_a_regulator_designed_by_python_control_is_stable(name) -> None:
+def test_a_regulator_designed_by_python_control_is_stable(name: str) -> None:
     system = flat(name)
     linear = control.linearize(system, *at_rest(name, ENDS[name][0]))
     _, _, poles = control.lqr(linear, np.eye(system.nstates), np.eye(system.ninputs))

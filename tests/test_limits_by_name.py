@@ -140,7 +140,7 @@ class TestWhatALimitIs:
          ("0.2 kN", "N", 200.0), ("3 kN.m/s", "N.m/s", 3e3), ("60 rpm", "rad/s", 2 * np.pi), ("1.5", "N", 1.5),
          ("4 J", "N.m", 4.0), ("2 m/s^2", "m/s2", 2.0), ("-90 deg/s", "rad/s", -np.pi / 2)],
     )  # fmt: skip
-    def test_units_are_converted(self, text: str, unit: str, value) -> None:
+    def test_units_are_converted(self, text: str, unit: str, value: float) -> None:
         assert in_unit(text, unit, "it") == pytest.approx(value, rel=1e-14)
 
     @pytest.mark.parametrize(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -29,7 +31,7 @@ QUICK, COARSE = 40, 20
 """Intervals: half and a quarter of what is usual; plans are some two and five per cent slower."""
 
 
-def largest_excess(scene: sc.Scene, path: sc.Reference, limits):
+def largest_excess(scene: sc.Scene, path: sc.Reference, limits: Mapping[str, Any]) -> float:
     """Return by how much the closed form of a crane exceeds symmetric limits, divided by them."""
     t = np.linspace(0.0, path.duration, 20_001)
     exact = scene.with_reference(path).exact(t)
@@ -44,7 +46,9 @@ def default_plan() -> tuple[sc.Reference, sc.PlanReport]:
 class TestDefaultManoeuvre:
     """The crane's line under limits of slewing torque, trolley force and swing."""
 
-    def test_is_as_fast_as_the_best_known_on_such_a_grid(self, default_plan) -> None:
+    def test_is_as_fast_as_the_best_known_on_such_a_grid(
+        self, default_plan: tuple[sc.Reference, sc.PlanReport]
+    ) -> None:
         _, report = default_plan
         assert report.duration == pytest.approx(7.284, rel=3e-3)
         assert report.degree9 == pytest.approx(10.694, abs=1e-3)
@@ -52,17 +56,17 @@ class TestDefaultManoeuvre:
         assert report.status == "Solve_Succeeded"
         assert 0.0 < report.grid_error < 0.5
 
-    def test_keeps_its_limits_by_the_closed_form(self, default_plan) -> None:
+    def test_keeps_its_limits_by_the_closed_form(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
         path, report = default_plan
         assert largest_excess(CRANE, path, {"M_b": 1000.0, "F": 60.0, "swing": math.radians(5.0)}) <= 0.0
         assert report.violation == 0.0
 
-    def test_touches_every_limit_at_some_time(self, default_plan) -> None:
+    def test_touches_every_limit_at_some_time(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
         _, report = default_plan
         assert {each.quantity for each in report.active} == {"M_b", "F", "swing"}
         assert all(0.0 <= each.begin <= each.end <= report.duration for each in report.active)
 
-    def test_is_a_path_that_everything_takes(self, default_plan) -> None:
+    def test_is_a_path_that_everything_takes(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
         path, report = default_plan
         scene = CRANE.with_reference(path).with_limits(**DEFAULT)
         solution = sc.solve(scene, step=report.duration / 100)
@@ -70,7 +74,7 @@ class TestDefaultManoeuvre:
         assert np.abs(inputs[:, 1] - solution["F"]).max() < 1e-7
         np.testing.assert_allclose(inputs[[0, -1]], [[0.0, 0.0, -98.1]] * 2, atol=1e-6)
 
-    def test_has_exact_derivatives(self, default_plan) -> None:
+    def test_has_exact_derivatives(self, default_plan: tuple[sc.Reference, sc.PlanReport]) -> None:
         path, _ = default_plan
         t, h = np.linspace(0.3, path.duration - 0.3, 37) + 0.011, 1e-4
         for order in range(5):
@@ -108,14 +112,14 @@ class TestIndependentAnswers:
         assert max(durations) <= 1.002 * min(durations)
 
 
-def ramp(parts, order) -> Array:
+def ramp(parts: Array, order: int) -> Array:
     """Return s = t/T, which does not even rest."""
     found = np.zeros((len(parts), order + 1))
     found[:, 0], found[:, 1] = parts, 1.0
     return found
 
 
-def skewed(parts, order) -> Array:
+def skewed(parts: Array, order: int) -> Array:
     """Return a sum of two laws of which one is over before the other."""
     whole, early = (shape_of(sc.DEGREE9)(np.minimum(parts * factor, 1.0), order) for factor in (1.0, 1.5))
     early[:, 1:] *= (1.5 ** np.arange(1, order + 1)) * (parts < 1 / 1.5)[:, None]

@@ -76,7 +76,7 @@ def test_a_chain_of_index_seven_is_planned_without_a_formula() -> None:
     assert report.duration < report.degree9
 
 
-def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_same():
+def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_same() -> None:
     crane = sc.scenes.gantry_crane()
     stronger = replace(crane.model("points"), input_matrix=2 * crane.model("points").input_matrix)
     curve = curve_of([(0, 0, -4), (4, 2, -3)], 3, "cranes")

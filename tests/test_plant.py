@@ -97,13 +97,13 @@ def test_energy_is_kept_without_inputs_that_work() -> None:
     assert plant.values(state, None, STILL, p)["energy"] == pytest.approx(before, abs=1e-6)
 
 
-def test_its_linearization_is_the_difference_of_neighbouring_steps():
+def test_its_linearization_is_the_difference_of_neighbouring_steps() -> None:
     plant, state, p = at_rest("generalized")
     state[3:] = 0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.02
     u, h = np.array([10.0, 5.0, -90.0]), 1e-5
     A, B, E, C = plant.linearised(state, u, p)
 
-    def rate(x: Array, force: Array = u, d=STILL):
+    def rate(x: Array, force: Array = u, d: float = STILL) -> float:
         return (plant.advance(x, force, STILL, d, p, h) - plant.advance(x, force, STILL, d, p, -h)) / (2 * h)
 
     for k in range(10):

@@ -43,7 +43,7 @@ def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: lis
     return path
 
 
-def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int):
+def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int) -> Array:
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
     return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
@@ -212,7 +212,7 @@ def test_spaces_and_a_byte_order_mark_from_a_spreadsheet_do_no_harm(tmp_path: Pa
     assert relative_errors(waypoints_from_csv(file), LINE, 4).max() < 1e-13
 
 
-def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path):
+def test_waypoints_take_no_accelerations_and_at_least_two_rows(tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match="header time,x,y,z, optionally followed by vx,vy,vz, then stop was exp"):
         waypoints_from_csv(write(tmp_path / "a.csv", table(LINE, 1.0, 3), 3))
     with pytest.raises(InvalidReference, match="1 rows of data, but such a path needs at least 2"):

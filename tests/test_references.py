@@ -49,7 +49,7 @@ def exact_derivative(coefficients: list[float] | tuple[int, ...], T: int, order:
     return value
 
 
-def exact_three_phase(t, tau: float, tau0: float, order: int):
+def exact_three_phase(t: float, tau: float, tau0: float, order: int) -> tuple[float, ...]:
     """theory.md section 3 in rational arithmetic, order at most 1 outside the ramps."""
     t, tau, tau0 = Fraction(t), Fraction(tau), Fraction(tau0)
     if t > tau / 2:
@@ -239,7 +239,7 @@ TIMES = np.array([0.0, 12.0, 22.0, 31.0, 40.0])
 PATH = through(WAYPOINTS, TIMES)
 
 
-def relative_errors(path: PiecewisePolynomial, truth: Reference, order: int):
+def relative_errors(path: PiecewisePolynomial, truth: Reference, order: int) -> Array:
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
     return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))

@@ -13,7 +13,7 @@ OVERHEAD = sc.scenes.overhead_crane()
 BAR = sc.scenes.elastic_bar()
 
 
-def central(scene: sc.Scene, name: str, t: Array, part: float = 1e-4):
+def central(scene: sc.Scene, name: str, t: Array, part: float = 1e-4) -> Array:
     """Return central differences of the closed form's inputs by a parameter, of order four."""
     value = scene.parameter_values()[name]
     h = part * value

@@ -6,10 +6,12 @@ import errno
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ MASSES, DURATIONS = np.linspace(50.0, 150.0, 7), np.array([10.0, 14.0, 20.0])
 VARIED = {"load_mass": MASSES, "duration": DURATIONS}
 
 
-def assert_case_is_its_solution(found, scene: sc.Scene, path: sc.Reference, **parameters: float) -> sc.Solution:
+def assert_case_is_its_solution(found: Any, scene: sc.Scene, path: sc.Reference, **parameters: float) -> sc.Solution:
     solution = sc.solve(scene.with_reference(path).with_parameters(**parameters), step=path.duration / 200)
     for name in (each.name for each in scene.model().inputs):
         assert float(found[f"peak_{name}"]) == pytest.approx(np.abs(solution[name]).max(), rel=1e-12)
@@ -91,7 +93,7 @@ def test_units_coordinates_and_settings_are_told() -> None:
 
 @settings(max_examples=8, deadline=None)
 @given(st.lists(st.tuples(st.floats(30.0, 300.0), st.floats(9.0, 40.0)), min_size=1, max_size=5))
-def test_rows_of_a_table_are_cases(rows) -> None:
+def test_rows_of_a_table_are_cases(rows: Any) -> None:
     table = [{"load_mass": mass, "duration": duration} for mass, duration in rows]
     found = sc.sweep(CRANE, table)
     assert found.sizes["case"] == len(rows)
@@ -159,7 +161,7 @@ class Interrupted(Exception):
 def test_an_interrupted_sweep_goes_on_where_it_stopped(tmp_path: Path, name: str) -> None:
     store, seen = tmp_path / name, []
 
-    def stop(done, _) -> None:
+    def stop(done: int, _: object) -> None:
         if done >= 9:
             raise Interrupted
 
@@ -211,7 +213,7 @@ def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_
     store = tmp_path / "s.zarr"
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
 
-        def kill(*_) -> None:
+        def kill(*_: object) -> None:
             for each in list(pool._processes.values()):
                 each.kill()
 
@@ -222,24 +224,24 @@ def test_an_executor_whose_worker_is_killed_is_told_in_a_sentence_and_the_store_
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def cluster() -> Iterator[Any]:
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None, silence_logs=50) as found:
         yield found
 
 
 @pytest.fixture
-def client(cluster):
+def client(cluster: Any) -> Iterator[Any]:
     cluster.scale(2)
     with cluster.get_client() as found:
         found.wait_for_workers(1, timeout=60)
         yield found
 
 
-def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster, client) -> None:
+def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster: Any, client: Any) -> None:
     killed = []
 
-    def kill(done, _) -> None:
+    def kill(done: int, _: object) -> None:
         if done >= 6 and not killed:
             killed.append(next(iter(cluster.workers.values())))
             killed[0].process.process.kill()
@@ -252,7 +254,7 @@ def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster, 
 
 @pytest.mark.usefixtures("client")
 def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_without_it(
-    tmp_path: Path, cluster
+    tmp_path: Path, cluster: Any
 ) -> None:
     distributed, store = pytest.importorskip("distributed"), tmp_path / "s.zarr"
     told = pytest.raises(sc.InvalidSetting, match=r"scheduler answers no more; .* of 21 cases are done: resume=True")
@@ -264,12 +266,12 @@ def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_wi
 
 
 def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_without_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster, client
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any, client: Any
 ) -> None:
     store, done = tmp_path / "s.zarr", []
     monkeypatch.setattr(worker_pools, "PATIENCE", 1.0)
 
-    def dismiss(count, _) -> None:
+    def dismiss(count: int, _: object) -> None:
         done.append(count)
         cluster.scale(0)
         while client.ncores():
@@ -284,10 +286,12 @@ def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_withou
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
-def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch: pytest.MonkeyPatch, cluster, client) -> None:
+def test_a_block_that_dask_gives_up_is_told_in_a_sentence(
+    monkeypatch: pytest.MonkeyPatch, cluster: Any, client: Any
+) -> None:
     monkeypatch.setattr(cluster.scheduler, "allowed_failures", 0)
 
-    def kill(*_) -> None:
+    def kill(*_: object) -> None:
         for each in cluster.workers.values():
             each.process.process.kill()
 
@@ -316,7 +320,7 @@ def test_a_block_that_dask_gives_up_is_told_in_a_sentence(monkeypatch: pytest.Mo
         ({"scene": sc.scenes.mass_on_car(), "parameters": {"mass": [1.0]}, "limits": {"u.rate": 1.0}}, "one by one"),
     ],
 )
-def test_what_is_wrong_is_named_before_anything_is_computed(change, said: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_named_before_anything_is_computed(change: dict[str, Any], said: str, tmp_path: Path) -> None:
     store = tmp_path / "s.zarr"
     with pytest.raises(sc.ServocoreError, match=said):
         sc.sweep(**{"scene": CRANE, "parameters": VARIED, "store": store, **change})
@@ -351,7 +355,7 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
 ) -> None:
     store, puts = tmp_path / name, []
 
-    def full(self, number, block, found) -> None:
+    def full(self: Any, number: int, block: Any, found: Any) -> None:
         puts.append(number)
         if len(puts) > 3:
             raise OSError(errno.ENOSPC, "No space left on device")
@@ -373,7 +377,7 @@ def test_a_disk_that_is_full_is_told_and_what_is_there_is_completed_later(
     st.lists(st.integers(1, 9), min_size=1, max_size=4),
     st.integers(1, 60),
 )
-def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths, most: int) -> None:
+def test_blocks_hold_every_case_once_and_no_more_than_asked(lengths: Sequence[int], most: int) -> None:
     grid = Grid.of({f"p{k}": np.arange(n, dtype=float) for k, n in enumerate(lengths)}, 0)
     shape, seen = grid.block(most), np.zeros(grid.shape, dtype=int)
     assert np.prod(shape) <= most
@@ -421,7 +425,7 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     line, puts, put = CommandLine(app, "servocore"), [], Zarr.put
 
-    def stop(self, number, block, found) -> None:
+    def stop(self: Any, number: int, block: Any, found: Any) -> None:
         puts.append(number)
         if len(puts) == 3:
             raise KeyboardInterrupt
