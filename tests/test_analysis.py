@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject
 from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendulum
 
 import servocore as sc
@@ -86,7 +86,7 @@ def test_n_cars_have_index_2n_plus_1_and_are_flat(count: int) -> None:
     assert report.classification == "flat"
 
 
-def test_generalized_coordinates_need_a_remedy_and_redundant_ones_do_not():
+def test_generalized_coordinates_need_a_remedy_and_redundant_ones_do_not() -> None:
     for name, model in CRANE_MODELS:
         remedy = sc.analyse(scene(name), model=model).remedy
         assert bool(remedy) == (model == "generalized")
@@ -128,7 +128,7 @@ def test_the_data_of_the_mass_on_a_car_decide_about_index_and_internal_dynamics(
     mass=st.floats(0.1, 10.0),
 )
 def test_eigenvalues_are_those_of_the_mass_on_its_spring_for_any_data(
-    stiffness, damping: float, inclination: float, mass: float
+    stiffness: float, damping: float, inclination: float, mass: float
 ) -> None:
     this = mass_on_car(stiffness=stiffness, damping=damping, inclination=inclination, mass=mass)
     report = sc.analyse(this)

@@ -148,7 +148,7 @@ def test_what_is_wrong_with_internal_dynamics_is_named() -> None:
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane", "gantry_crane", "cars", "mass_on_car"])
-def test_a_batch_solves_random_cases_as_each_is_solved_alone(name):
+def test_a_batch_solves_random_cases_as_each_is_solved_alone(name: str) -> None:
     random, case = np.random.default_rng(13), scene(name)
     system, path = case.model(), case.reference
     values = system.parameters.values(case.parameters)
@@ -167,7 +167,7 @@ def test_a_batch_solves_random_cases_as_each_is_solved_alone(name):
         )
 
 
-def test_a_batch_refuses_what_solve_refuses_with_the_number_of_the_first_bad_case():
+def test_a_batch_refuses_what_solve_refuses_with_the_number_of_the_first_bad_case() -> None:
     batch, good = sc.Batch(CRANE), CRANE.reference
     for bad in (
         sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, 1.0), 20.0),  # above the girder
@@ -182,7 +182,7 @@ def test_a_batch_refuses_what_solve_refuses_with_the_number_of_the_first_bad_cas
         assert str(together.value) == f"case 2 of a batch: {alone.value}"
 
 
-def test_a_batch_keeps_the_limits_of_the_scene_between_instants_too():
+def test_a_batch_keeps_the_limits_of_the_scene_between_instants_too() -> None:
     limited = CRANE.with_limits(F=(None, 2.0))
     at_instants = sc.Batch(limited)(T[::10], {"load_mass": [50.0, 150.0]})  # which does not look
     assert (at_instants[:, :, 1] < 2.0).all()
@@ -191,7 +191,7 @@ def test_a_batch_keeps_the_limits_of_the_scene_between_instants_too():
     assert sc.Batch(limited).solve({"load_mass": [50.0]}, steps=4).shape == (1, 5, 3)
 
 
-def test_a_value_out_of_bounds_is_told_with_the_number_of_its_case():
+def test_a_value_out_of_bounds_is_told_with_the_number_of_its_case() -> None:
     batch = sc.Batch(CRANE)
     for bad in (-1.0, np.nan):
         with pytest.raises(sc.InvalidModel, match=r"^case 2 of a batch: .*load_mass"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -39,7 +41,7 @@ def test_it_computes_what_the_function_computes(weighted: Call) -> None:
     ],
     ids=["columns", "rows", "strided", "list", "single precision"],
 )
-def test_how_an_argument_lies_in_memory_makes_no_difference(weighted: Call, layout) -> None:
+def test_how_an_argument_lies_in_memory_makes_no_difference(weighted: Call, layout: Callable[[Array], Array]) -> None:
     vector, matrix, _ = weighted(layout(X), layout(A), 1)
     np.testing.assert_array_equal(vector, A @ X + 1.0)
     np.testing.assert_array_equal(matrix, A.T)

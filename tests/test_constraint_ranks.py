@@ -28,7 +28,7 @@ def test_independent_constraints_are_all_kept() -> None:
 
 
 @given(st.lists(st.floats(0.5, 2.0), min_size=2, max_size=2), st.integers(0, 2))
-def test_the_last_of_rows_that_depend_on_one_another_is_redundant(factors, place: int) -> None:
+def test_the_last_of_rows_that_depend_on_one_another_is_redundant(factors: tuple[float, ...], place: int) -> None:
     rows = [SPHERE, X - Y]
     rows.insert(place, factors[0] * SPHERE - factors[1] * (X - Y))
     assert rank_of(*rows) == ConstraintRank(3, 2, (2,))

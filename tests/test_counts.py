@@ -57,7 +57,7 @@ def require_at_most(found: sc.Statistics, needed: tuple[int, int]) -> None:
 
 @pytest.mark.filterwarnings("ignore::servocore.ServocoreWarning")  # of inputs that an undamped method loses
 @pytest.mark.parametrize("method", NEEDED, ids=lambda method: method.name)
-def test_a_method_takes_no_more_iterations_and_factorizations_than_it_did(method):
+def test_a_method_takes_no_more_iterations_and_factorizations_than_it_did(method: sc.Method) -> None:
     solution = sc.solve(CRANE, sc.Projected(), method, step=CRANE.reference.duration / STEPS)
     require_at_most(solution.statistics, NEEDED[method])
 
@@ -101,7 +101,7 @@ def test_error_control_takes_no_more_steps_than_it_did(rtol: float) -> None:
     assert found.newton_iterations <= SLACK * iterations
 
 
-def test_a_first_solve_compiles_no_search_and_imports_no_room_that_it_does_not_need():
+def test_a_first_solve_compiles_no_search_and_imports_no_room_that_it_does_not_need() -> None:
     script = """
 import sys
 import servocore as sc
@@ -123,7 +123,7 @@ print([name for name in ("scipy", "pathlib", "servocore.numerics.code_cache") if
     assert more == "[]"
 
 
-def test_functions_keep_their_names_whatever_room_is_imported_first():
+def test_functions_keep_their_names_whatever_room_is_imported_first() -> None:
     script = "import servocore.cli.effects, servocore.cli.view, servocore as sc; print(sc.effects, sc.view)"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.count("<function") == 2

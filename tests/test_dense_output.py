@@ -12,7 +12,7 @@ CRANE = sc.scenes.rotary_crane().with_reference(
 )
 
 
-def midpoint_error(method, steps: int, name: str):
+def midpoint_error(method: sc.Method, steps: int, name: str) -> float:
     """Largest error in the middle of all steps of the default crane, relative to the peak."""
     stepper = sc.Stepper(CRANE, sc.Projected(), method, step=20.0 / steps)
     reference = CRANE.reference
@@ -45,7 +45,7 @@ def midpoint_error(method, steps: int, name: str):
     ],
     ids=lambda each: getattr(each, "name", each),
 )
-def test_dense_output_has_the_order_of_its_polynomial(method, name: str, order: int) -> None:
+def test_dense_output_has_the_order_of_its_polynomial(method: sc.Method, name: str, order: int) -> None:
     coarse, fine = midpoint_error(method, 200, name), midpoint_error(method, 400, name)
     assert np.log2(coarse / fine) > order - 0.25
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject
 from problems import MODELS, actuated_chain, car_chain, car_chain_exact, driven_pendulum, mass_on_car, scene
 from suite import inverted
 

@@ -27,7 +27,7 @@ STEPS = {
 RUNS = [(make, step) for make, steps in STEPS.items() for step in steps]
 
 
-def named(value) -> str:
+def named(value: float) -> str:
     return value.__name__ if callable(value) else str(value)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -13,11 +14,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import vtol
-from problems import as_scene, scene
+from problems import Problem, as_scene, scene
 
 import servocore as sc
 from servocore.checks.certificates import look
 from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
+from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.solve import judge_of
@@ -27,7 +29,9 @@ UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
 
 
 def solved(
-    subject: sc.Scene, *arguments, **settings: float | sc.Adaptive | Elsewhere | str
+    subject: sc.Scene,
+    *arguments: sc.BoundaryValue | sc.Formulation | sc.Method | None,
+    **settings: float | sc.Adaptive | Elsewhere | str,
 ) -> tuple[sc.Solution, list[str]]:
     """Solve, and return what was said of the inputs."""
     with warnings.catch_warnings(record=True) as heard:
@@ -84,7 +88,13 @@ def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.
     steps=st.integers(12, 700),
 )
 def test_a_mass_on_a_car_is_judged_by_better_runs(
-    stiffness: float, damping: float, inclination: float, duration: float, form, method, steps: int
+    stiffness: float,
+    damping: float,
+    inclination: float,
+    duration: float,
+    form: sc.Formulation,
+    method: sc.Method,
+    steps: int,
 ) -> None:
     """Internal oscillations from slow to fast, from hardly damped to well damped, followed well and badly."""
     k = 10**stiffness
@@ -109,7 +119,7 @@ def test_a_mass_on_a_car_is_judged_by_better_runs(
     steps=st.integers(12, 700),
 )
 def test_cars_are_judged_by_the_exact_inversion_at_every_instant(
-    stiffness: float, duration: float, form, method, steps: int
+    stiffness: float, duration: float, form: sc.Formulation, method: sc.Method, steps: int
 ) -> None:
     subject = (
         scene("cars")
@@ -149,7 +159,7 @@ class CubicCars:
             potential=self.k / 2 * stretch**2 + self.k3 / 4 * stretch**4,
         )
 
-    def closed_form(self, reference: np.ndarray, _) -> dict[str, np.ndarray]:
+    def closed_form(self, reference: np.ndarray, _: object) -> dict[str, np.ndarray]:
         """F = x_1'' + x_2'', where x_2 = x_1 - e and k e + k3 e^3 = -x_1''."""
         y = jets.components(reference)[0].derivatives()
         force, rate, second = -y[2], -y[3], -y[4]
@@ -232,7 +242,12 @@ def test_a_tolerance_is_judged_as_a_step_is() -> None:
 class Elsewhere:
     """A route of somebody's own."""
 
-    def run(self, problem, times, progress=None) -> sc.Solution:  # noqa: ARG002
+    def run(
+        self,
+        problem: Problem,
+        times: Array,
+        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002
+    ) -> sc.Solution:
         values = np.zeros((len(times), len(problem.system.inputs)))
         return sc.Solution(times, problem.system.inputs, values, "elsewhere")
 

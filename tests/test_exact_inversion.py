@@ -44,7 +44,7 @@ def test_all_cranes_are_among_the_scenes_with_one_expression() -> None:
 
 
 @pytest.mark.parametrize("name", ["boom_crane", "quadrotor_with_load"])
-def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterations(name):
+def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterations(name: str) -> None:
     """The rope's direction is unknown in space as its force is: a nonlinear block with a force in it."""
     problem = sc.Problem.of(scene(name))
     array = problem.array
@@ -56,7 +56,7 @@ def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterati
 
 
 @given(st.permutations(range(12)))
-def test_instants_stand_alone_in_any_order(order) -> None:
+def test_instants_stand_alone_in_any_order(order: Array) -> None:
     t = np.linspace(0.0, 20.0, 12)
     inputs = sc.ExactInversion(CRANE)
     np.testing.assert_array_equal(inputs(t[list(order)]), inputs(t)[list(order)])

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,7 +19,9 @@ REACH = 1.8
 """Of the arm, in m: both of its links."""
 
 
-def linkage(masses, output, drive, *names: str, **more) -> sc.MechanicalSystem:
+def linkage(
+    masses: Sequence[float], output: Callable[[ca.SX], ca.SX], drive: Sequence[float], *names: str, **more: Any
+) -> sc.MechanicalSystem:
     """Return a system of points on coordinates x, y, ... with forces F, G, ... and outputs a, b, ..."""
     coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
     q = ca.vertsplit(coordinates.q)
@@ -149,7 +152,7 @@ def test_nothing_that_drives_an_output_is_structurally_singular_for_all() -> Non
 # What is advised ------------------------------------------------------------------------------------------------------
 
 
-def test_a_smaller_step_is_not_advised_where_errors_grow_with_it():
+def test_a_smaller_step_is_not_advised_where_errors_grow_with_it() -> None:
     """On the original form of index five the generalized crane fails at every step size."""
     with pytest.raises(sc.IntegrationFailed) as caught:
         sc.solve(CRANE, sc.Original(), sc.BackwardEuler(), step=0.1, model="generalized", checks=False)
@@ -243,7 +246,7 @@ def test_inputs_of_another_scene_are_missed_by_name(inputs: sc.Solution) -> None
         ({"time_limit": 0.0}, "time_limit must be positive and finite, not 0.0"),
     ],
 )
-def test_arguments_of_a_simulation_are_looked_at(arguments, said: str) -> None:
+def test_arguments_of_a_simulation_are_looked_at(arguments: dict[str, Any], said: str) -> None:
     said = re.escape(said.removesuffix("...")) + ("" if said.endswith("...") else "$")
     with pytest.raises(sc.InvalidSetting, match=f"^{said}"):
         sc.simulate(CRANE, **{"inputs": lambda _: np.zeros(3), "t": [0.0, 1.0], **arguments})

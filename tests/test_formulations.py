@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import casadi as ca
@@ -62,7 +63,7 @@ def test_the_paper_s_D_has_39_columns() -> None:  # noqa: N802
     assert project(scene("rotary_crane").model("bodies")).D.shape == (42, 39)
 
 
-def test_generalized_coordinates_have_a_D_that_turns_with_the_configuration():  # noqa: N802
+def test_generalized_coordinates_have_a_D_that_turns_with_the_configuration() -> None:  # noqa: N802
     found = project(scene("rotary_crane").model("generalized"))
     assert not found.boolean
     assert not found.D.is_constant()
@@ -187,12 +188,12 @@ def test_the_original_form_differentiates_twice_backwards_so_a_parabola_is_exact
 # Internal dynamics ----------------------------------------------------------------------------------------------------
 
 
-def mass_on_car_exactly(path: sc.Reference, t: Array):
+def mass_on_car_exactly(path: sc.Reference, t: Array) -> tuple[Array, Array]:
     """Internal dynamics m2 sin^2 s'' + d s' + k s = -m2 cos y'' by SciPy, then u = (m1 + m2) x'' + m2 cos s''."""
     alpha, d, k = np.pi / 4, 2.0, 5.0
     sin, cos = np.sin(alpha), np.cos(alpha)
 
-    def acceleration(time, s, s_dot):
+    def acceleration(time: float, s: float, s_dot: float) -> float:
         return (-cos * path.jet(time, 2)[2, 0] - d * s_dot - k * s) / sin**2
 
     found = scipy.integrate.solve_ivp(
@@ -209,7 +210,9 @@ MOVING = polynomial_path([[0.3], [0.8], [-0.5], [0.4], [0.2], [-0.1], [0.05]], 2
 DAMPED = [pytest.param(each, id=each.method.name) for each in METHODS if each.damped and each.steps]
 
 
-def order_on_a_moving_path(by: MethodCase, formulation: sc.Formulation, system: sc.MechanicalSystem, exact, name: str):
+def order_on_a_moving_path(
+    by: MethodCase, formulation: sc.Formulation, system: sc.MechanicalSystem, exact: Callable[[Array], Array], name: str
+) -> float:
     """Return the observed order of one input; of generalized-alpha after its first phase, which has order one.
 
     Arnold, Bruels and Cardona, Numer. Math. 129 (2015) 149, explain that phase.
@@ -241,7 +244,7 @@ def test_a_start_in_motion_costs_no_order_where_the_history_is_integrated_backwa
 
 
 @pytest.mark.parametrize("formulation", [each.formulation for each in FORMULATIONS], ids=lambda f: f.name)
-def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation) -> None:
+def test_stable_internal_dynamics_are_integrated_forward_with_first_order(formulation: sc.Formulation) -> None:
     """The mass on a car of Seifried and Blajer at 45 degrees, minimum phase, against its own internal dynamics."""
     path = sc.rest_to_rest((0.0,), (1.0,), 2.0)
     cart = as_scene(mass_on_car(np.pi / 4, 2.0), path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -10,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject, SearchStrategy
 from problems import changed, redundant_pendulum, scene
 
 import servocore as sc
@@ -22,44 +23,44 @@ from servocore.numerics.expressions import gyroscopic_forces
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 
 
-def at(system: sc.MechanicalSystem, expressions, q, v):
+def at(system: sc.MechanicalSystem, expressions: Sequence[ca.SX], q: Array, v: Array) -> list[Array]:
     """Evaluate expressions of a system at a configuration and velocity, default parameters."""
     function = ca.Function("at", [system.q, system.v, system.p], [ca.densify(each) for each in expressions])
     results = function(q, v, system.parameters.values())
     return [np.asarray(each) for each in (results if isinstance(results, tuple) else (results,))]
 
 
-def mapping_of(name: str):
+def mapping_of(name: str) -> Callable[[Array], Array]:
     """Return F(mu) of the rotary and of the overhead crane, written here once more by NumPy."""
 
-    def rotary(mu) -> Array:
+    def rotary(mu: Array) -> Array:
         phi, s, rope, alpha, beta = mu
         along, across = np.array([np.cos(phi), np.sin(phi)]), np.array([-np.sin(phi), np.cos(phi)])
         swing = rope * (np.sin(alpha) * np.cos(beta) * along + np.sin(beta) * across)
         depth = rope * np.cos(alpha) * np.cos(beta)
         return np.concatenate([along, s * along, [s, rope], s * along + swing, [-depth]])
 
-    def overhead(mu) -> Array:
+    def overhead(mu: Array) -> Array:
         s, rope, swing = mu
         return np.array([s, rope, s + rope * np.sin(swing), -rope * np.cos(swing)])
 
     return {"rotary_crane": rotary, "overhead_crane": overhead}[name]
 
 
-def jacobian(function, mu, h: float = 1e-30) -> Array:
+def jacobian(function: Callable[[Array], Array], mu: Array, h: float = 1e-30) -> Array:
     """Derivative by complex steps: exact to rounding."""
     columns = [function(mu + 1j * h * unit).imag / h for unit in np.eye(len(mu))]
     return np.column_stack(columns)
 
 
-def second_difference(function, mu, nu, h: float = 1e-30):
+def second_difference(function: Callable[[Array], Array], mu: Array, nu: Array, h: float = 1e-30) -> Array:
     """P_dot nu = d/dt (P nu) along mu + t nu: the derivative of a complex step, differenced."""
     step = 1e-5
     before, after = (jacobian(function, mu + sign * step * nu, h) @ nu for sign in (-1.0, 1.0))
     return (after - before) / (2 * step)
 
 
-def configurations(size: int):
+def configurations(size: int) -> SearchStrategy[tuple[Array, Array]]:
     """Draw mu away from the axis and from horizontal ropes, with velocities."""
     return st.tuples(
         arrays(float, size, elements=st.floats(0.2, 1.2)), arrays(float, size, elements=st.floats(-2.0, 2.0))
@@ -172,7 +173,7 @@ def test_a_mapping_that_leaves_the_constraint_manifold_is_refused() -> None:
         pendulum(ca.vertcat(ca.sin(theta), -ca.cos(theta), theta))  # a rod of one metre instead of l
 
 
-def test_a_wrong_number_of_generalized_coordinates_is_refused():
+def test_a_wrong_number_of_generalized_coordinates_is_refused() -> None:
     two = sc.Coordinates(sc.Quantity("a"), sc.Quantity("b"))
     with pytest.raises(sc.InvalidModel, match="has 1 degrees of freedom, not 2 generalized coordinates"):
         pendulum(coordinates=two)

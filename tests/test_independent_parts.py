@@ -6,6 +6,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -44,7 +45,7 @@ def sizes_of_svd(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Record the sizes of matrices whose singular values are looked for."""
     found, svd = [], np.linalg.svd
 
-    def recording(matrix, *arguments, **named):
+    def recording(matrix: Array, *arguments: Any, **named: Any) -> Any:
         found.append(max(matrix.shape[-2:]))
         return svd(matrix, *arguments, **named)
 

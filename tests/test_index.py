@@ -66,7 +66,7 @@ def differentiations(E: np.ndarray, A: np.ndarray) -> int:
 
 @pytest.mark.parametrize(("name", "model", "formulation"), CASES)
 def test_the_index_of_a_form_is_the_number_of_differentiations_it_needs(
-    name, model: Collection[pytest.MarkDecorator | pytest.Mark], formulation
+    name: str, model: Collection[pytest.MarkDecorator | pytest.Mark], formulation: sc.Formulation
 ) -> None:
     problem = sc.Problem.of(SCENES[name], model)
     dae = problem.dae(formulation)

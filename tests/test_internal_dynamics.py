@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -15,10 +17,10 @@ DECAYING = {"real": [[-3.0]], "complex": [[-2.0, 5.0], [-5.0, -2.0]]}
 GROWING = {"real": [[4.0]], "complex": [[1.5, 4.0], [-4.0, 1.5]]}
 
 
-def rate(matrix: Array, push: Array):
+def rate(matrix: Array, push: Array) -> Callable[[float, Array], Array]:
     """Return x' = matrix x + push gamma'(t), for one time or many."""
 
-    def of(t, x):
+    def of(t: float, x: Array) -> Array:
         speed = PATH.jet(t, 1)[..., 1, 0]
         return matrix @ x + np.multiply.outer(push, speed)
 

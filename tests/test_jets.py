@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from hypothesis.strategies import SearchStrategy
 
 from servocore import rest_to_rest
 from servocore.numerics.compiled_calls import Array
@@ -23,7 +24,7 @@ def time_at(t: Array | float, order: int = ORDER) -> Jet:
     return Jet.constant(t, order) + Jet.from_derivatives([0.0, 1.0, *[0.0] * (order - 1)])
 
 
-def jets(low: float = -2.0, high: float = 2.0, first: tuple[float, float] = (0.5, 2.0)):
+def jets(low: float = -2.0, high: float = 2.0, first: tuple[float, float] = (0.5, 2.0)) -> SearchStrategy[Jet]:
     """Jets of shape (3,) whose leading coefficient is away from zero."""
     rest = arrays(float, (ORDER, 3), elements=st.floats(low, high))
     lead = arrays(float, (1, 3), elements=st.floats(*first))
@@ -78,7 +79,7 @@ def test_a_quotient_of_exponentials_is_the_exponential_of_the_difference() -> No
 
 
 @given(a=jets(), b=jets(), c=jets())
-def test_products_commute_distribute_and_undo_quotients(a, b, c) -> None:
+def test_products_commute_distribute_and_undo_quotients(a: Jet, b: Jet, c: Jet) -> None:
     assert_same(a * b, b * a)
     assert_same(a * (b + c), a * b + a * c)
     assert_same((a - b) - c, a - (b + c))
@@ -87,28 +88,28 @@ def test_products_commute_distribute_and_undo_quotients(a, b, c) -> None:
 
 
 @given(a=jets(), b=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_a_quotient_times_its_divisor_is_the_dividend(a, b) -> None:
+def test_a_quotient_times_its_divisor_is_the_dividend(a: Jet, b: Jet) -> None:
     assert_same(a / b * b, a, 1e-6)
     assert_same(1.0 / b * b, Jet.constant(np.ones(3), ORDER), 1e-6)
 
 
 @given(a=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_a_square_root_squared_is_its_argument(a) -> None:
+def test_a_square_root_squared_is_its_argument(a: Jet) -> None:
     assert_same(sqrt(a) ** 2, a)
 
 
 @given(a=jets())
-def test_the_slope_of_an_angle_is_that_of_the_arc_tangent(a) -> None:
+def test_the_slope_of_an_angle_is_that_of_the_arc_tangent(a: Jet) -> None:
     assert_same(atan2(a, Jet.constant(np.ones(3), ORDER)).d(), a.d() / (1.0 + a * a), 1e-6)
 
 
 @given(a=jets(), b=jets(first=(-3.0, 3.0)), radius=jets(low=-1.0, high=1.0, first=(1.0, 2.0)))
-def test_atan2_finds_the_angle_of_a_point_whatever_its_distance(a, b, radius) -> None:
+def test_atan2_finds_the_angle_of_a_point_whatever_its_distance(a: Jet, b: Jet, radius: float) -> None:
     assert_same(atan2(radius * a, radius * b), atan2(a, b), 1e-4)
 
 
 @given(a=jets(), b=jets())
-def test_the_time_derivative_obeys_the_product_rule(a, b) -> None:
+def test_the_time_derivative_obeys_the_product_rule(a: Jet, b: Jet) -> None:
     assert_same((a * b).d(), a.d() * b + a * b.d())
 
 

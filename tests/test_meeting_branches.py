@@ -9,6 +9,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
+from problems import Problem
 from scipy.optimize import brentq
 
 import servocore as sc
@@ -57,7 +58,7 @@ def linkage(longer: float = 0.0, guess: str = "parallelogram", freewheel: bool =
     )  # fmt: skip
 
 
-def torque(jets: Array, _):
+def torque(jets: Array, _: object) -> dict[str, Array]:
     """Both masses ride on circles of the crank's radius."""
     y = jets[:, :, 0].T
     return {"torque": 2 * MASS * (CRANK**2 * y[2] + GRAVITY * CRANK * np.cos(y[0]))}
@@ -169,7 +170,7 @@ def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch: pytest.Mon
     solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
     counts = []
 
-    def counting(problem, t, q) -> list[branches.RankLoss]:
+    def counting(problem: Problem, t: float, q: Array) -> list[branches.RankLoss]:
         counts.append(len(t))
         return rank_losses(problem, t, q)
 

@@ -102,11 +102,11 @@ def test_collocation_with_senseless_numbers_of_stages_is_refused(
 
 
 @pytest.mark.parametrize("method", [each.method for each in METHODS if not each.damped], ids=lambda m: m.name)
-def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_starts_with(method) -> None:
+def test_undamped_methods_never_get_rid_of_the_kink_that_a_path_of_degree_nine_starts_with(method: sc.Method) -> None:
     """Their input errors do not fall with the step, those of a damped method of the same order do."""
     crane = scene("overhead_crane")
 
-    def error(method: sc.BDF, steps: int):
+    def error(method: sc.BDF, steps: int) -> float:
         found = sc.solve(crane, sc.Projected(), method, step=crane.reference.duration / steps)
         return np.abs(found["F"] - crane.exact(found.t)["F"]).max()
 
@@ -161,7 +161,7 @@ def test_generalized_alpha_damps_infinite_frequency_by_its_spectral_radius(rho: 
 
 
 def test_generalized_alpha_has_second_order_and_keeps_the_energy_only_without_damping() -> None:
-    def swing(t):
+    def swing(t: float) -> list[float]:
         return [np.cos(2 * t), -2 * np.sin(2 * t), -4 * np.cos(2 * t)]
 
     energies = {}
@@ -207,7 +207,7 @@ def test_the_level_of_an_unknown_counts_its_derivatives_from_positions(variable:
         ({"equations": ()}, "not all described"),
     ],
 )
-def test_a_dae_refuses_sizes_that_do_not_fit(change, message: str) -> None:
+def test_a_dae_refuses_sizes_that_do_not_fit(change: dict[str, int], message: str) -> None:
     from dataclasses import replace
 
     with pytest.raises(sc.InvalidModel, match=f"levels: .*{message}"):

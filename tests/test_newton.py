@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -25,12 +27,12 @@ def solve(
     unknowns: ca.SX,
     residual: ca.SX,
     givens: ca.SX | None = None,
-    values=(),
-    guess=None,
+    values: Sequence[float] | Array = (),
+    guess: Sequence[float] | Array | None = None,
     unknown_scale: Array | None = None,
-    residual_scale=None,
-    outputs=None,
-):
+    residual_scale: Sequence[float] | Array | None = None,
+    outputs: Sequence[ca.SX] | None = None,
+) -> tuple[Array, Array, float]:
     """Compile and solve; returns (solution, (most iterations, factorizations), residual)."""
     size = unknowns.numel()
     system = SquareSystem(
@@ -48,7 +50,7 @@ def solve(
     return found[0] if len(found) == 1 else found, counts, float(worst)
 
 
-def newton_iterations(function, slope, x: float, scale: float = 1.0) -> int:
+def newton_iterations(function: Callable[[ca.SX], ca.SX], slope: float, x: float, scale: float = 1.0) -> int:
     """Count steps of Newton's method by hand until the correction is below the tolerance."""
     for k in range(1, MAX_ITERATIONS + 1):
         correction = function(x) / slope(x)
@@ -69,7 +71,7 @@ def test_the_clock_counts_the_iterations_of_a_square_root(number: float) -> None
     assert worst < 1e-13
 
 
-def test_the_slowest_block_counts_as_iterations_and_all_blocks_as_factorizations():
+def test_the_slowest_block_counts_as_iterations_and_all_blocks_as_factorizations() -> None:
     x = ca.SX.sym("x", 3)
     _, (most, total), _ = solve(x, ca.vertcat(x[0] ** 2 - 2, x[1] ** 3 - 30 * x[0], x[2] - x[1]), guess=[1, 1, 0])
     root = np.sqrt(2.0)
@@ -136,7 +138,9 @@ def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other() -> 
 
 @settings(max_examples=15)
 @given(order=st.permutations(range(5)), columns=st.permutations(range(5)))
-def test_the_order_of_equations_and_unknowns_makes_no_difference(order, columns) -> None:
+def test_the_order_of_equations_and_unknowns_makes_no_difference(
+    order: tuple[int, ...], columns: tuple[int, ...]
+) -> None:
     x = ca.SX.sym("x", 5)
     rows = [x[0] ** 2 - 9, x[1] * x[0] - 6, x[2] + x[3] - x[1], x[2] - x[3] - 2 * x[0], x[4] ** 3 + x[4] - x[2]]
     guess = np.array([2.0, 1.0, 0.0, 0.0, 1.0])
@@ -160,7 +164,9 @@ def test_torn_unknowns_of_a_nonlinear_block_satisfy_their_equations() -> None:
     exponents=st.lists(st.integers(-12, 12), min_size=6, max_size=6),
     values=st.lists(st.floats(0.5, 2.0), min_size=3, max_size=3),
 )
-def test_units_of_unknowns_and_equations_make_no_difference(exponents, values) -> None:
+def test_units_of_unknowns_and_equations_make_no_difference(
+    exponents: tuple[float, ...], values: Sequence[float] | Array
+) -> None:
     """Multiplying unknowns by a and rows by b changes neither iterations nor digits, if the scales say so."""
     a, b = 10.0 ** np.array(exponents[:3]), 10.0 ** np.array(exponents[3:])
     x, right = ca.SX.sym("x", 3), ca.SX.sym("g", 3)
@@ -250,7 +256,7 @@ def test_nan_among_the_givens_is_not_taken_for_convergence() -> None:
         lambda x: ca.vertcat(x[0], x[1], 0),
     ],
 )
-def test_structurally_singular_equations_are_refused(rows) -> None:
+def test_structurally_singular_equations_are_refused(rows: Callable[[ca.SX], ca.SX]) -> None:
     x = ca.SX.sym("x", 3)
     with pytest.raises(sc.InvalidModel, match="structurally singular"):
         solve(x, ca.SX(rows(x)))

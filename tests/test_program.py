@@ -68,7 +68,7 @@ def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(steppe
     np.testing.assert_array_equal(np.load(tmp_path / "state.npy"), state)
 
 
-def test_serializing_twice_gives_the_same_text(stepper):
+def test_serializing_twice_gives_the_same_text(stepper: sc.Stepper) -> None:
     text = stepper.program.to_json()
     assert text == stepper.program.to_json()
     assert json.loads(text)["format"] == "servocore program 3"
@@ -128,7 +128,7 @@ def test_a_margin_that_is_not_positive_breaks_its_limit(margin: float) -> None:
 
 
 @pytest.mark.parametrize("method", [each.method for each in METHODS], ids=lambda method: method.name)
-def test_the_worst_equation_of_a_step_is_one_of_its_equations(method) -> None:
+def test_the_worst_equation_of_a_step_is_one_of_its_equations(method: sc.Method) -> None:
     """Also where a step has several stages, each with all equations."""
     several = sc.Stepper(CRANE, sc.Projected(), method, 0.1)
     program, state = several.program, np.full(several.program.state_size, 0.3)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.strategies import SearchStrategy
 from problems import scene
 
 import servocore as sc
@@ -20,7 +24,7 @@ ROUTES = [
 
 
 @st.composite
-def manoeuvres(draw):
+def manoeuvres(draw: Callable[[SearchStrategy[Any]], Any]) -> tuple[Array, Array, float]:
     """Draw start, end and duration on one side of the axis, whole centimetres."""
     ends = []
     for _ in range(2):
@@ -42,7 +46,7 @@ def solve(
     return sc.solve(subject, formulation, sc.BackwardEuler(), step=duration / steps, model=model)
 
 
-def assert_equal(found: sc.Solution, expected: sc.Solution, factors=None) -> None:
+def assert_equal(found: sc.Solution, expected: sc.Solution, factors: Mapping[str, float] | None = None) -> None:
     """Inputs agree to rounding, relative to the sizes of all three."""
     factors = factors or {}
     for name in INPUTS:
@@ -51,7 +55,7 @@ def assert_equal(found: sc.Solution, expected: sc.Solution, factors=None) -> Non
         np.testing.assert_allclose(found[name], wanted, rtol=0.0, atol=1e-7 * size)
 
 
-def turned(point, angle: float) -> Array:
+def turned(point: Array, angle: float) -> Array:
     cos, sin = np.cos(angle), np.sin(angle)
     return np.array([cos * point[0] - sin * point[1], sin * point[0] + cos * point[1], point[2]])
 
@@ -60,7 +64,7 @@ def turned(point, angle: float) -> Array:
 @settings(max_examples=5)
 @given(manoeuvre=manoeuvres(), angle=st.floats(-3.0, 3.0))
 def test_a_path_turned_about_the_axis_takes_the_same_inputs_at_a_turned_bridge(
-    formulation, model, manoeuvre, angle: float
+    formulation: sc.Formulation, model: str, manoeuvre: tuple[Array, Array, float], angle: float
 ) -> None:
     start, end, duration = manoeuvre
     here = solve((formulation, model), start, end, duration)
@@ -72,7 +76,9 @@ def test_a_path_turned_about_the_axis_takes_the_same_inputs_at_a_turned_bridge(
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
 @settings(max_examples=5)
 @given(manoeuvre=manoeuvres())
-def test_a_mirrored_path_takes_the_opposite_slewing_torque(formulation, model, manoeuvre) -> None:
+def test_a_mirrored_path_takes_the_opposite_slewing_torque(
+    formulation: sc.Formulation, model: str, manoeuvre: tuple[Array, Array, float]
+) -> None:
     start, end, duration = manoeuvre
     mirror = np.array([1.0, -1.0, 1.0])
     here = solve((formulation, model), start, end, duration)
@@ -83,7 +89,7 @@ def test_a_mirrored_path_takes_the_opposite_slewing_torque(formulation, model, m
 
 @settings(max_examples=10)
 @given(manoeuvre=manoeuvres())
-def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre) -> None:
+def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre: tuple[Array, Array, float]) -> None:
     """Nothing dissipates: exact inputs do not know the direction of time. Backward Euler does."""
     start, end, duration = manoeuvre
     route = (sc.Reduced(), "points")
@@ -96,7 +102,12 @@ def test_the_way_back_takes_the_same_inputs_backwards(manoeuvre) -> None:
 @settings(max_examples=4)
 @given(manoeuvre=manoeuvres(), length=st.floats(0.2, 5.0), time=st.floats(0.3, 3.0), mass=st.floats(0.1, 10.0))
 def test_other_units_of_length_time_and_mass_change_nothing_but_numbers(
-    formulation, model, manoeuvre, length: float, time: float, mass: float
+    formulation: sc.Formulation,
+    model: str,
+    manoeuvre: tuple[Array, Array, float],
+    length: float,
+    time: float,
+    mass: float,
 ) -> None:
     """Forces scale like mass length/time^2, torques with one length more: also in the errors of the method."""
     start, end, duration = manoeuvre
@@ -117,7 +128,9 @@ def test_other_units_of_length_time_and_mass_change_nothing_but_numbers(
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
 @settings(max_examples=4)
 @given(manoeuvre=manoeuvres(), inertias=st.lists(st.floats(0.5, 3.0), min_size=4, max_size=4))
-def test_inputs_are_linear_in_masses_and_inertias(formulation, model, manoeuvre, inertias) -> None:
+def test_inputs_are_linear_in_masses_and_inertias(
+    formulation: sc.Formulation, model: str, manoeuvre: tuple[Array, Array, float], inertias: tuple[float, ...]
+) -> None:
     """The path fixes the motion, masses only weigh it: inputs for the sum of two cranes are the sum of the inputs."""
     start, end, duration = manoeuvre
     names = ("bridge_inertia", "trolley_mass", "load_mass", "winch_inertia")
@@ -136,7 +149,9 @@ def test_inputs_are_linear_in_masses_and_inertias(formulation, model, manoeuvre,
 
 @settings(max_examples=8)
 @given(manoeuvre=manoeuvres())
-def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_alone(manoeuvre) -> None:
+def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_alone(
+    manoeuvre: tuple[Array, Array, float],
+) -> None:
     """In the limit M_b and F are the rope's force on the trolley, s e_phi.R and e_s.R, whatever the acceleration."""
     start, end, duration = manoeuvre
     light = CRANE.with_parameters(bridge_inertia=1e-3, trolley_mass=1e-3, winch_inertia=1e-6)
@@ -151,7 +166,9 @@ def test_a_bridge_without_inertia_and_trolley_without_mass_carry_the_rope_force_
 
 
 @pytest.mark.parametrize(("formulation", "model"), ROUTES)
-def test_a_path_that_stays_where_it_is_takes_the_weight_and_nothing_else(formulation, model) -> None:
+def test_a_path_that_stays_where_it_is_takes_the_weight_and_nothing_else(
+    formulation: sc.Formulation, model: str
+) -> None:
     rest = solve((formulation, model), (3.0, 2.0, -4.0), (3.0, 2.0, -4.0), 10.0)
     np.testing.assert_allclose(rest["M_b"], 0.0, atol=1e-8)
     np.testing.assert_allclose(rest["F"], 0.0, atol=1e-8)

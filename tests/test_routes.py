@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from problems import scene
+from problems import Problem, scene
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 from servocore.solvers.adaptive import ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise
@@ -25,7 +27,12 @@ CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
 class Rest:
     """A route of somebody's own: the inputs at rest, whatever the path does."""
 
-    def run(self, problem, times, progress=None) -> sc.Solution:  # noqa: ARG002 - there is nothing to tell
+    def run(
+        self,
+        problem: Problem,
+        times: Array,
+        progress: Callable[[int, int], None] | None = None,  # noqa: ARG002 - there is nothing to tell
+    ) -> sc.Solution:
         values = np.zeros((len(times), len(problem.system.inputs)))
         return sc.Solution(times, problem.system.inputs, values, "rest")
 
@@ -44,7 +51,7 @@ class Rest:
     ],
 )
 def test_the_form_and_the_control_of_steps_decide_about_the_route(
-    of: sc.Scene, formulation: sc.Formulation, method, step: sc.Adaptive | None, route
+    of: sc.Scene, formulation: sc.Formulation, method: sc.Method, step: sc.Adaptive | None, route: sc.Route | None
 ) -> None:
     chosen = chosen_route(sc.Problem.of(of), formulation, method, step, native=False, checks=True)
     assert isinstance(chosen, route)

@@ -22,7 +22,7 @@ def released(system: sc.MechanicalSystem, start: float, duration: float) -> sc.S
     return as_scene(system, polynomial_path([[start]], duration))
 
 
-def period(amplitude: float):
+def period(amplitude: float) -> float:
     """4 sqrt(l/g) K(m), m = sin^2(amplitude/2)."""
     return 4.0 * np.sqrt(1.5 / 9.81) * scipy.special.ellipk(np.sin(amplitude / 2) ** 2)
 
@@ -83,7 +83,7 @@ def test_exact_inputs_lead_the_load_along_the_path(name: str) -> None:
     crane = scene(name)
     inputs = [each.name for each in crane.model().inputs]
 
-    def force(time) -> Array:
+    def force(time: float) -> Array:
         found = crane.exact(np.array([time]))
         return np.array([found[each][0] for each in inputs])
 

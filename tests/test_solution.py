@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import errno
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +39,9 @@ def test_names_give_columns(solution: sc.Solution) -> None:
 
 
 @pytest.mark.parametrize("ask", [lambda s: s["M_c"], lambda s: s.unit("M_c")])
-def test_an_unknown_name_is_refused_and_the_known_ones_listed(solution: sc.Solution, ask) -> None:
+def test_an_unknown_name_is_refused_and_the_known_ones_listed(
+    solution: sc.Solution, ask: Callable[[sc.Solution], object]
+) -> None:
     with pytest.raises(KeyError, match="M_c; there are M_b, F, M_w, phi, s, l"):
         ask(solution)
 
@@ -121,7 +124,7 @@ def test_a_failed_write_leaves_the_old_file_and_no_rest(
     target = tmp_path / "inputs.csv"
     target.write_text("old")
 
-    def full(*_) -> None:
+    def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(Path, "replace", full)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,10 @@ CRANE = scene("rotary_crane")
 
 
 def solve(
-    crane: sc.Scene = CRANE, formulation: sc.Original | None = None, method=None, **settings_: float | str
+    crane: sc.Scene = CRANE,
+    formulation: sc.Original | None = None,
+    method: sc.Method | None = None,
+    **settings_: float | str,
 ) -> sc.Solution:
     return sc.solve(crane, formulation or sc.Projected(), method or sc.BackwardEuler(), **settings_)
 
@@ -150,7 +154,7 @@ def path(
     start: tuple[float, float, float] = (5.0, 0.0, -5.0),
     end: tuple[float, float, float] = (-2.0, 2.0, -2.0),
     duration: float = 20.0,
-    **more,
+    **more: Any,
 ) -> RestToRest:
     return sc.rest_to_rest(start, end, duration, **more)
 
@@ -218,7 +222,7 @@ def test_a_path_without_enough_derivatives_is_refused() -> None:
 # Failures ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_original_equations_of_the_generalized_crane_blow_up_and_say_where():
+def test_the_original_equations_of_the_generalized_crane_blow_up_and_say_where() -> None:
     """The control: at 0.1 s round-off grows until some step has no solution, and says which."""
     with pytest.raises(sc.IntegrationFailed) as caught:
         solve(formulation=sc.Original(), model="generalized", step=0.1)

@@ -10,6 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 PARAMETERS = sc.Parameters(
     sc.Parameter("gravity", 9.81, "m/s2", 0.0, 100.0), sc.Parameter("damping", 0.3, "kg/s", 0.0, 100.0)
@@ -49,11 +50,11 @@ def scene() -> sc.Scene:
 
 
 @cache
-def angle(steps: int):
+def angle(steps: int) -> float:
     """Angle of the pendulum from its own equation, theta'' = -g sin - s'' cos - d theta'."""
     reference = scene().reference
 
-    def rate(t, state):
+    def rate(t: float, state: Array) -> list[float]:
         theta, omega = state
         return [omega, -9.81 * np.sin(theta) - reference.jet(t, 2)[2, 0] * np.cos(theta) - 0.3 * omega]
 
@@ -61,7 +62,7 @@ def angle(steps: int):
     return solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0]
 
 
-def error(method: sc.RadauIIA, steps: int):
+def error(method: sc.RadauIIA, steps: int) -> tuple[float, sc.Statistics]:
     solution = sc.solve(scene(), sc.Reduced(), method, step=DURATION / steps)
     return np.abs(solution["x"] - solution["s"] - np.sin(angle(steps))).max(), solution.statistics
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from hypothesis.strategies._internal.core import DataObject
+from hypothesis.strategies import DataObject
 from problems import MODELS, as_scene, driven_pendulum, jets_near_home, polynomial_path, scene
 
 import servocore as sc

@@ -36,7 +36,7 @@ def test_the_rotary_crane_has_index_five_and_nothing_to_integrate(model: str) ->
     assert found.degrees_of_freedom == 0
 
 
-def test_only_generalized_coordinates_need_a_remedy_and_it_is_named():
+def test_only_generalized_coordinates_need_a_remedy_and_it_is_named() -> None:
     """There, accelerations that cancel hide the index: the equations as they stand have a singular Jacobian."""
     models = {name: analyse_structure(scene("rotary_crane").model(name)) for name in scene("rotary_crane").models}
     assert models["points"].equations.remedy == models["bodies"].equations.remedy == ""
