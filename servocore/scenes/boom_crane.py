@@ -175,7 +175,7 @@ def _distance(gamma: ca.SX, p: Parameters) -> ca.SX:
     slope = ca.gradient(squared, length)
     better = length - slope / ca.gradient(slope, length)
     nearest = -load[2] / towards[2]
-    for _ in range(_ITERATIONS):
+    for _ in range(_ITERATIONS // 2):  # what is left of the way counts by its square
         nearest = ca.substitute(better, length, nearest)
     return ca.sqrt(ca.substitute(squared, length, nearest))
 
