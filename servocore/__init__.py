@@ -49,7 +49,7 @@ from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import SquareSystem
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, Profile, three_phase
+from servocore.references.profiles import DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, TIME_LAWS, Profile, three_phase
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.solution import Margin, Solution, Statistics
 from servocore.solvers.adaptive import Adaptive
@@ -102,6 +102,7 @@ __all__ = [
     "DEGREE7",
     "DEGREE9",
     "DEGREE13",
+    "TIME_LAWS",
     "Adaptive",
     "BackwardEuler",
     "Batch",

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_lines import CommandLine
 
 import servocore as sc
+from servocore.cli import export, view
 from servocore.cli.choice import along
 from servocore.cli.commands import NAME, app
 from servocore.scenes import REGISTRY
@@ -38,6 +40,36 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path:
         assert (column == expected[each]).all()
     assert "at rest at start and end" in done.stderr
     assert "largest" in done.stderr
+
+
+@pytest.mark.parametrize("name", REGISTRY)
+def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = REGISTRY[name]()
+    outputs = [each.name for each in scene.model().outputs]
+    file = tmp_path / "path.csv"
+    file.write_text(sc.csv_of(scene.reference, outputs, each=40), encoding="utf-8")
+    order = sc.Problem.of(scene).array.reference_order
+    expected = sc.from_csv(file, columns=outputs, rest_order=order)
+    shown: list[sc.Reference] = []
+    # Making pages and FMUs has tests of its own for every scene: here is what the commands hand on.
+    part = SimpleNamespace(why="")
+    monkeypatch.setattr(view, "solve", lambda scene, **_: shown.append(scene.reference))
+    monkeypatch.setattr(view, "live_part", lambda *_, **__: part)
+    monkeypatch.setattr(view, "page_text", lambda *_: "page")
+    monkeypatch.setattr(export, "require_built", lambda *_: None)
+    monkeypatch.setattr(export, "export_trajectory", lambda _, __, wishes, **___: shown.append(wishes.path))
+    page, fmu = tmp_path / "page.html", tmp_path / "path.fmu"
+    viewed = servocore_command("view", name, "--reference", file, "-o", page)
+    exported = servocore_command("export", name, "--trajectory", "--reference", file, "-o", fmu)
+    assert (viewed.exit_code, exported.exit_code) == (0, 0), viewed.stderr + exported.stderr
+    assert page.read_text() == "page"
+    t = np.linspace(expected.start_time, expected.end_time, 41)
+    for path in shown:
+        assert path.smoothness >= order
+        assert (path.jet(t, order) == expected.jet(t, order)).all()
+    assert len(shown) == 2
 
 
 def test_a_line_takes_a_law_that_is_smooth_enough_for_the_scene() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from servocore import DEGREE9, DEGREE13, InvalidSetting, Profile, Reference, rest_to_rest, three_phase
+from servocore import TIME_LAWS, InvalidSetting, Profile, Reference, rest_to_rest, three_phase
 
 THREE_PHASE = "three-phase"
 """The time law that has a parameter, its ramp."""
 
-PROFILES: Mapping[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, THREE_PHASE: three_phase()}
+PROFILES: Mapping[str, Profile] = TIME_LAWS
 """Time laws; the first is the default."""
 
 

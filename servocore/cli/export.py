@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import chosen
+from servocore.cli.choice import along, chosen
 from servocore.cli.console import PatientProgress
 from servocore.cli.options import Model, Parameters, SceneName
 from servocore.errors import InvalidSetting
@@ -22,7 +22,6 @@ from servocore.export.wasm import export_wasm, loader_beside, require_module
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene as SceneValue
-from servocore.references.csv_file import from_csv
 from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -181,8 +180,7 @@ def _export_beside(
         if plant:
             export_plant(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
         else:
-            names = [quantity.name for quantity in subject.model(model).outputs]
-            path = None if reference is None else from_csv(reference, columns=names)
+            path = None if reference is None else along(subject, reference, model).reference
             export_trajectory(
                 subject, output, TrajectoryWishes(path), fmi=fmi, model=model, targets=targets, tell=progress.describe
             )

@@ -32,7 +32,7 @@ from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
-from servocore.references.profiles import DEGREE9, DEGREE13, Profile, polynomial, three_phase
+from servocore.references.profiles import DEGREE9, DEGREE13, TIME_LAWS, Profile, polynomial
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
 from servocore.solvers.solve import solve
@@ -44,13 +44,12 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore feedforward rotary_crane --waypoints cycle.csv --limit F=60 --columns M_b,F,swing[/cyan]
 """
 
-PROFILES: dict[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, "three-phase": three_phase()}
 _MOST_ROWS = 1e7
 
 Duration = Annotated[float | None, typer.Option("--duration", metavar="T", help="Time of the motion (s).")]
 ProfileName = Annotated[
     str | None,
-    typer.Option("--profile", metavar="NAME", help=f"Time law of a line: {', '.join(PROFILES)}. Default: what the"
+    typer.Option("--profile", metavar="NAME", help=f"Time law of a line: {', '.join(TIME_LAWS)}. Default: what the"
                  " scene needs."),
 ]  # fmt: skip
 Samples = Annotated[
@@ -160,8 +159,8 @@ def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order:
     if name is None:
         smooth: list[Profile] = [each for each in (DEGREE9, DEGREE13) if each.smoothness >= rest_order]
         law = smooth[0] if smooth else polynomial(2 * rest_order + 1)
-    elif name in PROFILES:
-        law = PROFILES[str(name)]
+    elif name in TIME_LAWS:
+        law = TIME_LAWS[str(name)]
     else:
-        raise InvalidSetting(f"there is no profile {name!r}; there are {', '.join(PROFILES)}")
+        raise InvalidSetting(f"there is no profile {name!r}; there are {', '.join(TIME_LAWS)}")
     return rest_to_rest(first, last, duration, profile=law)

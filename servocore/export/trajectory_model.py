@@ -21,15 +21,17 @@ from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.hermite import hermite
 from servocore.references.piecewise import PiecewisePolynomial
-from servocore.references.profiles import DEFAULT_RAMP, PolynomialProfile
+from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile
 from servocore.references.rest_to_rest import RestToRest
 
-POLYNOMIALS = (9, 13)
+POLYNOMIALS = tuple(law.degree for law in TIME_LAWS.values() if isinstance(law, PolynomialProfile))
 """Degrees of the time laws that rise by one polynomial; of lower ones inputs jump."""
 
 LAWS: Mapping[str, str] = {
-    **{f"degree{degree}": f"one polynomial of degree {degree}" for degree in POLYNOMIALS},
-    "three-phase": "acceleration, cruise, deceleration",
+    name: f"one polynomial of degree {law.degree}"
+    if isinstance(law, PolynomialProfile)
+    else "acceleration, cruise, deceleration"
+    for name, law in TIME_LAWS.items()
 }
 """Time laws by the names of their choices, in the order of their numbers."""
 

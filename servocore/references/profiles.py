@@ -18,7 +18,7 @@ from servocore.errors import InvalidReference, require_kind, require_real
 from servocore.references.formula import Values, either, least, most, powers, where
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from servocore.references.base import FloatArray
 
@@ -344,3 +344,6 @@ DEGREE9 = polynomial(9)
 """126 T^5 - 420 T^6 + 540 T^7 - 315 T^8 + 70 T^9, C^4: the default."""
 DEGREE13 = polynomial(13)
 """1716 T^7 - 9009 T^8 + 20020 T^9 - 24024 T^10 + 16380 T^11 - 6006 T^12 + 924 T^13, C^6."""
+
+TIME_LAWS: Mapping[str, Profile] = {each.name: each for each in (DEGREE9, DEGREE13, three_phase())}
+"""Time laws that commands, pages and FMUs offer, by name, the default first; smooth enough for inputs of a crane."""

@@ -12,12 +12,9 @@ import numpy as np
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.clocked import Clocked
-from servocore.references.profiles import DEGREE9, DEGREE13, Profile, three_phase
+from servocore.references.profiles import TIME_LAWS, Profile
 from servocore.references.rest_to_rest import RestToRest
 from servocore.view.javascript import written
-
-_LAWS = (DEGREE9, DEGREE13, three_phase())
-"""Time laws that a page offers beside that of the path itself; smooth enough for inputs of a crane."""
 
 
 def packed(values: Array) -> str:
@@ -41,7 +38,7 @@ def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any]
     about = {"start_time": told.start_time, "duration": told.duration, "dimension": told.dimension}
     if not isinstance(told, RestToRest):
         return {**about, "kind": "table", "times": packed(t), "jets": packed(told.jet(t, orders - 1))}, {}
-    laws = {each.name: each for each in (told.profile, *_LAWS)}
+    laws = {each.name: each for each in (told.profile, *TIME_LAWS.values())}
     smooth = [law for law in laws.values() if law == told.profile or law.smoothness >= orders - 1]
     functions = {f"law{k}": _law(each, orders - 1) for k, each in enumerate(smooth)}
     described = [{"name": each.name, "shortest": each.shortest_duration} for each in smooth]
