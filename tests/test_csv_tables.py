@@ -199,6 +199,31 @@ def test_speeds_and_stops_of_another_shape_are_refused(given: dict[str, Any], se
         sc.through(PLACES, TIMES, **given)
 
 
+@pytest.mark.parametrize("noise", ["rounded", "normal"])
+def test_a_tolerance_that_would_do_is_proposed_for_noisy_samples(noise: str, tmp_path: Path) -> None:
+    t = np.linspace(0.0, 25.0, 501)
+    curve = sc.through(PLACES, TIMES)
+    truth = curve.jet(t, 0)[:, 0]
+    shaken = truth + 1e-4 * np.random.default_rng(5).standard_normal(truth.shape)
+    rows = np.round(truth, 4) if noise == "rounded" else shaken
+    file = tmp_path / "noisy.csv"
+    file.write_text(text(np.column_stack([t, rows])))
+    with pytest.raises(InvalidReference, match=r"need a tolerance; \S+ m would do$") as refusal:
+        from_csv(file)
+    tolerance = float(str(refusal.value).split("; ")[-1].split()[0])
+    assert 3e-5 < tolerance < 1e-3
+    path = from_csv(file, tolerance)
+    assert np.abs(path.jet(t, 0)[:, 0] - truth).max() < 2e-4
+    with pytest.raises(InvalidReference):
+        from_csv(file, 0.3 * tolerance)
+
+
+def test_no_tolerance_is_proposed_where_it_would_hide_the_path() -> None:
+    t = np.linspace(0.0, 10.0, 201)
+    with pytest.raises(InvalidReference, match=r"need a tolerance$"):
+        sc.sampled(t, np.where(t < 5.0, 0.0, 1.0)[:, None])
+
+
 # --- very many rows ---------------------------------------------------------------------------------------
 
 

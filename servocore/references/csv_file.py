@@ -181,7 +181,7 @@ def _path_of(table: Table, tolerance: float | None, rest_order: int) -> Piecewis
 
 
 def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
-    _need_rows(table, fewest_samples(rest_order))
+    _need_rows(table, fewest_samples(rest_order), ", for fewer are waypoints (--waypoints, waypoints_from_csv)")
     try:
         path = sampled(table.t, table.derivatives[:, 0], tolerance, rest_order=rest_order)
     except InvalidReference as error:
@@ -206,9 +206,9 @@ def _refuse_contradiction(table: Table, worst: Disagreement, limit: float, judge
     )
 
 
-def _need_rows(table: Table, fewest: int) -> None:
+def _need_rows(table: Table, fewest: int, why: str = "") -> None:
     if len(table.t) < fewest:
         raise InvalidReference(
             f"{table.path}, line {table.lines[-1]}: the file ends after {len(table.t)} rows of data, but "
-            f"such a path needs at least {fewest}"
+            f"such a path needs at least {fewest}{why}"
         )

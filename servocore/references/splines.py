@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -27,6 +28,7 @@ ROUNDING = 1e-12
 DOUBT = 0.25
 """Largest fraction of its peak by which a derivative may depend on the choice of samples, if not told otherwise."""
 
+_MANY_ROUGH, _WORTH = 20_000, 0.01  # samples; a tolerance that is more than this part of the extent hides the path
 _FEW, _PER_UNKNOWN = 5_000, 5  # samples looked at first where there are very many
 
 
@@ -182,14 +184,42 @@ def sampled(
     if not doubt > 0.0:
         raise InvalidReference(f"the doubt about a sampled path must be a positive fraction, not {doubt}")
     allowed = max(tolerance or 0.0, ROUNDING * float(np.abs(table).max()))
-    return _checked(
-        times, table, _fewest_knots(times, table, free, allowed) or _interpolation(times, table, free), doubt
-    )
+    try:
+        return _within(times, table, free, allowed, doubt)
+    except InvalidReference as error:
+        enough = _tolerance_that_does(times, table, free, doubt)
+        raise InvalidReference(f"{error}; {enough:.2g} m would do" if enough else str(error)) from None
 
 
 def fewest_samples(rest_order: int = REST_ORDER) -> int:
     """Return how many samples `sampled` needs: half of them must determine a polynomial that the others check."""
     return 4 * (rest_order + 1)
+
+
+def _within(t: FloatArray, positions: FloatArray, free: Ends, allowed: float, doubt: float) -> PiecewisePolynomial:
+    """Return the path with the fewest knots within `allowed` of the samples, or through them, if it can be trusted."""
+    return _checked(
+        t, positions, _fewest_knots(t, positions, free, allowed) or _interpolation(t, positions, free), doubt
+    )
+
+
+def _tolerance_that_does(t: FloatArray, positions: FloatArray, free: Ends, doubt: float) -> float | None:
+    """Return the least tolerance, in two digits, with which rough samples make a path; None if none is worth it."""
+    if len(t) > _MANY_ROUGH:
+        return None  # dozens of fits
+    extent, pieces = float(np.ptp(positions, axis=0).max()), 1 << max(len(t) // 3 - free.degree, 1).bit_length() - 1
+    while pieces:
+        inner_knots = t[np.linspace(0, len(t) - 1, pieces + 1).round().astype(int)[1:-1]]
+        pieces //= 2
+        distance = float(_distance(fit(t, positions, inner_knots, free)(t), positions).max())
+        digit = 10.0 ** (np.floor(np.log10(max(distance, 1e-300))) - 1.0)
+        tolerance = float(np.ceil(distance / digit) * digit)
+        if tolerance > _WORTH * extent:
+            return None
+        with suppress(InvalidReference):
+            _within(t, positions, free, tolerance, doubt)
+            return tolerance
+    return None
 
 
 class _Fit(NamedTuple):
