@@ -312,9 +312,43 @@ class TestFreeWay:
         with pytest.raises(sc.InvalidSetting, match=sentence):
             sc.fastest(OVERHEAD, LEVEL, limits, free=space)
 
+    @pytest.mark.parametrize(
+        ("body", "sentence"),
+        [
+            (sc.Sphere((5.0, -3.0), 0.4), r"at rest at (5, -4) a point of load, rope is "),
+            (sc.Box((0.0, -4.53), (0.3, 0.5)), r"at rest at (0, -4) a point of load, rope is 0.03 m from Box"),
+        ],
+    )
+    def test_a_body_at_an_end_is_named_before_anything_is_solved(self, body: sc.Sphere | sc.Box, sentence: str) -> None:
+        with pytest.raises(sc.InvalidReference, match=re.escape(sentence)):
+            sc.fastest(OVERHEAD, LEVEL, self.LIMITS, free=sc.Space((body,)))
+
+    def test_a_body_has_finite_numbers(self) -> None:
+        for wrong in (lambda: sc.Sphere((1.0, math.nan), 1.0), lambda: sc.Box((1.0, 2.0), (1.0, math.inf))):
+            with pytest.raises(sc.InvalidSetting, match="needs finite numbers"):
+                wrong()
+
     def test_a_smooth_body_around_a_box_contains_it(self) -> None:
         box, place = sc.Box((1.0, 2.0, 3.0), (0.4, 3.0, 1.2)), ca.SX.sym("place", 3)
         row = ca.Function("row", [place], [box.row(place)])
         corners = [(1.0 + 0.4 * i, 2.0 + 3.0 * j, 3.0 + 1.2 * k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)]
         assert [float(row(each)) for each in corners] == pytest.approx([1.0] * 8, abs=1e-6)
         assert box.distance(np.array([(1.0, 2.0, 5.0), (1.0, 2.0, 3.0)])).tolist() == pytest.approx([0.8, -0.4])
+
+
+def test_a_law_that_breaks_limits_between_the_points_is_looked_for_on_a_finer_grid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rounds = "servocore.planning.search._ROUNDS"
+    told: list[str] = []
+
+    def progress(stage: str) -> None:
+        told.append(stage)
+        monkeypatch.setattr(rounds, 1 if stage.endswith(" 5 intervals") else 8)  # one look at 10, more afterwards
+
+    monkeypatch.setattr(rounds, 1)
+    path, report = sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=10, progress=progress)
+    stages = [each for each in told if each.startswith("solving")]
+    assert stages[:3] == ["solving on 5 intervals", "solving on 10 intervals", "solving on 20 intervals"]
+    assert report.violation == 0.0
+    assert len(path.stretches) == 21

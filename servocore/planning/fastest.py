@@ -145,6 +145,8 @@ def _free(
         if quantity.name not in limited:
             raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {quantity.name} has none")
     start, end = curve.ends
+    for place in (start, end):
+        space.require_rest(scene.name, place)
     task = task_free(start, end, corners, length, space)
     if progress is not None:
         progress("looking for ways to start from")

@@ -17,6 +17,8 @@ EXCESS = 1e-4
 _ROUNDS = 8
 _FINER, _FINEST = 10, 4800  # between two points of the grid, and at least in all
 _CHECKS = 3
+_REFINEMENTS = 2
+_BETWEEN = "limits broken between the points of the grid"
 
 
 @dataclass(frozen=True)
@@ -65,17 +67,29 @@ def planned(
         if not coarse.solved:
             said.append(f"{coarse.status} from the {name}")
             continue
-        outcome, iterations, rounds = _tightened(whole, coarse.law.refined(), progress)
+        outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
         if outcome.solved:
             return Found(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
         said.append(f"{outcome.status} from the {name}")
     for name, start in begun:  # half as many intervals may be too few
-        outcome, iterations, rounds = _tightened(whole, start.refined(), progress)
+        outcome, iterations, rounds = _refined(whole, start.refined(), progress)
         if outcome.solved:
             return Found(outcome, np.nan, iterations, rounds, name)
     raise PlanningFailed(
         f"no law was found, which does not say that there is none; the solver's words: {'; '.join(said)}"
     )
+
+
+def _refined(whole: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:
+    """Solve, and go on on grids twice as fine where limits stay broken between the points."""
+    outcome, iterations, rounds = _tightened(whole, start, progress)
+    for doubled in range(1, _REFINEMENTS + 1):
+        if outcome.status != _BETWEEN:
+            break
+        program = Transcription.of(whole.task, whole.intervals * 2**doubled, whole.checks, whole.scale)
+        outcome, more, again = _tightened(program, outcome.law.refined(), progress)
+        iterations, rounds = iterations + more, rounds + again
+    return outcome, iterations, rounds
 
 
 def _tightened(program: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:
@@ -99,4 +113,4 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
         worst = np.maximum(after, before)
         narrowed += np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0)
         start = outcome.law
-    return replace(outcome, status="limits broken between the points of the grid"), iterations, _ROUNDS
+    return replace(outcome, status=_BETWEEN), iterations, _ROUNDS

@@ -9,13 +9,14 @@ from typing import Any, TypeAlias
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidReference, InvalidSetting
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 
 _POWER = 8
 _TIP = 1e-6
+_NEAR = 2e-4  # of a body's size: so near at an end leaves a plan no room
 _PLANNED, _CHECKED = 6, 41  # points on a rope, or on a bridge
 
 
@@ -35,8 +36,9 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        if not self.radius > 0.0:
+        if not 0.0 < self.radius < np.inf:
             raise InvalidSetting(f"the radius of a sphere must be positive, not {self.radius:g} m")
+        _require_finite(self.centre)
 
     def row(self, place: ca.SX) -> ca.SX:
         """Return an expression that is below one outside.
@@ -86,6 +88,7 @@ class Box:
     def __post_init__(self) -> None:
         if len(self.half) != len(self.centre) or not min(self.half) > 0.0:
             raise InvalidSetting(f"a box needs a positive half size along each axis, not {self.half}")
+        _require_finite((*self.centre, *self.half))
 
     def row(self, place: ca.SX) -> ca.SX:
         """Return an expression that is below one outside a smooth body around the box, which is a little larger.
@@ -190,6 +193,29 @@ class Space:
         if self.keep_out and not hangs and set(self.parts) - {"load"}:
             raise InvalidSetting(f"{system.name} has no rope or bridge that is known: plan with parts=('load',)")
 
+    def require_rest(self, name: str, place: Array) -> None:
+        """Raise `InvalidReference` unless everything is clear at rest at a place.
+
+        Parameters
+        ----------
+        name : str
+            Of the scene.
+        place : ndarray, shape (m,)
+            Of what follows the path, m.
+        """
+        for body in self.keep_out:
+            for point in self._places(place, np.zeros(len(place)), 1.0, _CHECKED):
+                if float(body.row(ca.SX(ca.DM(point)))) < 1.0 - _NEAR:
+                    continue
+                away = float(body.distance(np.array(point)))
+                where = f"{-away:.3g} m inside {body}"
+                if away > 0.0:
+                    where = f"{away:.3g} m from {body}, within the rounded body that plans keep out of"
+                here = ", ".join(f"{each:.4g}" for each in place)
+                raise InvalidReference(
+                    f"{name}: no way keeps clear: at rest at ({here}) a point of {', '.join(self.parts)} is {where}"
+                )
+
     def rows(self, gamma: ca.SX, parameters: Parameters) -> ca.SX:
         """Return expressions of the path's derivatives that are below one where everything is clear.
 
@@ -247,6 +273,12 @@ class Space:
         if "bridge" in self.parts:
             places += [[f * each for each in above] for f in parts.tolist()]
         return places
+
+
+def _require_finite(numbers: Iterable[float]) -> None:
+    for each in numbers:
+        if not np.isfinite(each):
+            raise InvalidSetting(f"a body to keep out of needs finite numbers, not {each}")
 
 
 def _body(text: str, dimension: int) -> Body:
