@@ -29,7 +29,7 @@ FLAGS = ("-O3", "-fPIC", "-shared")
 
 @dataclass(frozen=True)
 class Cost:
-    """Microseconds an instant of one model: `solve`, `ExactInversion`, its functions in C (None without gcc)."""
+    """Microseconds per instant for one model: `solve`, `ExactInversion`, the bare C function (None without gcc)."""
 
     model: str
     solve: float

@@ -103,7 +103,7 @@ def _orders(record: Record) -> Iterator[Requirement]:
 
 
 def _beside_c(cost: dict[str, Any]) -> Requirement:
-    what = f"an instant of `ExactInversion` beside its functions in C, {cost['model']}"
+    what = f"time per instant of `ExactInversion`, divided by that of the bare C function, {cost['model']}"
     if cost["compiled"] is None:
         return Requirement(what, f"at most {MOST_OF_C:g} times", "no gcc", None)
     ratio = cost["inversion"] / cost["compiled"]

@@ -95,7 +95,7 @@ def costs(found: Sequence[dict[str, Any]]) -> str:
             f"{each['compiled']:.2f}", f"{each['inversion'] / each['compiled']:.1f}",
             f"{each['solve'] / each['compiled']:.1f}", f"{each['seconds_to_compile']:.1f}")  # fmt: skip
         rows.append((each["model"], f"{each['solve']:.1f}", f"{each['inversion']:.2f}", *cells))
-    head = ("model", "`solve`, µs", "`ExactInversion`, µs", "its functions in C, µs", "`ExactInversion` / C",
+    head = ("model", "`solve`, µs", "`ExactInversion`, µs", "bare C function, µs", "`ExactInversion` / C",
             "`solve` / C", "C compiles in, s")  # fmt: skip
     return markdown(head, rows)
 

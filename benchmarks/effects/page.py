@@ -25,12 +25,13 @@ inverted along the same path, and the small one is run under what the plant will
 simulations of the plant. `make effects` writes it, its figures and [comparison.csv](comparison.csv), and fails if of
 the estimates that are shown fewer than 95 % are within 10 %, or one lies on the other side of 1, 10 or 100 mm.
 
-Filled marks: `sc.effects` simulates these rows by itself, whatever the tolerance. The estimate answers what a plant
-lacks with the model without the effect. Where the plant answers otherwise (a second swing of a body below its hook, a
-shorter rope, drives that stick) its own terms of second order count. Both answers are known beforehand for small
-changes about rest, at the start of the path and at its end; where they differ by more than 10 % the plant is simulated.
+Filled marks are rows that `sc.effects` simulates by itself, whatever the tolerance is. The estimate uses the model
+without the effect to compute how the plant responds to the missing inputs. If the plant with the effect responds
+differently (a second swing of a body below its hook, a shorter rope, drives that stick), terms of second order
+matter. Both linear responses are computed beforehand at rest, at the start and at the end of the path; if they differ
+by more than 10 %, the plant is simulated.
 
-## Cranes that the rule was made with
+## Cranes for which the rule was designed
 
 {count} combinations of effect, crane and duration: four cranes, {durations} s, position loops of 6 rad/s and damping 1
 in every drive. Effects of index 5 run on the polynomial of degree 9, effects of index 7 on that of degree 13.
@@ -42,9 +43,9 @@ and 100 mm.*
 
 {known}
 
-## Cranes by chance
+## Random cranes
 
-The rule was made with the cranes above and one draw like this one, and fixed before this one was drawn: {fresh_count}
+The rule was designed with the cranes above and one other random set, and fixed before this set was drawn: {fresh_count}
 combinations, every crane {draws} times, with the seed {seed}. Every parameter of crane and effects (but gravity, the
 air's density and the creep of friction) is its value times a factor between 1/{factor:g} and {factor:g}, the path a
 straight line of {shortest:g} to {longest:g} m, the duration {quickest:g} to {slowest:g} s; durations and factors
@@ -54,7 +55,7 @@ evenly in their logarithms. Data: [fresh.csv](fresh.csv).
 
 {fresh}
 
-## Beside an independent study
+## Comparison with an independent study
 
 The rotary crane, and a big one of 2 t, were studied before in another program by forward simulation in steps of one or
 two milliseconds. *Here / there*, in mm, {durations} s:

@@ -24,16 +24,17 @@ _EFFECTS = """# Which model is enough, and what it costs
 
 ## Which physical effects a model needs
 
-![load off its path for every effect that is left out](pictures/effects.png)
+![error of the load's path for every effect that is left out](pictures/effects.png)
 
-*Each effect by itself, left out of the inputs and present in the plant; drives with position loops of 6 rad/s and
-damping 1. Left the scene with a load of 100 kg, right one of 2 t. A tolerance of 1, 10 or 100 mm (dashed) needs every
-effect to the right of its line.*
+*The figure shows the error of each effect by itself: the plant has the effect, and the model that computes the inputs
+has not. Drives have position loops of 6 rad/s and damping 1. Left: the scene with a load of 100 kg; right: a crane with
+a load of 2 t. For a tolerance of 1, 10 or 100 mm (dashed) a model needs every effect to the right of that line.*
 
-* A faster motion needs more: at 20 s the hook and a rigid load are below 2 mm, at 5 s they are not.
-* What acts like a force (friction, winch inertia, the rope's weight) the drives take, the better the stiffer they are.
-  What acts like a motion (rope exit, wind, flexible bridge, drag, hook) no drive helps against, only the model.
-* The rope's exit beside the trolley's centre costs nothing to have in a model: same index, as many unknowns.
+* A faster motion needs more effects: the errors of hook and rigid load are below 2 mm at 20 s, but not at 5 s.
+* Drives compensate for effects that act like a force (friction, winch inertia, the rope's weight); stiffer drives do
+  it better. They cannot compensate for effects that act like a motion (rope exit, wind, flexible bridge, drag, hook):
+  only a better model helps.
+* A model with the rope's exit beside the trolley's centre costs no more: it has the same index and as many unknowns.
 
 For a scene of your own, its path and your drives:
 
@@ -48,18 +49,18 @@ print(report)  # a table, worst first, and the verdict
 better = crane.with_effects("friction").with_parameters(trolley_friction=20.0)
 ```
 
-`report.smallest()` is the scene with all that is needed, for `solve`, `ExactInversion` and `export_fmu`;
-`crane.effects.declared` tells every assumption with its source and its parameters. Numbers are estimated, or simulated
-where an estimate is weak: [effects/](effects/index.md) compares the two, [decision 80](decisions/0080-effects.md) says
-how.
+`report.smallest()` is the scene with all effects that are needed, for `solve`, `ExactInversion` and `export_fmu`;
+`crane.effects.declared` lists every assumption with its source and its parameters. Errors are estimated, and simulated
+where an estimate is not reliable: [effects/](effects/index.md) compares the two,
+[decision 80](decisions/0080-effects.md) explains the method.
 
 """
 """Opens the page of all scenes; its picture is from `make effects`."""
 
 _PAGE = """{introduction}{level} What the models of a scene cost
 
-A scene offers models of different size of the same thing. All give the same inputs, so a user needs the first, which
-every command takes by itself. The others are there for checking, and for quantities that only they have.
+A scene offers models of different size of the same system. All give the same inputs, so a user needs only the first,
+which is the default of every command. The others serve for comparison, and for quantities that only they have.
 
 For every model these tables compare two routes:
 
@@ -77,7 +78,7 @@ This page is written by
     {command}
 
 and comes from one run on {machine}.
-Other work may have shared the machine: trust the ratios.
+Other processes may have used the machine at the same time: the ratios are more reliable than the times.
 
 {tables}
 ## Reading it
