@@ -6,6 +6,13 @@ derivatives as unknowns, by CasADi, and the closed form of every crane in NumPy.
 three coordinates with hinges as constraints, does not fall apart. Times are processor times, the smallest of several;
 solves are interpreted. A cold start is that of a process of its own which finds Python's bytecode written, as after an
 installation, and counts from when Python has started; it is measured with and without a C compiler on the machine.
+
+Machine code is made of what is one expression of at most 30,000 operations, for beyond compilers take minutes: 160
+cranes and closed chains of many bars are interpreted. Models whose instants take Newton's method, and Radau's method on
+internal dynamics, are compiled by `native=True`, function by function and not eight instants at a time.
+
+A chain of 64 bars takes some 10 s to be analysed and twice as long to be prepared: ranks and conditions of what does
+not fall apart are those of dense matrices, and grow with the cube of its size. That is the limit in practice.
 """
 
 from __future__ import annotations
@@ -25,10 +32,14 @@ import numpy as np
 
 import servocore as sc
 from benchmarks.chains import closed_chain
+from benchmarks.chart.c_cost import in_c
+from benchmarks.chart.requirements import NO_REASON
 from benchmarks.chart.tables import markdown
 from benchmarks.chart.timing import processor_time
 from benchmarks.copies import cranes
 from benchmarks.peers.base import Lean
+from benchmarks.step_cost import loop_arguments
+from servocore.numerics.compiled_calls import Call
 from servocore.numerics.machine_code import BACKGROUND
 from servocore.scenes.bar_marching import march_bar
 from servocore.structure.inversion import inversion
@@ -37,25 +48,32 @@ FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
 CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32)
 CRANE, BAR, COLD, MANY = "gantry cranes in one system", "elastic bar, space marching", "cold start", "10,000 instants"
-CHAIN = "bodies in a closed chain"
+CHAIN, STEPPED = "bodies in a closed chain", "projected backward Euler, 2,000 steps"
+IN_C, WITHOUT_CHECKS, CHECKED = "its step in C", "solve without checks, machine code", "solve, machine code"
 MOST_OF_PEER = 16  # cranes: beyond, idas takes minutes
 STEPS, INSTANTS, LARGE = 200, 1000, 10_000
 REPEATS = 5
 STAGES = {"import": 0.3, "analyse": 0.5, "first solve": 0.04}
 """Of a cold start of the rotary crane, with the seconds that are wanted at most."""
-WITHOUT = ", no compiler"
+WITHOUT, BENEATH = ", no compiler", "import, of which NumPy and CasADi"
+LINEAR = 1.1
+"""Largest exponent of what is to grow as the number of cranes does."""
+STEPS_OF_C = 2.0
+"""How many times the steps of a run may take what they take in C, with all that stands around them."""
 _FROM = 4  # cranes: below, what is fixed shows
 
 _START = """
 import time
 begin = time.process_time()
+import numpy, casadi
+beneath = time.process_time()
 import servocore as sc
 imported = time.process_time()
 crane = sc.scenes.rotary_crane()
 sc.analyse(crane)
 analysed = time.process_time()
 sc.solve(crane)
-print(imported - begin, analysed - imported, time.process_time() - analysed)
+print(imported - begin, analysed - imported, time.process_time() - analysed, beneath - begin)
 """
 
 
@@ -79,7 +97,7 @@ def measure_scale(smoke: bool = False) -> list[Point]:
     found = [point for count in CRANES for point in _cranes(count)]
     found += [point for bodies in CHAINS for point in _chain(bodies)]
     found += [point for pieces in BARS for point in _bar(pieces)]
-    return [*found, *_many_instants(), *_cold_start(10)]
+    return [*found, *_many_instants(), *_beside_c(), *_cold_start(10)]
 
 
 def _seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -189,6 +207,23 @@ def _many_instants() -> Iterator[Point]:
     yield Point(MANY, len(some), f"Batch.solve of {STEPS} steps each", value * 1e3, "ms a case")
 
 
+def _beside_c(count: int = 2000) -> Iterator[Point]:
+    """Measure backward Euler of the projected crane beside its compiled step, generated as C and called in a row."""
+    crane = sc.scenes.rotary_crane()
+    step = crane.reference.duration / count
+    stepper = sc.Stepper(crane, sc.Projected(), sc.BackwardEuler(), step)
+    checked = partial(sc.solve, crane, sc.Projected(), sc.BackwardEuler(), step=step, native=True)
+    runs: dict[str, Callable[[], object]] = {WITHOUT_CHECKS: partial(checked, checks=False), CHECKED: checked}
+    with tempfile.TemporaryDirectory() as folder:
+        in_a_row = in_c(stepper.program.step.mapaccum("sc_steps", count), Path(folder))
+        if in_a_row is None:
+            return  # no compiler, no row
+        runs = {IN_C: partial(Call(in_a_row), *loop_arguments(stepper, count)), **runs}
+        for name, run in runs.items():
+            run()
+            yield Point(STEPPED, 1, name, _seconds(run, 3 * REPEATS) / count * 1e6, "us a step")
+
+
 def _cold_start(repeats: int) -> Iterator[Point]:
     """Measure the rotary crane in processes of their own, with and without a compiler: the smallest of several.
 
@@ -205,7 +240,7 @@ def _cold_start(repeats: int) -> Iterator[Point]:
                                       env=environment)  # fmt: skip
                 runs[words].append([float(each) for each in done.stdout.split()])
     for words, found in runs.items():
-        for name, values in zip(STAGES, zip(*found[1:], strict=True), strict=True):
+        for name, values in zip((*STAGES, BENEATH), zip(*found[1:], strict=True), strict=True):
             yield Point(COLD, 1, name + words, min(values), "s")
 
 
@@ -257,6 +292,14 @@ def wanted(points: Sequence[Point]) -> list[tuple[str, str, str, str]]:
     )
     limits += [(f"{COLD}: {name}{words}", "s", _value(points, COLD, 1, name + words), most)
                for words in ("", WITHOUT) for name, most in STAGES.items()]  # fmt: skip
+    for name in ("solve", "projected backward Euler"):
+        slope = exponent(_row(points, CRANE, f"{name}, {STEPS} steps"))
+        limits.append((f"{CRANE}: {name}, {STEPS} steps", "as exponent", slope, LINEAR))
+    in_c = _value(points, STEPPED, 1, IN_C)
+    for name in (WITHOUT_CHECKS, CHECKED):
+        value = _value(points, STEPPED, 1, name)
+        if value is not None and in_c is not None:
+            limits.append((f"{STEPPED}: {name}, beside {IN_C}", "times", value / in_c, STEPS_OF_C))
     verdicts = {True: "yes", False: "**no**"}
     return [
         (what, f"at most {most:g} {unit}", f"{value:.3g}", verdicts[value <= most])
@@ -265,10 +308,41 @@ def wanted(points: Sequence[Point]) -> list[tuple[str, str, str, str]]:
     ]
 
 
+def _row(points: Sequence[Point], what: str, quantity: str) -> list[Point]:
+    return [each for each in points if (each.what, each.quantity) == (what, quantity)]
+
+
+_TOGETHER = "some checks between instants look at all cranes together"
+REASONS = {
+    f"{CRANE}, 1: ExactInversion": "the call itself takes a tenth of a millisecond, whatever it evaluates",
+    f"{CRANE}: solve": _TOGETHER,
+    f"{CRANE}: projected": _TOGETHER,
+    f"{MANY}: solve": "inputs, motion and violations take a third, what belongs to the result (angles, noise, one"
+    " branch) a third, and the checks that `checks=False` leaves out (limits, ranks, peaks between instants) a third",
+    f"{STEPPED}: {WITHOUT_CHECKS}": "each state is copied out of the loop and observed (inputs, coordinates, violations"
+    " of all constraints), and all are looked at for noise and turns of angles: about as much as the steps themselves",
+    f"{STEPPED}: {CHECKED}": "the checks compare all inputs with the exact inversion, at the instants and between them,"
+    " keep the limits of the motion at all times, and look for poles and lost ranks: more than the steps themselves",
+    f"{COLD}: import": "NumPy and CasADi take what the table below says, and some hundred modules with as many"
+    " dataclasses the rest",
+}
+"""Why a row may miss what is wanted, by how it begins; the page lists those of rows that do."""
+
+
+def missed(points: Sequence[Point]) -> list[tuple[str, str]]:
+    """Return the rows that miss what is wanted, each with its reason."""
+    names = [what for what, _, _, met in wanted(points) if met != "yes"]
+    return [
+        (name, next((why for start, why in REASONS.items() if name.startswith(start)), NO_REASON)) for name in names
+    ]
+
+
 def scale_page(points: Sequence[Point]) -> str:
     """Write the page of sizes."""
     parts = ["# Cost against size", (__doc__ or "").partition("\n\n")[2].strip()]
     parts += ["## What must hold", markdown(("what", "wanted", "measured", "met"), wanted(points), 9)]
+    if missed(points):
+        parts += ["What is missed, and why:", "\n".join(f"* {name}: {reason}." for name, reason in missed(points))]
     for what in dict.fromkeys(each.what for each in points):
         own = [each for each in points if each.what == what]
         sizes = list(dict.fromkeys(each.size for each in own))
