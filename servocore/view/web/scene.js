@@ -214,7 +214,8 @@ class Stage {
     const here = this.pointAt(about.tracked, time), end = this.point(about.tracked, t.length - 1);
     this.line([...behind, here], this.ink.paper, 2.4);
     this.line([here, ...ahead, end], this.ink.paper, 1.6, [5, 5]);
-    for (const [k, text] of [[0, "start"], [t.length - 1, "target"]]) this.write(text, this.point(about.tracked, k), -14, 22, this.ink.faint);
+    this.write("start", this.point(about.tracked, 0), -48, 5, this.ink.faint); // beside the load, which begins there
+    this.write("target", this.point(about.tracked, t.length - 1), -22, -12, this.ink.faint);
     if (this.ground === null || about.flat) return;
     this.line([...behind, here, ...ahead, end].map(([x, y]) => [x, y, this.ground]), this.ink.faint, 1, [2, 4]);
     this.line([here, [here[0], here[1], this.ground]], this.ink.faint, 1, [2, 4]);
