@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -34,8 +35,8 @@ class Motion:
         step: float,
         steps: int,
         every: int = 1,
-        inputs: Callable[[float], Sequence[float]] | None = None,
-        **how: sc.EnergyMomentum,
+        inputs: Callable[[float], Any] | None = None,
+        **how: Any,
     ) -> sc.Solution:
         t = step * np.arange(0, steps + 1, every)
         still = lambda _: np.zeros(len(self.system.inputs))  # noqa: E731
@@ -58,7 +59,7 @@ class Motion:
         return float(v @ np.asarray(mass(q, self.system.parameters.values())) @ v / 2)
 
 
-def started(names: tuple[str, ...] | list[str], q: Array, v: Array) -> dict[str, float]:
+def started(names: tuple[str, ...] | list[str], q: Sequence[Any], v: Sequence[Any]) -> dict[str, float]:
     """Values and rates by name."""
     return dict(zip(names, map(float, q), strict=True)) | {
         f"{name}_dot": float(rate) for name, rate in zip(names, v, strict=True)
@@ -72,7 +73,7 @@ def turning(omega: tuple[float, float, float] | Array, directors: Array | None =
 
 
 def made(
-    assembly: Assembly, name: str, place: ca.SX, guess: Sequence[float], constraints: dict[str, ca.SX] | None = None
+    assembly: Assembly, name: str, place: ca.SX, guess: Mapping[str, Any], constraints: dict[str, ca.SX] | None = None
 ) -> sc.MechanicalSystem:
     """A system of parts with a push along x that nobody uses."""
     return assembly.system(
@@ -170,8 +171,8 @@ def points_with(
     name: str,
     count: int,
     masses: tuple[float, float] | Array,
-    constraints: ca.SX,
-    potential: ca.SX | float,
+    constraints: Callable[..., Any],
+    potential: Callable[..., Any],
     start: tuple[Array, Array],
 ) -> Motion:
     """Point masses in space, or in the plane if the start has no third column."""

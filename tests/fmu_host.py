@@ -139,7 +139,7 @@ class Host:
         return np.array(self.fmu.getReal([self.references[name] for name in OUTPUTS]))
 
     def __getitem__(self, name: str) -> float:
-        return self.fmu.getReal([self.references[name]])[0]
+        return float(self.fmu.getReal([self.references[name]])[0])
 
 
 def follow(host: Host, reference: sc.Reference, times: Array, *, at: str = "start") -> dict[str, np.ndarray]:

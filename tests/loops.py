@@ -137,6 +137,7 @@ def random_case(
 
 def feasible(path: sc.Reference, crane: dict[str, float], snap: float = SNAP) -> bool:
     jets = path.jet(np.linspace(0.0, path.duration, 400), 4)
+    assert CRANE.closed_form is not None
     found = CRANE.closed_form(jets, crane)
     s, phi = found["s"], np.unwrap(found["phi"])
     turning = np.abs(np.gradient(phi, path.duration / 399)).max()
@@ -159,5 +160,6 @@ def fastest(case: Case) -> float:
     """Angular frequency of the fastest pendulum on the way, in rad/s: a trolley that is free to roll."""
     crane = CRANE.parameter_values() | case.crane
     path = case.reference
+    assert CRANE.closed_form is not None
     found = CRANE.closed_form(path.jet(np.linspace(0.0, path.duration, 200), 4), crane)
     return math.sqrt(crane["gravity"] / found["l"].min() * (1.0 + crane["load_mass"] / crane["trolley_mass"]))

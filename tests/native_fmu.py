@@ -190,7 +190,7 @@ class Native:
                 self.numbers_set([name], [value])
         return self
 
-    def numbers_set(self, names: Sequence[str], values: Sequence[float]) -> None:
+    def numbers_set(self, names: Sequence[str], values: Sequence[float] | Array) -> None:
         setter = self.fmu.setReal if self.fmi == 2 else self.fmu.setFloat64
         setter([self.references[name] for name in names], [float(each) for each in values])
 
@@ -208,7 +208,7 @@ class Native:
     def values(self) -> np.ndarray:
         return self.get(*self.outputs)
 
-    def start(self, jet: Array = None, time: float = 0.0, **parameters: float) -> Native:
+    def start(self, jet: Array | None = None, time: float = 0.0, **parameters: float) -> Native:
         self.set(**parameters)
         if self.fmi == 2:
             self.fmu.setupExperiment(startTime=time)
@@ -224,7 +224,7 @@ class Native:
         try:
             self.fmu.doStep(time, h)
         except FMICallException as error:
-            return error.status
+            return int(error.status)
         return OK
 
     def saved(self) -> bytes:
@@ -257,7 +257,7 @@ class Native:
         assert status == OK, self.messages
         return np.array(found)
 
-    def derivatives(self, knowns: Sequence[str], seeds: Sequence[float]) -> np.ndarray:
+    def derivatives(self, knowns: Sequence[str], seeds: Sequence[float] | Array) -> np.ndarray:
         """Derivatives of all outputs along a direction of variables."""
         unknowns = [self.references[name] for name in self.outputs]
         by = [self.references[name] for name in knowns]

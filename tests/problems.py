@@ -135,7 +135,7 @@ class Problem:
         return self.of.reduced and not self.case.internal_degrees_of_freedom
 
     @property
-    def order(self) -> int:
+    def order(self) -> int | None:
         """Order with which the inputs converge."""
         index = 1 if self.of.reduced else self.case.projected_index if self.of.projected else 3
         return self.by.by_index[min(index, 3) - 1]
@@ -225,7 +225,7 @@ def largest_errors(what: Problem, steps: int, names: tuple[str, ...], smooth: bo
 
 def observed_orders(coarse: np.ndarray, fine: np.ndarray) -> np.ndarray:
     """Return the orders of convergence that errors at steps h and h/2 show."""
-    return np.log2(coarse / fine)
+    return np.asarray(np.log2(coarse / fine))
 
 
 def jets_near_home(system: sc.MechanicalSystem, perturbations: np.ndarray) -> np.ndarray:

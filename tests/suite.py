@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -60,7 +61,7 @@ def inversion(system: sc.MechanicalSystem) -> tuple[DerivativeArray, ca.Function
     return array, compile_inversion(array).function
 
 
-def inverted(system: sc.MechanicalSystem, jet: Array, p: Array) -> dict[str, Array]:
+def inverted(system: sc.MechanicalSystem, jet: Array, p: Array) -> dict[tuple[str, int], float]:
     """Return q, v, v_dot, lam, u of the exact inversion at a reference jet, by (variable, order)."""
     array, invert = inversion(system)
     y, _, residual = invert(jet[: array.reference_order + 1].T, p)
@@ -70,8 +71,8 @@ def inverted(system: sc.MechanicalSystem, jet: Array, p: Array) -> dict[str, Arr
     }
 
 
-def angle_difference(a: Array, b: float) -> Array:
-    return np.angle(np.exp(1j * (np.asarray(a) - np.asarray(b))))
+def angle_difference(a: Array | float, b: Array | float) -> Array:
+    return np.asarray(np.angle(np.exp(1j * (np.asarray(a) - np.asarray(b)))))
 
 
 class SceneSuite:
@@ -210,6 +211,7 @@ class FlatModelSuite:
         m = len(system.outputs)
         jet = jets_near_home(system, data.draw(perturbations(m)))
         found = inverted(system, jet, system.parameters.values())
+        assert this.closed_form is not None
         expected = this.closed_form(jet[None], this.parameter_values())
         for each in system.inputs:
             scale = max(1.0, *(abs(float(expected[other.name][0])) for other in system.inputs))
@@ -415,7 +417,7 @@ class ProblemSuite:
 def march(
     method: sc.Method,
     dae: sc.Dae,
-    exact: Callable[[float], Sequence[float]],
+    exact: Callable[[Any], Sequence[Any]],
     path: Callable[[float], Array],
     h: float,
     count: int,
@@ -484,7 +486,7 @@ class MethodSuite:
         dae = small_dae(x, z, gamma[0], z - x, gamma)
         rate = polynomial([0.0] * (degree - 1) + [float(degree)])
         found = march(by.method, dae, lambda t: [t**degree, t**degree], rate, 0.25, 8)[:, 0]
-        return np.abs(found - (0.25 * np.arange(9)) ** degree).max() / 2.0**degree
+        return float(np.abs(found - (0.25 * np.arange(9)) ** degree).max() / 2.0**degree)
 
     def test_it_integrates_polynomials_up_to_its_order_exactly_and_no_further(self, by: MethodCase) -> None:
         for degree in range(1, by.differential + 1):
@@ -496,7 +498,7 @@ class MethodSuite:
         x, z, gamma = ca.SX.sym("x"), ca.SX.sym("z"), ca.SX.sym("gamma", 1, 4)
         dae = small_dae(x, z, -(3 * z**2 + 1) * z**2 / 2, z**3 + z - 2 * x, gamma)
 
-        def exact(t: Array) -> list[float]:
+        def exact(t: Array) -> list[Array]:
             return [(1 / (2 + t) ** 3 + 1 / (2 + t)) / 2, 1 / (2 + t)]
 
         errors = []

@@ -260,7 +260,7 @@ def test_the_condition_tells_units_from_singularity() -> None:
 def test_a_report_is_frozen_and_prints_a_page() -> None:
     report = sc.analyse(mass_on_car())
     with pytest.raises(FrozenInstanceError):
-        report.index = 7
+        report.index = 7  # type: ignore[misc]  # wrong on purpose
     lines = str(report).splitlines()
     assert lines[0] == "mass on car, generalized"
     assert "  index               3" in lines

@@ -43,6 +43,7 @@ def states(quick: QuickStep | None, saved: sc.Program, name: str) -> list[bytes]
     now.__dict__["step"] = H
     found = []
     for jet in jets:
+        assert quick is not None
         after = quick(now, jet.ravel().tolist(), H, H, p)
         assert after is not None
         found.append(b"".join(each.tobytes() for each in (after.state, after.jet, after.values)))

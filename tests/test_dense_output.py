@@ -26,7 +26,7 @@ def midpoint_error(method: sc.Method, steps: int, name: str) -> float:
         times.append(start + stepper.step / 2)
         found.append(stepper.values(state, reference.jet(times[-1], stepper.start_order), fraction=0.5)[name])
     exact = CRANE.exact(np.array(times))[name]
-    return np.abs(np.array(found) - exact).max() / np.abs(exact).max()
+    return float(np.abs(np.array(found) - exact).max() / np.abs(exact).max())
 
 
 # A polynomial through s stages has order s; between two instants backward Euler's line has order two in positions,

@@ -1,6 +1,7 @@
 """Inputs of scenes with internal dynamics, prepared once, and by SUNDIALS: those that small steps give."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from servocore.stepping.explicit_steps import Between, compile_explicit_steps
 SCENES = ("mass_on_car", "passive_joint_arm")
 
 
-def exact(name: str, model: str | None = None, **how: object) -> sc.Solution:
+def exact(name: str, model: str | None = None, **how: Any) -> sc.Solution:
     """Return what 800 steps of Radau's method with seven stages give, to 1e-12."""
     problem = scene(name)
     return sc.solve(problem, sc.Reduced(), sc.RadauIIA(7), step=problem.reference.duration / 800, model=model, **how)

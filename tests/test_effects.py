@@ -379,7 +379,7 @@ def test_bad_settings_are_refused_by_name(
     words: str,
 ) -> None:
     with pytest.raises(error, match=words):
-        sc.effects(crane("overhead_crane"), **options)
+        sc.effects(crane("overhead_crane"), **options)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_scene_that_declares_nothing_says_what_to_give() -> None:

@@ -7,6 +7,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,7 +32,7 @@ UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
 def solved(
     subject: sc.Scene,
     *arguments: sc.BoundaryValue | sc.Formulation | sc.Method | None,
-    **settings: float | sc.Adaptive | Elsewhere | str,
+    **settings: Any,
 ) -> tuple[sc.Solution, list[str]]:
     """Solve, and return what was said of the inputs."""
     with warnings.catch_warnings(record=True) as heard:
@@ -74,7 +75,7 @@ def force_on_the_car(t: np.ndarray, duration: float, p: dict[str, float]) -> np.
     weights = np.linalg.solve(np.vander(roots, 2, increasing=True).T, [-steady(0.0), -steady.deriv()(0.0)])
     swings = (weights * roots**2 * np.exp(np.outer(t, roots))).sum(axis=1).real
     acceleration = rise.deriv(2)(t) - cos * (steady.deriv(2)(t) + swings)
-    return p["car_mass"] * acceleration + p["mass"] * rise.deriv(2)(t)
+    return np.asarray(p["car_mass"] * acceleration + p["mass"] * rise.deriv(2)(t))
 
 
 @settings(max_examples=15)

@@ -51,6 +51,7 @@ def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterati
     expression = compile_inversion(array).expression
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, 101)
     for jet in problem.reference.jet(t, array.reference_order):
+        assert expression is not None
         _, _, residual = expression(jet.T, problem.p)
         assert float(residual) < 1e-10
 

@@ -63,7 +63,7 @@ def instants(name: str, count: int) -> np.ndarray:
 def largest_difference(found: dict[str, Array], solution: sc.Solution) -> float:
     """Return the largest difference of all outputs relative to their peaks."""
     peaks = {name: max(np.abs(solution[name]).max(), 1e-300) for name in found}
-    return max(np.abs(values - solution[name]).max() / peaks[name] for name, values in found.items())
+    return float(max(np.abs(values - solution[name]).max() / peaks[name] for name, values in found.items()))
 
 
 def marched(name: str, **parameters: float) -> tuple[Array, Array, sc.Scene]:

@@ -20,7 +20,7 @@ REACH = 1.8
 
 
 def linkage(
-    masses: Sequence[float], output: Callable[[ca.SX], ca.SX], drive: Sequence[float], *names: str, **more: Any
+    masses: Sequence[float], output: Callable[..., Any], drive: Callable[..., Any], *names: str, **more: Any
 ) -> sc.MechanicalSystem:
     """Return a system of points on coordinates x, y, ... with forces F, G, ... and outputs a, b, ..."""
     coordinates = sc.Coordinates(*(sc.Quantity(each, "m") for each in names))
@@ -216,14 +216,14 @@ def test_inputs_are_not_known_outside_their_time(inputs: sc.Solution, t: list[fl
 )
 def test_times_to_report_at_rise(inputs: sc.Solution, t: list[float | list[float]] | str, said: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=f"^the times at which to report .*{said}$"):
-        sc.simulate(CRANE, inputs, t=t)
+        sc.simulate(CRANE, inputs, t=t)  # type: ignore[arg-type]  # wrong on purpose
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 4, 7])
 def test_too_few_or_many_inputs_are_counted(count: int) -> None:
     said = f"the function of time returns {count} inputs at t = 0 s, rotary crane, points has 3: M_b, F, M_w"
     with pytest.raises(sc.InvalidSetting, match=f"^{said}$"):
-        sc.simulate(CRANE, lambda _: np.zeros(count), t=[0.0, 1.0])
+        sc.simulate(CRANE, lambda _: np.zeros(count), t=[0.0, 1.0])  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_inputs_of_another_scene_are_missed_by_name(inputs: sc.Solution) -> None:

@@ -33,11 +33,11 @@ def moved(**changes: tuple[int, int, float]) -> Array:
     return jet
 
 
-def inputs_with(row: int, column: int, value: float) -> Callable[[Host], None]:
+def inputs_with(row: int, column: int, value: float) -> Callable[[Host], object]:
     return lambda host: host.start().tell(moved(change=(row, column, value))).step(0.0, 0.1)
 
 
-def after_a_step(time: float, h: float) -> Callable[[Host], None]:
+def after_a_step(time: float, h: float) -> Callable[[Host], object]:
     return lambda host: host.start().step(0.0, 0.1) and host.step(time, h)
 
 

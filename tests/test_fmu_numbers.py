@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import fmu_host
 import numpy as np
@@ -35,10 +36,10 @@ def table(t: Array, jets: Array) -> Array:
 
 def worst(found: dict[str, Array], wanted: sc.Solution | dict[str, Array], names: tuple[str, ...] = OUTPUTS) -> float:
     """Largest deviation of any output from what is wanted, relative to its peak."""
-    return max(np.abs(found[name] - wanted[name]).max() / np.abs(wanted[name]).max() for name in names)
+    return float(max(np.abs(found[name] - wanted[name]).max() / np.abs(wanted[name]).max() for name in names))
 
 
-def simulate(step: float, **settings: str) -> tuple[Array, Array]:
+def simulate(step: float, **settings: str) -> tuple[Any, Any]:
     t = np.arange(round(20 / step) + 1) * step
     result = simulate_fmu(
         str(fmu_file()),

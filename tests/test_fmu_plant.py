@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ OTHERS = ("LoadTrajectory", "CranePlant")
 LOAD = tuple(f"load.position[{k}]" for k in (1, 2, 3))
 
 
-def plant(**settings: str | float) -> Host:
+def plant(**settings: float | str) -> Host:
     return Host(fmu_file("CranePlant")).set(**settings)
 
 
@@ -42,7 +43,7 @@ def test_fmpy_finds_no_problems(name: str) -> None:
 # The plant ---------------------------------------------------------------------------------------------------------
 
 
-def follow(host: Host, step: float, inputs: Sequence[float], until: float = 2.0, at: str = "start") -> Array:
+def follow(host: Host, step: float, inputs: Callable[[float], Any], until: float = 2.0, at: str = "start") -> Array:
     """Drive the plant with sampled inputs."""
     host.set(input_time=at)
     u = inputs(0.0)
@@ -128,7 +129,7 @@ def test_a_mass_error_makes_the_load_heavier() -> None:
         assert host["tension"] == pytest.approx(981.0 * 1.05 - 105.0 * host_acceleration(), rel=1e-9)
 
 
-def host_acceleration() -> Array:
+def host_acceleration() -> float:
     """Of a load of 105 kg on a winch that holds 100 kg."""
     return (105.0 - 100.0) * 9.81 / (105.0 + 10.0)
 
@@ -143,7 +144,7 @@ def test_it_may_start_in_motion_and_swinging() -> None:
         assert load(host)[2] == pytest.approx(-5.0 * math.cos(0.1))
 
 
-def mistakes() -> dict[str, Callable[[Host], object]]:
+def mistakes() -> dict[str, tuple[Callable[[Host], object], ...]]:
     """What a host does wrong, in the order of the pages' sentences."""
     return {
         "CranePlant": (

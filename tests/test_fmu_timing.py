@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from fmu_host import Host
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.polynomial.polynomial import Polynomial
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification, estimate_functions
@@ -56,7 +56,7 @@ def driven(
     return t[1:], dict(zip(names, np.array(rows).T, strict=True)), said
 
 
-def _told(jet: Array, connected: str) -> dict[str, float]:
+def _told(jet: Array, connected: str) -> Array:
     told = jet.copy()
     told[ORDERS.index(connected) + 1 :] = 0.0
     return told
@@ -66,10 +66,10 @@ def exact(t: Array) -> dict[str, Array]:
     return sc.scenes.rotary_crane().closed_form(sine(t), CRANE.parameter_values())
 
 
-def error(name: str, step: float, connected: str = "snap", **settings: float) -> float:
+def error(name: str, step: float, connected: str = "snap", **settings: Any) -> float:
     t, found, _ = driven(step, connected, settings={"connected": connected, **settings})
     late = t > 1.0
-    return np.abs(found[name] - exact(t)[name])[late].max()
+    return float(np.abs(found[name] - exact(t)[name])[late].max())
 
 
 def test_with_all_derivatives_connected_the_lag_is_gone() -> None:
@@ -116,7 +116,7 @@ def estimator() -> Estimation:
     return estimation(estimate_functions(8))
 
 
-def estimates(times: Array, path: Polynomial, order: int) -> SimpleNamespace:
+def estimates(times: Array, path: Callable[[float], Any], order: int) -> SimpleNamespace:
     """Return the estimated derivatives above one of a path of scalars or vectors at the last of some times."""
 
     def told(time: float) -> Array:
@@ -182,6 +182,7 @@ def worst_torque(times: Array, jets: Array | None = None) -> tuple[float, list[s
             assert host.step(float(times[k]), float(times[k + 1] - times[k])), host.messages
             found.append(host["M_b"])
         said = list(host.messages)
+    assert CRANE.closed_form is not None
     wanted = CRANE.closed_form(MANOEUVRE.jet(times[1:], 4), CRANE.parameter_values())["M_b"]
     return np.abs(np.array(found) - wanted).max() / np.abs(wanted).max(), said
 
@@ -217,6 +218,7 @@ def test_exact_positions_at_1_ms_are_not_lost_in_rounding() -> None:
 def test_a_start_in_motion_waits_for_samples_and_says_so() -> None:
     times = 8.0 + 0.01 * np.arange(100)
     jets = MANOEUVRE.jet(times, 4)
+    assert CRANE.closed_form is not None
     wanted = CRANE.closed_form(MANOEUVRE.jet(times[1:], 4), CRANE.parameter_values())["M_b"]
     with Host() as host:
         host.set(connected="position").start(_told(jets[0], "position"), 8.0)

@@ -194,7 +194,7 @@ def mass_on_car_exactly(path: sc.Reference, t: Array) -> tuple[Array, Array]:
     sin, cos = np.sin(alpha), np.cos(alpha)
 
     def acceleration(time: float, s: float, s_dot: float) -> float:
-        return (-cos * path.jet(time, 2)[2, 0] - d * s_dot - k * s) / sin**2
+        return float((-cos * path.jet(time, 2)[2, 0] - d * s_dot - k * s) / sin**2)
 
     found = scipy.integrate.solve_ivp(
         lambda time, y: [y[1], acceleration(time, *y)], (t[0], t[-1]), [0.0, 0.0], "DOP853", t, rtol=1e-11, atol=1e-12
@@ -222,7 +222,7 @@ def order_on_a_moving_path(
         found = sc.solve(as_scene(system, MOVING), formulation, by.method, step=2.0 / steps)
         error = np.abs(found[name] - exact(found.t))
         errors.append(error[0 if by.first_order_equations else steps // 2 :].max())
-    return np.log2(errors[0] / errors[1])
+    return float(np.log2(errors[0] / errors[1]))
 
 
 @pytest.mark.parametrize("by", DAMPED)

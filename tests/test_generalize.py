@@ -23,7 +23,9 @@ from servocore.numerics.expressions import gyroscopic_forces
 PAIRS = [("rotary_crane", "points", "generalized"), ("overhead_crane", "points", "generalized")]
 
 
-def at(system: sc.MechanicalSystem, expressions: Sequence[ca.SX], q: Array, v: Array) -> list[Array]:
+def at(
+    system: sc.MechanicalSystem, expressions: Sequence[ca.SX], q: Sequence[float] | Array, v: Sequence[float] | Array
+) -> list[Array]:
     """Evaluate expressions of a system at a configuration and velocity, default parameters."""
     function = ca.Function("at", [system.q, system.v, system.p], [ca.densify(each) for each in expressions])
     results = function(q, v, system.parameters.values())

@@ -33,7 +33,7 @@ def largest_error(scene: sc.Scene, model: str) -> float:
     found = sc.solve(scene, sc.Reduced(), step=scene.reference.duration / 60, model=model)
     exact = {name: values for name, values in scene.exact(found.t).items() if np.abs(values).max() > 1e-9}
     assert set(exact) >= {each.name for each in scene.model(model).inputs}
-    return max(np.abs(found[name] - values).max() / np.abs(values).max() for name, values in exact.items())
+    return float(max(np.abs(found[name] - values).max() / np.abs(values).max() for name, values in exact.items()))
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)

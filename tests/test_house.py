@@ -31,7 +31,7 @@ def imported(path: Path) -> Iterator[tuple[str, str]]:
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in MOST_ENTRIES:
             for each in node.names:
                 whole = f"{node.module}.{each.name}"
-                yield (whole, "") if whole in MODULES else (node.module, each.name)
+                yield (whole, "") if whole in MODULES else (node.module or "", each.name)
 
 
 @cache

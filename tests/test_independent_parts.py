@@ -116,7 +116,7 @@ def in_two_parts(first: Array, second: Array) -> tuple[tuple[Part, ...], Array]:
     return parts_of(both), blocks[:, rows, columns].T
 
 
-def test_signs_of_determinants_are_told_part_by_part_where_their_product_hides_them():
+def test_signs_of_determinants_are_told_part_by_part_where_their_product_hides_them() -> None:
     random = np.random.default_rng(3)
     first = random.normal(size=(1, 3, 3)) * np.ones((4, 1, 1))
     first[2:, 0] *= -1.0  # both change their sign at once
@@ -128,7 +128,7 @@ def test_signs_of_determinants_are_told_part_by_part_where_their_product_hides_t
 
 
 @pytest.mark.parametrize("least", [1.0, 1e-6, 1e-11, 1e-13, 0.0])
-def test_a_matrix_is_regular_throughout_where_its_condition_says_so(least):
+def test_a_matrix_is_regular_throughout_where_its_condition_says_so(least: float) -> None:
     random = np.random.default_rng(4)
     many = random.normal(size=(5, 3, 3))
     astray = many.copy()
@@ -139,7 +139,7 @@ def test_a_matrix_is_regular_throughout_where_its_condition_says_so(least):
         assert is_regular_throughout(parts, entries, most) == bool((condition_numbers(parts, entries) < most).all())
 
 
-def test_a_solve_of_many_cranes_takes_determinants_of_one_of_them_at_most(monkeypatch):
+def test_a_solve_of_many_cranes_takes_determinants_of_one_of_them_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
     found, slogdet = [], np.linalg.slogdet
 
     def recording(matrices: Array) -> object:
@@ -155,7 +155,7 @@ def test_a_solve_of_many_cranes_takes_determinants_of_one_of_them_at_most(monkey
     assert sizes[0] == sizes[1] > 0
 
 
-def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called():
+def test_parts_with_the_same_expressions_are_alike_whatever_their_symbols_are_called() -> None:
     assert groups(equations((1.0, 1.0, 1.0))) == [3]
 
 

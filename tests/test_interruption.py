@@ -14,8 +14,7 @@ from pathlib import Path
 
 import pytest
 import typer
-from click.testing import Result
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from crane_fmu.run import nothing_left
 from servocore.cli import interruption

@@ -164,7 +164,7 @@ class TestWhatALimitIs:
         self, limits: dict[str, str | tuple[int | None, ...] | float | ModuleType], sentence: str
     ) -> None:
         with pytest.raises(sc.InvalidSetting) as refused:
-            CRANE.with_limits(**limits)
+            CRANE.with_limits(**limits)  # type: ignore[arg-type]  # wrong on purpose
         assert str(refused.value).startswith(sentence)
 
     def test_a_rate_for_which_the_path_has_not_enough_derivatives_is_refused_with_both_orders(self) -> None:

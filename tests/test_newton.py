@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,7 +32,7 @@ def solve(
     guess: Sequence[float] | Array | None = None,
     unknown_scale: Array | None = None,
     residual_scale: Sequence[float] | Array | None = None,
-    outputs: Sequence[ca.SX] | None = None,
+    outputs: list[ca.SX] | None = None,
 ) -> tuple[Array, Array, float]:
     """Compile and solve; returns (solution, (most iterations, factorizations), residual)."""
     size = unknowns.numel()
@@ -50,7 +51,7 @@ def solve(
     return found[0] if len(found) == 1 else found, counts, float(worst)
 
 
-def newton_iterations(function: Callable[[ca.SX], ca.SX], slope: float, x: float, scale: float = 1.0) -> int:
+def newton_iterations(function: Callable[[Any], Any], slope: Callable[[Any], Any], x: float, scale: float = 1.0) -> int:
     """Count steps of Newton's method by hand until the correction is below the tolerance."""
     for k in range(1, MAX_ITERATIONS + 1):
         correction = function(x) / slope(x)
@@ -268,4 +269,4 @@ def test_sizes_that_do_not_fit_are_refused(attribute: str) -> None:
     settings = {"unknowns": x, "givens": ca.SX(0, 1), "residual": x, "guess": ca.SX.zeros(2)}
     settings |= {"unknown_scale": ca.SX.ones(2), "residual_scale": ca.SX.ones(2), attribute: ca.SX.ones(3)}
     with pytest.raises(sc.InvalidModel, match=f"2 unknowns, but {attribute} has 3 rows"):
-        SquareSystem(**settings)
+        SquareSystem(**settings)  # type: ignore[arg-type]  # wrong on purpose

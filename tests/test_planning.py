@@ -35,7 +35,7 @@ def largest_excess(scene: sc.Scene, path: sc.Reference, limits: Mapping[str, Any
     """Return by how much the closed form of a crane exceeds symmetric limits, divided by them."""
     t = np.linspace(0.0, path.duration, 20_001)
     exact = scene.with_reference(path).exact(t)
-    return max(np.abs(exact[name]).max() / bound - 1.0 for name, bound in limits.items())
+    return float(max(np.abs(exact[name]).max() / bound - 1.0 for name, bound in limits.items()))
 
 
 @pytest.fixture(scope="module")
@@ -178,15 +178,15 @@ class TestRefusals:
 
     def test_waypoints_need_as_many_numbers_as_outputs(self) -> None:
         with pytest.raises(sc.InvalidReference, match="3 components, this one has 2"):
-            sc.fastest(CRANE, LEVEL, DEFAULT)
+            sc.fastest(CRANE, LEVEL, DEFAULT)  # type: ignore[arg-type]  # wrong on purpose
 
     def test_an_odd_grid_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
-            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
+            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)  # type: ignore[arg-type]  # wrong on purpose
 
     def test_a_progress_that_cannot_be_called_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="progress must be a function of a text, not 4"):
-            sc.fastest(CRANE, LINE, DEFAULT, progress=4)
+            sc.fastest(CRANE, LINE, DEFAULT, progress=4)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_bar_of_index_seven_has_six_smooth_derivatives() -> None:
@@ -252,7 +252,7 @@ def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner
     assert away.max() < report.deviation + 4e-3  # half the distance of neighbours
     cornered = sc.through([(5, 0, -5), (3, 0, -5), (3, 0.001, -5), (3, 3, -5)], times=[0, 4, 8, 12])
     with pytest.raises(sc.InvalidReference, match="no smooth curve follows the path"):
-        sc.fastest(CRANE, cornered, DEFAULT)
+        sc.fastest(CRANE, cornered, DEFAULT)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path: Path) -> None:

@@ -103,7 +103,7 @@ def test_its_linearization_is_the_difference_of_neighbouring_steps() -> None:
     u, h = np.array([10.0, 5.0, -90.0]), 1e-5
     A, B, E, C = plant.linearised(state, u, p)
 
-    def rate(x: Array, force: Array = u, d: float = STILL) -> float:
+    def rate(x: Array, force: Array = u, d: Array = STILL) -> Array:
         return (plant.advance(x, force, STILL, d, p, h) - plant.advance(x, force, STILL, d, p, -h)) / (2 * h)
 
     for k in range(10):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,9 +34,9 @@ def manoeuvres(draw: Callable[[SearchStrategy[Any]], Any]) -> tuple[Array, Array
 
 
 def solve(
-    route: tuple[sc.Reduced, str],
-    start: tuple[float, float, float],
-    end: tuple[float, float, float],
+    route: tuple[sc.Formulation, str],
+    start: Sequence[float] | Array,
+    end: Sequence[float] | Array,
     duration: float,
     crane: sc.Scene = CRANE,
     steps: int = 100,

@@ -46,7 +46,7 @@ def write(path: Path, rows: Array, groups: int, fmt: str = "%.17g", columns: lis
 def relative_errors(path: PiecewisePolynomial, truth: sc.Reference, order: int) -> Array:
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
-    return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
+    return np.asarray(np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2)))
 
 
 @pytest.mark.parametrize("groups", [1, 2, 3, 4, 5])

@@ -60,7 +60,7 @@ def test_what_makes_no_sense_is_refused(
     arguments: tuple[tuple[float, ...] | list[list[float]] | float, ...], sentence: str
 ) -> None:
     with pytest.raises(InvalidReference, match=sentence):
-        periodic(*arguments)
+        periodic(*arguments)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_it_is_divided_into_half_periods_of_the_highest_harmonic() -> None:

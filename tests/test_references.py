@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+import servocore as sc
 from servocore import (
     DEGREE3,
     DEGREE5,
@@ -27,7 +29,7 @@ from servocore.errors import InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
-from servocore.references.profiles import PolynomialProfile, Profile, ThreePhaseProfile, polynomial
+from servocore.references.profiles import PolynomialProfile, Profile, polynomial
 from servocore.references.rest_to_rest import RestToRest
 
 START, END, DURATION = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0
@@ -35,11 +37,11 @@ PROFILES = [DEGREE3, DEGREE5, DEGREE7, DEGREE9, DEGREE13, polynomial(1), three_p
 EPS = np.finfo(float).eps
 
 
-def unit(profile: ThreePhaseProfile, duration: float = DURATION, start_time: float = 0.0) -> RestToRest:
+def unit(profile: sc.Profile, duration: float = DURATION, start_time: float = 0.0) -> RestToRest:
     return rest_to_rest((0.0,), (1.0,), duration, profile, start_time)
 
 
-def exact_derivative(coefficients: list[float] | tuple[int, ...], T: int, order: int) -> Fraction:
+def exact_derivative(coefficients: Sequence[float | Fraction], T: float | Fraction, order: int) -> Fraction:
     """Derivative by T of a polynomial in rational arithmetic, for a float T taken as the rational it is."""
     for _ in range(order):
         coefficients = [i * c for i, c in enumerate(coefficients)][1:]
@@ -49,7 +51,7 @@ def exact_derivative(coefficients: list[float] | tuple[int, ...], T: int, order:
     return value
 
 
-def exact_three_phase(t: float, tau: float, tau0: float, order: int) -> tuple[float, ...]:
+def exact_three_phase(t: float | Fraction, tau: float | Fraction, tau0: float | Fraction, order: int) -> Fraction:
     """theory.md section 3 in rational arithmetic, order at most 1 outside the ramps."""
     t, tau, tau0 = Fraction(t), Fraction(tau), Fraction(tau0)
     if t > tau / 2:
@@ -194,7 +196,7 @@ def test_paths_are_values_that_compare_and_cannot_be_changed() -> None:
     path = rest_to_rest(START, END, DURATION)
     assert path == rest_to_rest(list(START), np.array(END), DURATION)
     with pytest.raises(AttributeError):
-        path.end_time = 3.0
+        path.end_time = 3.0  # type: ignore[misc]  # wrong on purpose
 
 
 @pytest.mark.parametrize(
@@ -215,7 +217,7 @@ def test_a_path_that_makes_no_sense_is_refused_with_a_sentence(
     arguments: tuple[tuple[float, ...] | float | Profile, ...], sentence: str
 ) -> None:
     with pytest.raises(InvalidReference, match=sentence):
-        rest_to_rest(*arguments)
+        rest_to_rest(*arguments)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_jets_refuse_orders_and_times_they_cannot_answer() -> None:
@@ -242,7 +244,7 @@ PATH = through(WAYPOINTS, TIMES)
 def relative_errors(path: PiecewisePolynomial, truth: Reference, order: int) -> Array:
     t = np.linspace(truth.start_time, truth.end_time, 1003)[1:-1]
     found, exact = path.jet(t, order), truth.jet(t, order)
-    return np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2))
+    return np.asarray(np.abs(found - exact).max(axis=(0, 2)) / np.abs(exact).max(axis=(0, 2)))
 
 
 def test_a_path_through_two_waypoints_is_the_rest_to_rest_path_of_degree_nine() -> None:
@@ -335,7 +337,7 @@ def test_waypoints_that_make_no_path_are_refused(
     arguments: dict[str, list[tuple[float, float, float]]], sentence: str
 ) -> None:
     with pytest.raises(InvalidReference, match=sentence):
-        through(**arguments)
+        through(**arguments)  # type: ignore[arg-type]  # wrong on purpose
 
 
 # --- sampled positions ------------------------------------------------------------------------------------

@@ -47,13 +47,13 @@ def loop(crane: sc.Scene) -> list[LoadRun]:
 
 
 @pytest.fixture(scope="module")
-def drawings(written: dict[str, list[str | Table | Illustration]]) -> dict[str, str]:
+def drawings(written: dict[str, list[str | Table | Illustration]]) -> dict[str, bytes]:
     shown = [part for parts in written.values() for part in parts if isinstance(part, Illustration)]
     return {name: data for each in shown for name, data in each.files().items()}
 
 
 @pytest.fixture(scope="module")
-def html(found: Study, written: dict[str, list[str | Table | Illustration]], drawings: dict[str, str]) -> str:
+def html(found: Study, written: dict[str, list[str | Table | Illustration]], drawings: dict[str, bytes]) -> str:
     return page(contents.TITLE, contents.facts(found), sc.live_part(found.base), written, drawings)
 
 
@@ -198,7 +198,7 @@ class TestPage:
         assert sources
         assert all(source.startswith("data:image/svg+xml;base64,") for source in sources)
 
-    def test_its_pictures_are_those_of_the_files(self, html: str, drawings: dict[str, str]) -> None:
+    def test_its_pictures_are_those_of_the_files(self, html: str, drawings: dict[str, bytes]) -> None:
         inside = [b64decode(data) for data in re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', html)]
         assert inside == [data for name, data in drawings.items() if name.endswith(".svg")]
 
@@ -281,4 +281,4 @@ def test_the_error_table_shows_the_factor_between_two_steps(found: Study) -> Non
 
 def test_runs_are_values(found: Study) -> None:
     with pytest.raises(AttributeError):
-        found.tracking[0].label = "another"
+        found.tracking[0].label = "another"  # type: ignore[misc]  # wrong on purpose

@@ -19,7 +19,8 @@ from servocore.scenes.rotary_crane_bodies import bodies
 from servocore.solvers.solve import solve
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.inversion import compile_inversion
-from servocore.structure.structural_analysis import second_order_equations, signature
+from servocore.structure.signature import signature
+from servocore.structure.structural_analysis import second_order_equations
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
 REFERENCE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)

@@ -40,7 +40,8 @@ from servocore.rotationless import (
 )
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import compile_inversion
-from servocore.structure.structural_analysis import second_order_equations, signature
+from servocore.structure.signature import signature
+from servocore.structure.structural_analysis import second_order_equations
 
 HOWTO = Path(__file__).parents[1] / "docs" / "howto" / "assemble-a-mechanism.md"
 NONE = Parameters()
@@ -53,7 +54,7 @@ def rotation(vector: Sequence[float] | Array) -> Array:
     """Rotation matrix of a rotation vector."""
     size = np.linalg.norm(vector)
     K = cross(np.asarray(vector) / max(size, 1e-300))
-    return np.eye(3) + np.sin(size) * K + (1.0 - np.cos(size)) * K @ K
+    return np.asarray(np.eye(3) + np.sin(size) * K + (1.0 - np.cos(size)) * K @ K)
 
 
 def cross(w: Array) -> Array:
@@ -238,7 +239,7 @@ def test_turned_directors_are_those_of_the_rotation_vector() -> None:
 
 
 def one_angle(
-    name: str, body: RigidBody, constraints_of: Callable[[RigidBody], Sequence[Any]], extra: Any = ()
+    name: str, body: RigidBody, constraints_of: Callable[[RigidBody], dict[str, ca.SX]], extra: Any = ()
 ) -> MechanicalSystem:
     """System of one body on the ground whose angle phi about y is driven and prescribed."""
     assembly = Assembly((body, Quantity("phi", "rad"), *extra), NONE, (0, 0, -GRAVITY))

@@ -37,7 +37,7 @@ def exact_on_grid(kind: str, steps: int) -> dict[str, Array]:
 
 
 def errors(
-    kind: str, formulation: sc.Reduced, steps: int, model: str, names: tuple[str, ...] = ("u", "x", "s")
+    kind: str, formulation: sc.Formulation, steps: int, model: str, names: tuple[str, ...] = ("u", "x", "s")
 ) -> Array:
     """Largest errors of backward Euler, as fractions of the largest exact values."""
     solution = sc.solve(scene_of(kind), formulation, sc.BackwardEuler(), step=DURATION / steps, model=model)

@@ -144,7 +144,7 @@ def test_at_a_tenth_of_a_second_the_slewing_torque_is_wrong_by_tens_of_per_cent_
 def test_models_differ_by_an_amount_that_halves_with_the_step(other: str) -> None:
     def distance(steps: int) -> float:
         one, two = (solved(problem("rotary_crane", model), steps) for model in ("points", other))
-        return max(np.abs(one[name] - two[name]).max() / np.abs(one[name]).max() for name in INPUTS)
+        return float(max(np.abs(one[name] - two[name]).max() / np.abs(one[name]).max() for name in INPUTS))
 
     distances = np.array([distance(steps) for steps in STEPS])
     assert 1e-4 < distances[0] < 0.2

@@ -46,7 +46,7 @@ def unpacked(name: str = "native") -> Path:
 
 
 def guid() -> str:
-    return read_model_description(str(fmu_file())).guid
+    return str(read_model_description(str(fmu_file())).guid)
 
 
 def run(

@@ -24,7 +24,7 @@ def released(system: sc.MechanicalSystem, start: float, duration: float) -> sc.S
 
 def period(amplitude: float) -> float:
     """4 sqrt(l/g) K(m), m = sin^2(amplitude/2)."""
-    return 4.0 * np.sqrt(1.5 / 9.81) * scipy.special.ellipk(np.sin(amplitude / 2) ** 2)
+    return float(4.0 * np.sqrt(1.5 / 9.81) * scipy.special.ellipk(np.sin(amplitude / 2) ** 2))
 
 
 @pytest.mark.parametrize("amplitude", [0.01, 1.0, 2.5])

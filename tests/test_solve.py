@@ -23,7 +23,7 @@ def solve(
     crane: sc.Scene = CRANE,
     formulation: sc.Original | None = None,
     method: sc.Method | None = None,
-    **settings_: float | str,
+    **settings_: Any,
 ) -> sc.Solution:
     return sc.solve(crane, formulation or sc.Projected(), method or sc.BackwardEuler(), **settings_)
 

@@ -80,7 +80,7 @@ def test_momentum_is_what_the_force_brings_in() -> None:
 )
 def test_what_makes_no_sense_is_refused(changed: dict[str, float], sentence: str) -> None:
     with pytest.raises(sc.InvalidSetting, match=sentence):
-        march(PATHS["default"], **{"pieces": 10, **changed})
+        march(PATHS["default"], **{"pieces": 10, **changed})  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_path_that_never_rests_is_refused() -> None:

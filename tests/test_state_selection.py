@@ -50,7 +50,7 @@ def scene() -> sc.Scene:
 
 
 @cache
-def angle(steps: int) -> float:
+def angle(steps: int) -> Array:
     """Angle of the pendulum from its own equation, theta'' = -g sin - s'' cos - d theta'."""
     reference = scene().reference
 
@@ -59,10 +59,10 @@ def angle(steps: int) -> float:
         return [omega, -9.81 * np.sin(theta) - reference.jet(t, 2)[2, 0] * np.cos(theta) - 0.3 * omega]
 
     t = np.linspace(0.0, DURATION, steps + 1)
-    return solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0]
+    return np.asarray(solve_ivp(rate, (0.0, DURATION), [0.0, 0.0], t_eval=t, rtol=1e-12, atol=1e-13).y[0])
 
 
-def error(method: sc.RadauIIA, steps: int) -> tuple[float, sc.Statistics]:
+def error(method: sc.Method, steps: int) -> tuple[Array, sc.Statistics]:
     solution = sc.solve(scene(), sc.Reduced(), method, step=DURATION / steps)
     return np.abs(solution["x"] - solution["s"] - np.sin(angle(steps))).max(), solution.statistics
 

@@ -51,6 +51,7 @@ def test_a_start_gives_the_closed_form_s_inputs(perturbation: Array) -> None:
     stepper = crane_stepper()
     jet = jets_near_home(stepper.system, perturbation)
     values = stepper.values(stepper.start(jet)[0], jet)
+    assert CRANE.closed_form is not None
     exact = CRANE.closed_form(jet[None], CRANE.parameter_values())
     for name in ("M_b", "F", "M_w", "s", "l", "tension", "swing"):
         assert values[name] == pytest.approx(exact[name][0], abs=1e-9 * max(1.0, abs(exact["M_b"][0])))

@@ -205,7 +205,7 @@ def test_a_drawing_that_cannot_be_drawn_is_refused_with_a_sentence(
     drawing: Callable[[dict[str, ca.SX]], object], sentence: str
 ) -> None:
     with pytest.raises(sc.InvalidModel, match=re.escape(sentence)):
-        picture_of(own_crane().model(), OWN_QUANTITIES, drawing)
+        picture_of(own_crane().model(), OWN_QUANTITIES, drawing)  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_part_that_is_none_is_refused_with_a_sentence() -> None:
@@ -240,7 +240,7 @@ const field = row.querySelector("input[type=number]"); field.value = %r; field.d
 
 
 def outline(page: Page, number: int) -> str:
-    return page.run(f'document.querySelectorAll(".plot .curve.exact")[{number}].getAttribute("d")')
+    return str(page.run(f'document.querySelectorAll(".plot .curve.exact")[{number}].getAttribute("d")'))
 
 
 def test_the_pages_own_numbers_are_those_of_python(opened: Page) -> None:

@@ -44,7 +44,7 @@ def refused(
 def a_scene(
     system: sc.MechanicalSystem | Callable[[], None] | Callable[[], sc.MechanicalSystem] = driven_pendulum,
     reference: RestToRest = PATH,
-    **more: str | int,
+    **more: Any,
 ) -> sc.Scene:
     return sc.Scene("mine", {"only": system}, reference, **more)
 
@@ -55,7 +55,7 @@ def a_scene(
 @settings(max_examples=40, deadline=None)
 @given(st.sampled_from(FIELDS), st.sampled_from(NOT_FINITE), st.booleans(), st.data())
 def test_an_entry_that_is_no_finite_number_is_refused_by_name(
-    field: str, value: object, hidden: bool, data: DataObject
+    field: str, value: Any, hidden: bool, data: DataObject
 ) -> None:
     """Wherever it stands, plainly or within an expression."""
     system = redundant_pendulum()
@@ -298,30 +298,30 @@ def test_a_field_of_the_wrong_kind_or_size_is_refused(fields: dict[str, Any], sa
     ("make", "said"),
     [
         (
-            lambda: sc.Coordinates("x"),
+            lambda: sc.Coordinates("x"),  # type: ignore[arg-type]  # wrong on purpose
             "Coordinates(...) must be made of Quantity, such as Quantity('x', 'm'), not the...",
         ),
         (
-            lambda: sc.Coordinates([sc.Quantity("x")]),
+            lambda: sc.Coordinates([sc.Quantity("x")]),  # type: ignore[arg-type]  # wrong on purpose
             "Coordinates(...) must be made of Quantity, such as Quantity('x', ...",
         ),
         (
-            lambda: sc.Parameters(sc.Quantity("m")),
+            lambda: sc.Parameters(sc.Quantity("m")),  # type: ignore[arg-type]  # wrong on purpose
             "Parameters(...) must be made of Parameter, one by one, not a Quantity",
         ),
         (lambda: sc.Parameter("m", 1.0, "kg", 5.0, 2.0), "parameter m has no value between 5.0 and 2.0 kg"),
         (lambda: a_scene(lambda: None).model(), "mine: the factory of only returned None, not a MechanicalSystem"),
-        (lambda: a_scene(lambda _: None).model(), "mine: the factory of only is called without arguments: ..."),
+        (lambda: a_scene(lambda _: None).model(), "mine: the factory of only is called without arguments: ..."),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.Scene("s", {}, PATH), "s: a scene needs a model"),
         (
-            lambda: sc.Scene("s", driven_pendulum, PATH),
+            lambda: sc.Scene("s", driven_pendulum, PATH),  # type: ignore[arg-type]  # wrong on purpose
             "s: models must be factories by name, such as {'only': make}, not...",
         ),
         (lambda: a_scene(limits="none"), "mine: limits must be a tuple of Limit, not the text 'none'"),
         (lambda: a_scene(closed_form=3), "mine: closed_form must be a function, not 3"),
-        (lambda: sc.analyse("crane"), "what is to be solved must be a Scene, not the text 'crane'"),
-        (lambda: sc.compile_plant(CRANE), "what is to be compiled must be a MechanicalSystem, not a Scene"),
-        (lambda: rl.revolute(rl.GROUND, rl.GROUND), "a joint is between two places, not a Frame; frame.at(...) is one"),
+        (lambda: sc.analyse("crane"), "what is to be solved must be a Scene, not the text 'crane'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.compile_plant(CRANE), "what is to be compiled must be a MechanicalSystem, not a Scene"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: rl.revolute(rl.GROUND, rl.GROUND), "a joint is between two places, not a Frame; frame.at(...) is one"),  # type: ignore[arg-type]  # wrong on purpose
         (
             lambda: rl.Assembly((), sc.Parameters(), (0.0, -9.81)),
             "gravity must be three finite numbers, not (0.0, -9.81)",
@@ -341,11 +341,12 @@ def test_a_system_where_a_factory_belongs_is_refused_with_what_to_write() -> Non
 
 
 @pytest.mark.parametrize(
-    "call", [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion, lambda s: sc.export_fmu(s, "x.fmu")]
+    "call",
+    [sc.solve, lambda s: sc.simulate(s, None), sc.ExactInversion, lambda s: sc.export_fmu(s, "x.fmu")],  # type: ignore[arg-type]  # wrong on purpose
 )
 def test_a_system_where_a_scene_belongs_is_refused_with_what_to_write(call: Callable[[sc.Scene], object]) -> None:
     with pytest.raises(sc.InvalidModel, match=r"takes a Scene, not the system pendulum: Scene\(name, models=.*lambda"):
-        call(driven_pendulum())
+        call(driven_pendulum())  # type: ignore[arg-type]  # wrong on purpose
 
 
 @pytest.mark.parametrize("reference", ["line", sc.Reference, sc.rest_to_rest, None])
@@ -353,7 +354,7 @@ def test_a_reference_that_is_none_is_refused(
     reference: str | type[sc.Reference] | Callable[..., RestToRest] | None,
 ) -> None:
     with pytest.raises(sc.InvalidReference, match=r"^mine: the reference must be a Reference, not "):
-        a_scene(reference=reference)
+        a_scene(reference=reference)  # type: ignore[arg-type]  # wrong on purpose
 
 
 @pytest.mark.parametrize("look", [sc.solve, sc.analyse, sc.ExactInversion])
@@ -410,21 +411,21 @@ def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments: An
     ("make", "said"),
     [
         (
-            lambda: sc.rest_to_rest(0.0, 1.0, 1.0),
+            lambda: sc.rest_to_rest(0.0, 1.0, 1.0),  # type: ignore[arg-type]  # wrong on purpose
             "a table with one start point a row is needed, not an array of shape (1,)",
         ),
-        (lambda: sc.rest_to_rest((0.0,), (1.0,), "1"), "the duration of a path must be a time in s, not the text '1'"),
+        (lambda: sc.rest_to_rest((0.0,), (1.0,), "1"), "the duration of a path must be a time in s, not the text '1'"),  # type: ignore[arg-type]  # wrong on purpose
         (
-            lambda: sc.rest_to_rest((0.0,), (1.0,), 1.0, "9"),
+            lambda: sc.rest_to_rest((0.0,), (1.0,), 1.0, "9"),  # type: ignore[arg-type]  # wrong on purpose
             "the profile of a path must be one such as DEGREE9, not the...",
         ),
         (lambda: sc.through([(0.0,), (1.0,)], ["a", "b"]), "the times of waypoints must be numbers in s, not a list"),
-        (lambda: sc.sampled([0, 1], [[0], [1]], tolerance="x"), "2 samples are too few..."),
-        (lambda: sc.figure_of_eight(0.0, 1.0, 2.0, 1.0), "a table with one centre a row is needed, not an array of..."),
-        (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),
-        (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),
+        (lambda: sc.sampled([0, 1], [[0], [1]], tolerance="x"), "2 samples are too few..."),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.figure_of_eight(0.0, 1.0, 2.0, 1.0), "a table with one centre a row is needed, not an array of..."),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: PATH.jet("now", 0), "the times of a path must be numbers in s, not the text 'now'"),
-        (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),
+        (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),  # type: ignore[arg-type]  # wrong on purpose
     ],
 )
 def test_paths_from_what_is_no_number_are_refused(make: Callable[[], object], said: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -78,7 +78,7 @@ class Module:
         )  # fmt: skip
 
     def _called(
-        self, instants: int, numbers: Sequence[float], call: str
+        self, instants: int, numbers: Sequence[Array], call: Callable[..., int]
     ) -> tuple[dict[str, Array], npt.NDArray[np.int32]]:
         memory, base = self.exports["memory"], self.exports["__heap_base"].value(self.store)
         sizes = [*(each.nbytes for each in numbers), 8 * len(self.outputs) * instants, 4 * instants]

@@ -67,7 +67,7 @@ def four_bars() -> sc.MechanicalSystem:
     middle = pin + 0.5 * COUPLER * e(b) - ca.vertcat(x, y)
     closure = pin + COUPLER * e(b) - end
 
-    def guess(at: float) -> tuple[ca.SX | float, ...]:
+    def guess(at: ca.SX) -> tuple[ca.SX | float, ...]:
         diagonal = ca.vertcat(GROUND, 0) - CRANK * e(at[0])
         d = ca.norm_2(diagonal)
         b = ca.atan2(diagonal[1], diagonal[0]) + ca.acos((COUPLER**2 + d**2 - ROCKER**2) / (2 * COUPLER * d))
@@ -120,7 +120,7 @@ def five_bars() -> sc.MechanicalSystem:
     kinetic = sum((m * square(q.v[2 * k : 2 * k + 2]) for k, m in enumerate((1.0, 0.6, 1.0, 0.6))), ca.SX(0)) / 2
     kinetic += 0.02 * square(q.v[8:]) / 2
 
-    def guess(at: float) -> tuple[ca.SX | float, ...]:
+    def guess(at: ca.SX) -> tuple[ca.SX | float, ...]:
         """Cranks outside."""
         found = []
         for base, side in ((left, 1.0), (right, -1.0)):
@@ -196,7 +196,7 @@ def platform() -> sc.MechanicalSystem:
 
     rods = [corner(k, x, y, turn) - ca.DM(BASES[k]) - 0.45 * e(q.q[3 + k]) for k in range(3)]
 
-    def guess(at: float) -> tuple[ca.SX | float, ...]:
+    def guess(at: ca.SX) -> tuple[ca.SX | float, ...]:
         turn = ca.vertcat(ca.horzcat(ca.cos(at[2]), -ca.sin(at[2])), ca.horzcat(ca.sin(at[2]), ca.cos(at[2])))
         cranks = []
         for k in range(3):
@@ -253,7 +253,7 @@ def elastic_rod(rod: float, stretch: float) -> sc.MechanicalSystem:
     reach = rod + d
     closure = ca.vertcat(0.15 * ca.sin(a) + reach * ca.sin(b), 0.15 * ca.cos(a) + reach * ca.cos(b) - x)
 
-    def guess(at: float) -> tuple[ca.SX | float, ...]:
+    def guess(at: ca.SX) -> tuple[ca.SX | float, ...]:
         a = ca.acos((0.15**2 + at[0] ** 2 - rod**2) / (0.3 * at[0]))
         return a, ca.atan2(-0.15 * ca.sin(a), at[0] - 0.15 * ca.cos(a)), at[0], 0.0
 
@@ -282,7 +282,7 @@ def elastic_slider_crank(rod: float = 0.3, stretch: float = 1e-5, generalized: b
         force = 2.0 * x.d().d()  # of the rod on the slider
         rigid = np.arccos((0.15**2 + x.value**2 - rod**2) / (0.3 * x.value))
 
-        def residual(a: float, d: float) -> tuple[float, float]:
+        def residual(a: Jet, d: Jet) -> tuple[Jet, Jet]:
             c, s = cos_sin(a)
             dx, dy, reach = x - 0.15 * c, -0.15 * s, rod + d
             # The rod pulls the slider back by its tension, along itself.

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -226,7 +227,7 @@ def container() -> sc.MechanicalSystem:
 
 
 def container_crane() -> Case:
-    def slope(s: Array, path: sc.Reference) -> Array:
+    def slope(s: Any, path: Any) -> Array:
         (x_2, z_2), paid = path[2], -path[0, 1] / np.cos(s[0])
         return np.array([s[1], -30.0 * paid * (x_2 * np.cos(s[0]) + (z_2 + g) * np.sin(s[0])) / 12.0])
 

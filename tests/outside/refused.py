@@ -99,7 +99,7 @@ def speed_as_output() -> sc.MechanicalSystem:
 
 
 REFUSED = {
-    each.__name__: Refusal(lambda each=each: scene(each), words)
+    each.__name__: Refusal(lambda each=each: scene(each), words)  # type: ignore[misc]  # wrong on purpose
     for each, words in {
         ball_on_a_beam: "no relative degree|singular",
         car_that_nothing_drives: "structurally singular: nothing determines u.F",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -74,7 +75,7 @@ def test_torques_of_an_arm_that_is_all_but_stretched_are_told(steps: int) -> Non
         sc.solve(out_and_back(REACH - 1e-9), step=2.0 / steps)
 
 
-def mass_on_a_rail(mass: ca.SX | float, force: ca.SX | float) -> sc.Scene:
+def mass_on_a_rail(mass: Callable[[ca.SX], Any], force: Callable[[ca.SX], Any]) -> sc.Scene:
     q = coordinates("x")
     x, v = q.q[0], q.v[0]
     system = sc.MechanicalSystem(

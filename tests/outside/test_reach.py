@@ -139,12 +139,12 @@ def skate(**changed: float) -> sc.MechanicalSystem:
 
 def test_a_velocity_as_output_is_refused_by_name_with_the_alternative() -> None:
     with pytest.raises(sc.InvalidModel, match=r"the output speed depends on velocities \(v_x\).*integral of the path"):
-        skate(output=lambda c: c.v[0] * ca.cos(c.q[1]))
+        skate(output=lambda c: c.v[0] * ca.cos(c.q[1]))  # type: ignore[arg-type]  # wrong on purpose
 
 
 def test_a_nonholonomic_constraint_is_refused_by_name_with_the_alternative() -> None:
     with pytest.raises(sc.InvalidModel, match=r"the constraint g_1 depends on velocities \(v_x, v_z\).*nonholonomic"):
-        skate(constraints=lambda c: c.v[0] - 0.3 * c.v[1])
+        skate(constraints=lambda c: c.v[0] - 0.3 * c.v[1])  # type: ignore[arg-type]  # wrong on purpose
     assert skate(constraints=lambda c: c.q[0] - 0.3 * c.q[1]).lam.numel() == 1  # its integral
 
 

@@ -53,7 +53,7 @@ def own_swing(scene: sc.Scene, t: np.ndarray) -> np.ndarray:
         x_2 = scene.reference.jet(min(time, 2.0 - 1e-15), 2)[2, 0]
         return s[1], -(g * np.sin(s[0]) + x_2 * np.cos(s[0])) / 0.7
 
-    return solve_ivp(slope, (0.0, 2.0), list(SWINGING.values()), "DOP853", t, rtol=1e-12, atol=1e-12).y[0]
+    return np.asarray(solve_ivp(slope, (0.0, 2.0), list(SWINGING.values()), "DOP853", t, rtol=1e-12, atol=1e-12).y[0])
 
 
 @pytest.mark.parametrize(
