@@ -212,7 +212,7 @@ def test_fmutool_finds_no_problems(name: str) -> None:
 @pytest.mark.parametrize("name", FILES)
 def test_the_command_line_of_ecos_a_native_host_runs_every_fmu(name: str, tmp_path: Path) -> None:
     required("ecospy")
-    program = Path(str(find_spec("ecospy").origin)).parent / "binaries" / "ecos"  # type: ignore[union-attr]
+    program = Path(str(find_spec("ecospy").origin)).parent / "binaries" / "ecos"  # type: ignore[union-attr]  # it is there
     if not program.is_file():
         pytest.skip("this ecospy has no command line")
     copy = tmp_path / "ecos"  # the package forgets to make it executable
