@@ -275,6 +275,15 @@ def test_the_exact_run_satisfies_the_equations_that_peers_get(scene: str, formul
     assert np.asarray(residual[1]).ravel() == pytest.approx(np.array(exact), abs=1e-8)
 
 
+@pytest.mark.usefixtures("compiler")
+def test_a_peer_whose_functions_are_machine_code_gives_an_answer() -> None:
+    casadi = importlib.import_module("benchmarks.peers.casadi_integrators")
+    found = [each for each in casadi.candidates(problems()[1], Effort()) if "machine code" in each.method]
+    prepared = found[0].prepare()
+    answer = prepared.read(prepared.run())
+    assert {name: values.shape for name, values in answer.inputs.items()} == dict.fromkeys(problems()[1].inputs, (201,))
+
+
 def test_a_plain_run_of_the_library_is_what_a_row_times() -> None:
     problem = problems()[1]
     (candidate,) = (

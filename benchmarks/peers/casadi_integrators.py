@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from contextlib import chdir
 from functools import partial
 
 import casadi as ca
@@ -27,7 +28,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
 COMPILED_TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-11)
 COMPILED_OPTIONS = {
     "jit": True, "compiler": "shell",
-    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False, "folder": f"{tempfile.gettempdir()}/"},
+    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False},
 }  # fmt: skip
 """With functions that a compiler has made ready, as ours are where they are machine code."""
 ELEMENTS = (200, 400, 800)  # of low order
@@ -95,7 +96,8 @@ def prepare(form: Form, plugin: str, options: dict[str, object], elements: int =
     x, z, ode, alg, y, yp = semi_explicit(form)
     t = form.problem.grid(min(elements, OUTPUT_INTERVALS))
     dae = {"t": form.t, "x": x, "z": z, "ode": ode, "alg": alg}
-    integrator = ca.integrator("peer", plugin, dae, t[0], list(t[1:]), options)
+    with chdir(tempfile.gettempdir()):  # where a compiler's files go
+        integrator = ca.integrator("peer", plugin, dae, t[0], list(t[1:]), options)
     integrate = Lean(integrator)
     rebuild = Lean(ca.Function("rebuild", [form.t, x, z], [ca.densify(y), ca.densify(yp)]).map(len(t)))
     final_x, final_z = (integrate.results[integrator.index_out(name)] for name in ("xf", "zf"))
