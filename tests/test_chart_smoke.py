@@ -31,7 +31,7 @@ from benchmarks.chart.timing import measure  # noqa: E402
 
 DOCS = ROOT / "docs" / "speed-accuracy"
 SECTIONS = ("Scene", "Models", "Formulations", "Methods", "Peers", "Machine and versions", "Figures", "Table",
-            "What to pick")  # fmt: skip
+            "Which route to choose")  # fmt: skip
 SCENES = ["rotary_crane", "overhead_crane", "three_cars", "mass_on_car", "arm"]
 
 

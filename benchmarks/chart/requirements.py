@@ -24,7 +24,7 @@ WANTED_BESIDE_IDAS = {"mass_on_car": 2.0, "arm": 2.0, "overhead_crane": 5.0, "th
 MOST_OF_C, MOST_MINUTES = 10.0, 20.0
 
 
-_BESIDE = "an instant of `ExactInversion` beside its functions in C, "
+_BESIDE = "time per instant of `ExactInversion`, divided by that of the bare C function, "
 _MINUTES = "the whole study"
 _CALL = "both sides are interpreted here, and a call of 40 instants is mostly the call itself, some 0.3 ms"
 _MORE = "the interpreter, and the derivatives of the path, take what C and its arguments that are ready do not"
