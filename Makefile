@@ -11,7 +11,7 @@ PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop native platforms check format fmu bench chart atlas planning jobs effects pictures docs clean
+.PHONY: help demo test versions hostile nightly ivp load loop loopnative native platforms check format fmu bench chart atlas planning jobs effects pictures docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -48,6 +48,9 @@ load: $(INSTALLED)  ## 200 instances and a million steps: memory must not grow
 
 loop: $(INSTALLED)  ## close the loop of inverse model and plant over 200 random manoeuvres at every step (half an hour or more)
 	$(BIN)/python tests/loop_study.py
+
+loopnative: $(INSTALLED)  ## the same with native FMUs, 50 manoeuvres of each kind (some quarter of an hour)
+	$(BIN)/python tests/loop_study.py 50 --native
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
 	SERVOCORE_NATIVE=full $(RUN) pytest -s --durations=0 -n $(TEST_PROCESSES) tests/test_export_hosts.py \
