@@ -93,6 +93,7 @@ planning: $(INSTALLED)  ## plan ten manoeuvres within limits, into docs/planning
 
 jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (some ten minutes)
 	$(RUN) benchmarks.planning.jobs
+	$(RUN) benchmarks.planning.more_jobs
 
 effects: $(INSTALLED)  ## compare estimates of left out effects with simulations, into docs/effects (some ten minutes)
 	$(RUN) benchmarks.effects
