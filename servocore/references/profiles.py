@@ -345,5 +345,5 @@ DEGREE9 = polynomial(9)
 DEGREE13 = polynomial(13)
 """1716 T^7 - 9009 T^8 + 20020 T^9 - 24024 T^10 + 16380 T^11 - 6006 T^12 + 924 T^13, C^6."""
 
-TIME_LAWS: Mapping[str, Profile] = {each.name: each for each in (DEGREE9, DEGREE13, three_phase())}
+TIME_LAWS: Mapping[str, Profile] = {"degree9": DEGREE9, "degree13": DEGREE13, "three-phase": three_phase()}
 """Time laws that commands, pages and FMUs offer, by name, the default first; smooth enough for inputs of a crane."""
