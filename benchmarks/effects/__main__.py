@@ -9,7 +9,7 @@ from benchmarks.effects.cases import DURATIONS, STUDY, STUDY_OPEN, cases
 from benchmarks.effects.figures import draw_comparison, draw_levels
 from benchmarks.effects.fresh import fresh_cases
 from benchmarks.effects.measure import Verdict, all_pairs, own_errors, pairs, shown_estimates
-from benchmarks.effects.page import page, table_of
+from benchmarks.effects.page import page, pairs_of, table_of
 
 DOCS = Path(__file__).parents[2] / "docs"
 _OWN_DURATION = 5.0  # s
@@ -19,7 +19,16 @@ def main(arguments: list[str] | None = None) -> int:
     """Measure and write; returns 1 if of either set fewer than 95 % are within 10 %, or an estimate crosses a line."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.effects", description=__doc__)
     parser.add_argument("--out", type=Path, default=DOCS, help="folder with the pages")
-    target = parser.parse_args(arguments).out
+    parser.add_argument("--draw", action="store_true", help="measure nothing: figures from the tables that are there")
+    chosen = parser.parse_args(arguments)
+    target = chosen.out
+    if chosen.draw:
+        for name in ("comparison", "fresh"):
+            known_pairs = pairs_of((target / "effects" / f"{name}.csv").read_text(encoding="utf-8"))
+            draw_comparison(known_pairs, target / "effects" / f"{name}.png")
+            if name == "comparison":
+                draw_levels(known_pairs, target / "pictures" / "effects.png")
+        return 0
     known = cases()
     found = all_pairs((each, DURATIONS) for each in known)
     fresh = all_pairs((each, (duration,)) for each, duration in fresh_cases())

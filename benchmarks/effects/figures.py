@@ -8,12 +8,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 
-from benchmarks.atlas.style import BAD, GOOD, OTHER, STYLE
+from benchmarks.atlas.style import FOURTH, GOOD, OTHER, STYLE
 from benchmarks.effects.cases import DURATIONS
 from benchmarks.effects.measure import LINES, Pair
 from servocore.effects.report import ESTIMATED, SIMULATED
 
-_MARKS = dict(zip(DURATIONS, ((GOOD, "o"), (OTHER, "^"), (BAD, "s")), strict=True))
+_MARKS = dict(zip(DURATIONS, ((GOOD, "o"), (OTHER, "^"), ("#000000", "s")), strict=True))
 _SHOWN = ("rotary crane", "big rotary crane")
 
 
@@ -54,8 +54,8 @@ def _levels_of(axis: Axes, pairs: Sequence[Pair], effects: Sequence[str]) -> Non
 
 def draw_comparison(pairs: Sequence[Pair], target: Path) -> None:
     """Draw estimated against simulated errors, and their ratio; filled where `effects` shows the simulation."""
-    looks = {"rotary crane": (GOOD, "o"), "big rotary crane": (BAD, "s"), "gantry crane": (OTHER, "^"),
-             "overhead crane": ("#8a5bb0", "D")}  # fmt: skip
+    looks = {"rotary crane": (GOOD, "o"), "big rotary crane": ("#000000", "s"), "gantry crane": (OTHER, "^"),
+             "overhead crane": (FOURTH, "D")}  # fmt: skip
     with plt.rc_context(STYLE):
         figure, (left, right) = plt.subplots(1, 2, figsize=(7.4, 3.4), sharex=True, layout="constrained")
         for crane, (colour, mark) in looks.items():

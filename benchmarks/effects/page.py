@@ -185,3 +185,12 @@ def _own_table(own: Sequence[tuple[str, str, float]]) -> str:
         cells = [f"{known[crane, effect]:.1e}" if (crane, effect) in known else "-" for crane in cranes]
         lines.append(f"| {effect} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
+
+
+def pairs_of(text: str) -> list[Pair]:
+    """Undo `table_of`, to the digits that it writes."""
+    kinds = {"int": int, "float": float, "str": str}
+    known = {field.name: kinds[str(field.type)] for field in fields(Pair)}
+    return [
+        Pair(**{name: known[name](value) for name, value in row.items()}) for row in csv.DictReader(text.splitlines())
+    ]
