@@ -77,6 +77,19 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
     assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
 
 
+def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
+    Path("my_crane.py").write_text("import servocore as sc\n\ndef mine():\n    return sc.scenes.overhead_crane()\n")
+    limits = ["--limit", "F=200"]
+    plan = run("plan", "my_crane:mine", *LEVEL, *limits, "-o", "p.csv", "--path", "way.csv")
+    assert plan.exit_code == 0, plan.stderr
+    played = run("feedforward", "my_crane:mine", "--reference", "way.csv", *limits, "-o", "again.csv")
+    assert played.exit_code == 0, played.stderr
+    planned, again = read("p.csv"), read("again.csv")
+    np.testing.assert_allclose(again["time"], planned["time"], rtol=1e-12)
+    for name, most in (("F", 1e-3), ("M_w", 1e-3), ("x", 1e-9), ("z", 1e-9)):  # of 200 N: round-off, as above
+        assert np.abs(again[name] - planned[name]).max() < most
+
+
 def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None:
     run.assert_refused(
         run("plan", "elastic_bar", "--from", 0, "--to", 1, "--limit", "u=20", "--path", "way.csv"),
