@@ -21,6 +21,7 @@ from servocore.references.base import Reference
 from servocore.solution import Solution
 
 _REST = 1e-6  # of the largest speed, acceleration, ...: what is smaller is round-off of a path at rest
+_MANY = 100_000  # rows; to solve a million again takes gigabytes
 _RATES = {0: "speed", 1: "acceleration", 2: "jerk"}
 
 Columns = Annotated[
@@ -68,6 +69,8 @@ def summary(solution: Solution) -> list[str]:
     lines.append(f"  ends: {_rest(path, problem.array.reference_order, [each.unit for each in system.outputs])}")
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
+    if len(solution.t) > _MANY:
+        return [*lines, f"  inputs: how far they are off is not told for more than {_MANY} rows"]
     error = solution.error
     if error.largest is not None:
         lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
