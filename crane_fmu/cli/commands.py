@@ -140,7 +140,10 @@ def feedforward(
 
 app.command("plan", epilog=plan.EXAMPLES)(plan.plan_motion)
 
-OutputFolder = Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder; made if it is not there.")]
+OutputFolder = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="DIR", help="Write into this folder, which is made if it does not exist."),
+]
 
 
 @app.command(epilog="The same as [cyan]python build_fmu.py[/cyan].")
@@ -172,7 +175,10 @@ def ssp(
     parameters: ParametersFile = None,
     native: Annotated[bool, typer.Option("--native", help="FMUs in C, which need no Python where they run.")] = False,
     targets: Annotated[
-        str | None, typer.Option("--targets", metavar="LIST", help="Platforms of --native, as of servocore export.")
+        str | None,
+        typer.Option(
+            "--targets", metavar="LIST", help="Platforms for which --native compiles, as in servocore export."
+        ),
     ] = None,
 ) -> None:
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
@@ -210,7 +216,9 @@ _DRIVE_EXAMPLE = """[bold]Example[/bold]
 
 @app.command(epilog=_DRIVE_EXAMPLE)
 def drive(
-    plant: Annotated[Path, typer.Argument(metavar="PLANT.fmu", help="Any crane as an FMU, your own for instance.")],
+    plant: Annotated[
+        Path, typer.Argument(metavar="PLANT.fmu", help="Drive this FMU of a crane, your own for instance.")
+    ],
     mapped: Signals = None,
     settings: Settings = None,
     reference: ReferenceFile = None,

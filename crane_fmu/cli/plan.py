@@ -80,10 +80,10 @@ def planned(
 Robust = Annotated[
     list[str] | None,
     typer.Option("--robust", metavar="NAME=LOW..HIGH", rich_help_panel=CRANE,
-                 help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1."),
+                 help="Keep the limits for these factors of a parameter, too: load_mass=0.9..1.1."),
 ]  # fmt: skip
 Free = Annotated[
-    bool, typer.Option("--free", rich_help_panel=LINE, help="Choose the way between --from and --to as well.")
+    bool, typer.Option("--free", rich_help_panel=LINE, help="Let the plan choose the way between --from and --to, too.")
 ]
 KeepOut = Annotated[
     list[str] | None,

@@ -17,7 +17,9 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore cache clear[/cyan]
 """
 
-_What = Annotated[str, typer.Argument(metavar="[clear]", help="What to do: nothing but look, or clear.")]
+_What = Annotated[
+    str, typer.Argument(metavar="[clear]", help="Clear the cache; without this word it is only described.")
+]
 
 
 def show_cache(what: _What = "") -> None:

@@ -35,7 +35,7 @@ Tolerance = Annotated[
 ]
 Bandwidth = Annotated[
     float | None,
-    typer.Option("--bandwidth", metavar="W", help="Of the drives' position loops (rad/s).", show_default="6"),
+    typer.Option("--bandwidth", metavar="W", help="Bandwidth of the drives' position loops (rad/s).", show_default="6"),
 ]
 OpenLoop = Annotated[bool, typer.Option("--open-loop", help="Inputs alone drive the plant, without position loops.")]
 Simulate = Annotated[bool, typer.Option("--simulate", help="Simulate every plant, instead of those hard to estimate.")]

@@ -38,11 +38,15 @@ LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml"
 Start = Annotated[
     str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
 ]
-End = Annotated[str | None, typer.Option("--to", metavar="X Y ...", help="End.")]
+End = Annotated[
+    str | None, typer.Option("--to", metavar="X Y ...", help="End: as many numbers as the scene has outputs.")
+]
 LimitTexts = Annotated[
     list[str] | None,
     typer.Option(
-        "--limit", metavar="NAME=VALUE", help="F=60, M_w=-104..-92, swing=5deg, s.rate=1.2, as many as there are."
+        "--limit",
+        metavar="NAME=VALUE",
+        help="Keep a limit: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2; may be repeated.",
     ),
 ]
 Output = Annotated[

@@ -52,7 +52,7 @@ _MOST_ROWS = 1e7
 
 
 Between = Annotated[
-    list[str] | None, typer.Option("--by", metavar="X Y ...", help="A point on the way, any number of times.")
+    list[str] | None, typer.Option("--by", metavar="X Y ...", help="Lead the path through this point; may be repeated.")
 ]
 ReferenceFile = Annotated[
     Path | None,
@@ -67,10 +67,10 @@ Robust = Annotated[
     typer.Option(
         "--robust",
         metavar="NAME=LOW..HIGH",
-        help="Factors of a parameter at which the limits are kept as well: load_mass=0.9..1.1.",
+        help="Keep the limits for these factors of a parameter, too: load_mass=0.9..1.1.",
     ),
 ]
-Free = Annotated[bool, typer.Option("--free", help="Choose the way between --from and --to as well.")]
+Free = Annotated[bool, typer.Option("--free", help="Let the plan choose the way between --from and --to, too.")]
 KeepOut = Annotated[
     list[str] | None,
     typer.Option(

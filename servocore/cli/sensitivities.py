@@ -24,9 +24,13 @@ EXAMPLES = """[bold]Examples[/bold]
 """
 
 ByParameters = Annotated[
-    list[str] | None, typer.Option("--wrt", metavar="NAME", help="A parameter, any number of times. Default: all.")
+    list[str] | None,
+    typer.Option("--wrt", metavar="NAME", help="Differentiate by this parameter; may be repeated. Default: all."),
 ]
-Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.csv", help="All derivatives over time.")]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE.csv", help="Write all derivatives over time to this file."),
+]
 Plot = Annotated[
     Path | None,
     typer.Option("--plot", metavar="FILE.png", help=f"Draw effects of one per cent; {', '.join(PICTURES)} are known."),

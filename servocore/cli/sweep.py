@@ -38,24 +38,31 @@ Varied = Annotated[
     list[str] | None,
     typer.Option(
         "--vary", metavar="NAME=LOW:HIGH:COUNT",
-        help="A parameter, or the duration, from LOW to HIGH; several give the product. With --sample: NAME=LOW:HIGH.",
+        help="Vary a parameter, or the duration, from LOW to HIGH; if repeated, all"
+                 " combinations. With --sample: NAME=LOW:HIGH.",
     ),
 ]  # fmt: skip
 Sample = Annotated[
     int | None, typer.Option("--sample", metavar="COUNT", help="Draw so many cases from the ranges instead.")
 ]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Of the draw; the same seed draws the same cases.")]
+Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of --sample; the same seed draws the same cases.")]
 Folder = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help=f"Where {_STORE} and the page go.")]
 Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of a Dask scheduler, whose workers compute.")
+    str | None,
+    typer.Option(
+        "--scheduler", metavar="ADDRESS", help="Compute on the workers of the Dask scheduler at this address."
+    ),
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Complete a store that an earlier run left.")]
 LimitTexts = Annotated[
-    list[str] | None, typer.Option("--limit", metavar="NAME=VALUE", help="Tell the margin of F=60, swing=5deg, ...")
+    list[str] | None,
+    typer.Option(
+        "--limit", metavar="NAME=VALUE", help="Report the margin to a limit: F=60, swing=5deg, ...; may be repeated."
+    ),
 ]
-Instants = Annotated[int, typer.Option("--instants", metavar="N", help="At how many instants a case is looked at.")]
+Instants = Annotated[int, typer.Option("--instants", metavar="N", help="Evaluate each case at so many instants.")]
 Tables = Annotated[bool, typer.Option("--parquet", help=f"Write a folder of tables, {_TABLES}, instead.")]
-Inputs = Annotated[bool, typer.Option("--inputs", help="Keep the inputs over time too.")]
+Inputs = Annotated[bool, typer.Option("--inputs", help="Store the inputs over time, too.")]
 
 
 def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
