@@ -39,7 +39,7 @@ Varied = Annotated[
     typer.Option(
         "--vary", metavar="NAME=LOW:HIGH:COUNT",
         help="Vary a parameter, or the duration, from LOW to HIGH; if repeated, all"
-                 " combinations. With --sample: NAME=LOW:HIGH.",
+             " combinations. With --sample: NAME=LOW:HIGH.",
     ),
 ]  # fmt: skip
 Sample = Annotated[
