@@ -176,7 +176,8 @@ def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
 
 def _covered(name: str, orders: int, on: ca.SX, duration: ca.SX, ramp: ca.SX) -> list[ca.SX]:
     """Return the share of the way that is covered some time after the nearer end, and its derivatives by that time."""
-    if name == "three-phase":
+    law = TIME_LAWS[name]
+    if not isinstance(law, PolynomialProfile):
         cruise = duration - ramp
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
         rising = x**5 * sum(share * y**k for k, share in enumerate(_RAMP_SHARES)) * ramp / cruise
@@ -184,7 +185,7 @@ def _covered(name: str, orders: int, on: ca.SX, duration: ca.SX, ramp: ca.SX) ->
         first = ca.substitute(first, [x, y], [on / ramp, (ramp - on) / ramp])
         steady = [(on - ramp / 2) / cruise, 1 / cruise, *[ca.SX(0)] * orders]
         return [ca.if_else(on < ramp, early, late) for early, late in zip(first, steady, strict=False)]
-    k = PolynomialProfile(name, int(name.removeprefix("degree-"))).smoothness
+    k = law.smoothness
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     share = x ** (k + 1) * sum(math.comb(k + i, i) * y**i for i in range(k + 1))
     return list(ca.substitute(_by_time([share], x, y, duration, orders), [x, y], [on / duration, 1 - on / duration]))
