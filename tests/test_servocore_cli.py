@@ -116,7 +116,7 @@ class TestAnalyse:
         assert_refused(run("analyse", "cars", "--parameters", "binary.toml"), "not UTF-8 text")
         assert_refused(run("analyse", "train"), "no scene is called train; there are rotary_crane, ")
         assert_refused(run("analyse", "cars", "--model", "bodies"), "cars has no model bodies; it has points")
-        assert_refused(run("analyse"), "see servocore --help")
+        assert_refused(run("analyse"), "see servocore analyse --help")
 
 
 class TestLevels:

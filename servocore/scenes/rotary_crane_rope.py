@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from servocore.model.potentials import Potential
-from servocore.model.rotationless.flexible import ElasticRope
+from servocore.model.rotationless.flexible import ElasticRope, require_elements
 from servocore.model.scene import Scene
 from servocore.model.symbols import Coordinates, Parameter, Parameters
 from servocore.model.system import MechanicalSystem
@@ -47,6 +47,9 @@ class OnRope:
 
     base: Callable[[], MechanicalSystem]
     elements: int
+
+    def __post_init__(self) -> None:
+        require_elements("rope rope", self.elements)  # at once: True equals 1 where models are looked up
 
     def __call__(self) -> MechanicalSystem:
         """Return the crane."""

@@ -270,9 +270,14 @@ def _centre(places: Sequence[ca.SX]) -> ca.SX:
     return sum(middles[1:], middles[0]) / len(middles)
 
 
-def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> None:
+def require_elements(what: str, elements: object) -> None:
+    """Raise `InvalidModel` unless this is how many elements a body may have."""
     if isinstance(elements, bool) or not isinstance(elements, int) or elements < 1:
         raise InvalidModel(f"{what} needs a whole number of elements, one at least, not {elements!r}")
+
+
+def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> None:
+    require_elements(what, elements)
     _positive(f"{what}: its length", length, parameters)
 
 
