@@ -280,9 +280,9 @@ class Solution:
         >>> solution = sc.solve(sc.scenes.cars(), step=0.1)
         >>> solution.animate(frames=5).save("cars.gif", writer="pillow")
         """
-        for value, what in ((speed, "speed"), (frames, "number of frames")):
-            if not value > 0:
-                raise InvalidSetting(f"the {what} of an animation must be positive, not {value!r}")
+        for value, kind, what in ((speed, (int, float), "a positive speed"), (frames, int, "a whole number of frames")):
+            if not isinstance(value, kind) or not value > 0:
+                raise InvalidSetting(f"an animation needs {what}, not {value!r}")
         if self.origin is None:
             raise InvalidSetting("this solution does not know what was solved, so that it cannot be drawn")
         return animation_of(self._motion(), self.origin.name.replace("_", " "), speed, frames)

@@ -101,8 +101,9 @@ UNCLEAR = {
     "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
     "commas between cells and digits": (text(ROWS, point=","), "line 2: 8 cells .* decimal commas need semicolons"),
     "grouped digits": ("time;x;y;z\n0;1.234,5;0;1\n", "column x: '1.234,5' is not a finite number; digits are not"),
-    "unknown unit": (text(ROWS, "time,x [ft],y,z"), "line 1, column x: its unit 'ft' is not known here; there are m"),
-    "unit of another order": (text(ROWS, "time,x [m/s],y,z"), "column x: its unit 'm/s' is not known"),
+    "unknown unit": (text(ROWS, "time,x [ft],y,z"), "line 1, column x: its unit must be one of m, mm, cm, km, not 'f"),
+    "unit of another order": (text(ROWS, "time,x [m/s],y,z"), "column x: its unit must be .* m, mm, cm, km, not 'm/s'"),
+    "angles of a load": (text(ROWS, "time,x [deg],y,z"), "column x: its unit must be one of m, mm, cm, km, not 'deg'"),
     "no text": (b"\xff\xfe\x00", "cannot be read as a table: .*; save it as CSV in UTF-8"),
     "latin letters": ("time,x,y,z\n0,1,2,3\xb2\n".encode("latin-1"), "cannot be read as a table"),
 }
@@ -127,6 +128,32 @@ def test_plain_numbers_and_cells_one_by_one_give_the_same_table(tmp_path: Path) 
     plain, _ = read(tmp_path, text(ROWS))
     quoted, _ = read(tmp_path, text(ROWS).replace("5.0,", '"5.0",', 1))
     assert (plain.coefficients == quoted.coefficients).all()
+
+
+def test_units_are_of_the_kind_that_the_outputs_have(tmp_path: Path) -> None:
+    file = tmp_path / "turn.csv"
+    file.write_text("time,y [deg]\n0,0\n5,30\n")
+    with pytest.warns(ServocoreWarning, match="y in deg"):
+        turned = sc.waypoints_from_csv(file, ["y"], units=["rad"])
+    assert turned.jet(5.0, 0)[0, 0] == pytest.approx(np.radians(30.0), rel=1e-15)
+    with pytest.raises(InvalidReference, match="column y: its unit must be one of m, mm, cm, km, not 'deg'"):
+        sc.waypoints_from_csv(file, ["y"], units=["m"])
+
+
+def test_seconds_since_1970_are_as_exact_as_others(tmp_path: Path) -> None:
+    plain, _ = read(tmp_path, text(ROWS))
+    since, _ = read(tmp_path, "time,x,y,z\n" + "".join(
+        f"{1_700_000_000 + int(row[0])}.{round(row[0] % 1 * 1e6):06d},{row[1]!r},{row[2]!r},{row[3]!r}\n"
+        for row in ROWS.tolist()
+    ))  # fmt: skip
+    np.testing.assert_allclose(since.jet(T, 2), plain.jet(T, 2), rtol=0.0, atol=1e-12)
+
+
+def test_a_velocity_where_the_path_rests_is_refused_with_its_line(tmp_path: Path) -> None:
+    file = tmp_path / "way.csv"
+    file.write_text("time,x,y,z,vx,vy,vz,stop\n0,1,0,-5,,,,\n5,2,0,-5,0.1,0,0,1\n9,3,0,-5,,,,\n")
+    with pytest.raises(InvalidReference, match=r"way\.csv: line 3 has a velocity, but the path rests there"):
+        sc.waypoints_from_csv(file)
 
 
 # --- waypoints with speeds and stops ----------------------------------------------------------------------
@@ -175,9 +202,9 @@ def test_a_velocity_is_met_with_all_but_one_of_the_derivatives_of_a_spline(tmp_p
     ("header", "ends", "sentence"),
     [
         ("time,x,y,z,stop", [["0"], ["maybe"], [""], [""]], "line 3, column stop: 'maybe' is neither 1 nor 0"),
-        ("time,x,y,z,vx,vy,vz", [["1", "0", "0"], *[[""] * 3] * 3], "waypoint 0 has a velocity, but the path rests"),
-        ("time,x,y,z,vx,vy,vz", [[""] * 3, ["1", "", "0"], *[[""] * 3] * 2], "waypoint 1 has a velocity in some dir"),
-        ("time,x,y,z,vx,vy,vz,stop", [[""] * 4, ["1", "0", "0", "1"], *[[""] * 4] * 2], "waypoint 1 has a velocity, b"),
+        ("time,x,y,z,vx,vy,vz", [["1", "0", "0"], *[[""] * 3] * 3], "line 2 has a velocity, but the path rests"),
+        ("time,x,y,z,vx,vy,vz", [[""] * 3, ["1", "", "0"], *[[""] * 3] * 2], "line 3 has a velocity in some dir"),
+        ("time,x,y,z,vx,vy,vz,stop", [[""] * 4, ["1", "0", "0", "1"], *[[""] * 4] * 2], "line 3 has a velocity, b"),
     ],
 )
 def test_waypoints_that_contradict_themselves_are_refused(

@@ -81,7 +81,7 @@ def test_an_animation_is_written_as_gif_and_shown_by_a_notebook(tmp_path: Path) 
 
 
 def test_an_animation_that_cannot_be_is_refused_with_a_sentence(solution: sc.Solution) -> None:
-    with pytest.raises(sc.InvalidSetting, match="the speed of an animation must be positive, not 0"):
+    with pytest.raises(sc.InvalidSetting, match="an animation needs a positive speed, not 0"):
         solution.animate(speed=0)
     with pytest.raises(sc.InvalidSetting, match="this solution does not know what was solved"):
         pickle.loads(pickle.dumps(solution)).animate()

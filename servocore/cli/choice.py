@@ -43,11 +43,9 @@ def along(scene: Scene, reference: Path | None, model: str | None = None) -> Sce
     """
     if reference is None:
         return scene
-    names, order = (
-        [quantity.name for quantity in scene.model(model).outputs],
-        Problem.of(scene, model).array.reference_order,
-    )
-    return scene.with_reference(from_csv(reference, columns=names, rest_order=order))
+    outputs, order = scene.model(model).outputs, Problem.of(scene, model).array.reference_order
+    names, units = [output.name for output in outputs], [output.unit for output in outputs]
+    return scene.with_reference(from_csv(reference, columns=names, rest_order=order, units=units))
 
 
 def _registered(name: str) -> Scene:

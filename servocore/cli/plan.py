@@ -173,11 +173,12 @@ def _way(
     scene: Scene, start: str | None, end: str | None, between: Sequence[str], reference: Path | None
 ) -> Reference | np.ndarray:
     """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
-    names = [quantity.name for quantity in scene.model().outputs]
+    outputs = scene.model().outputs
+    names = [output.name for output in outputs]
     if reference is not None:
         if start is not None or end is not None or between:
             raise InvalidSetting("a way is given either by --reference or by --from and --to, not by both")
-        return from_csv(reference, columns=names)
+        return from_csv(reference, columns=names, units=[output.unit for output in outputs])
     if start is None or end is None:
         raise InvalidSetting("no way is given: use --from and --to, or --reference")
     given = [("--from", start), *(("--by", each) for each in between), ("--to", end)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,6 +37,7 @@ def from_csv(
     columns: Sequence[str] = COLUMNS,
     *,
     rest_order: int = REST_ORDER,
+    units: Sequence[str] | None = None,
 ) -> PiecewisePolynomial:
     """Path from a file with times, positions and, if known, their derivatives.
 
@@ -59,6 +61,8 @@ def from_csv(
         `columns=[each.name for each in scene.model().outputs]`.
     rest_order : int
         How many derivatives are continuous, and vanish at an end that rests; see `sampled`.
+    units : sequence of str, optional
+        Units of the position columns: where they are given, a header must not name an angle for a length.
 
     Returns
     -------
@@ -79,11 +83,15 @@ def from_csv(
         If something had to be converted.
     """
     require_order(rest_order)
-    return _path_of(read_table(path, columns, len(PREFIXES)), tolerance, rest_order)
+    return _path_of(read_table(path, columns, len(PREFIXES), units=units), tolerance, rest_order)
 
 
 def samples_or_waypoints(
-    path: str | PathLike[str], columns: Sequence[str], tolerance: float | None, rest_order: int
+    path: str | PathLike[str],
+    columns: Sequence[str],
+    tolerance: float | None,
+    rest_order: int,
+    units: Sequence[str] | None = None,
 ) -> tuple[PiecewisePolynomial, int | None]:
     """Return the path of a file, and of how many waypoints it is; None where it is sampled.
 
@@ -96,7 +104,7 @@ def samples_or_waypoints(
         As `from_csv`.
     """
     require_order(rest_order)
-    table = read_table(path, columns, len(PREFIXES), waypoints=True)
+    table = read_table(path, columns, len(PREFIXES), waypoints=True, units=units)
     rows, positions_alone = len(table.t), table.derivatives.shape[1] == 1
     few = positions_alone and tolerance is None and rows < fewest_samples(rest_order)
     if few or table.stops is not None or not np.isfinite(table.derivatives).all():
@@ -130,7 +138,11 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> 
 
 
 def waypoints_from_csv(
-    path: str | PathLike[str], columns: Sequence[str] = COLUMNS, *, rest_order: int = REST_ORDER
+    path: str | PathLike[str],
+    columns: Sequence[str] = COLUMNS,
+    *,
+    rest_order: int = REST_ORDER,
+    units: Sequence[str] | None = None,
 ) -> PiecewisePolynomial:
     """Smooth path from rest to rest through the waypoints of a file.
 
@@ -145,6 +157,8 @@ def waypoints_from_csv(
         Names of the position columns, as in `from_csv`.
     rest_order : int
         How many derivatives vanish at start and end; see `through`.
+    units : sequence of str, optional
+        Units of the position columns: where they are given, a header must not name an angle for a length.
 
     Returns
     -------
@@ -156,7 +170,7 @@ def waypoints_from_csv(
     InvalidReference
         If the file cannot be read or is not such a table, or its times do not increase.
     """
-    return _path_through(read_table(path, columns, 2, waypoints=True), rest_order)
+    return _path_through(read_table(path, columns, 2, waypoints=True, units=units), rest_order)
 
 
 def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
@@ -167,7 +181,8 @@ def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     try:
         return through(table.derivatives[:, 0], table.t, rest_order=rest_order, velocities=speeds, stops=table.stops)
     except InvalidReference as error:
-        raise InvalidReference(f"{table.path}: {error}") from None
+        told = re.sub(r"waypoint (\d+)", lambda found: f"line {table.lines[int(found[1])]}", str(error))
+        raise InvalidReference(f"{table.path}: {told}") from None
 
 
 def _path_of(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:

@@ -11,7 +11,7 @@ import csv
 import io
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from os import PathLike
 from pathlib import Path
@@ -31,7 +31,8 @@ STOP = "stop"
 """The column of waypoints that says where the path comes to rest."""
 
 _TIMES = {"s": 1.0, "ms": 1e3, "us": 1e6, "µs": 1e6, "ns": 1e9, "min": 1.0 / 60.0, "h": 1.0 / 3600.0}
-_LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "km": 1e-3, "rad": 1.0, "deg": 180.0 / np.pi, "°": 180.0 / np.pi}
+_LENGTHS = {"m": 1.0, "mm": 1e3, "cm": 1e2, "km": 1e-3}
+_ANGLES = {"rad": 1.0, "deg": 180.0 / np.pi, "°": 180.0 / np.pi}
 _EPOCHS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _SINCE_1970 = 1e9, 4e9  # s: the years 2001 to 2096
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
@@ -69,7 +70,13 @@ class Table(NamedTuple):
     stops: np.ndarray | None
 
 
-def read_table(path: str | PathLike[str], columns: Sequence[str], groups: int, waypoints: bool = False) -> Table:
+def read_table(
+    path: str | PathLike[str],
+    columns: Sequence[str],
+    groups: int,
+    waypoints: bool = False,
+    units: Sequence[str] | None = None,
+) -> Table:
     """Read and check a table with up to `groups` groups of columns.
 
     Parameters
@@ -82,6 +89,8 @@ def read_table(path: str | PathLike[str], columns: Sequence[str], groups: int, w
         How many groups there may be: positions, velocities, ...
     waypoints : bool
         Whether a column `STOP` may be the last, and cells of derivatives empty.
+    units : sequence of str, optional
+        Units of the position columns; those of x, y and z are metres, of others nothing is known if it is not given.
 
     Raises
     ------
@@ -98,7 +107,8 @@ def read_table(path: str | PathLike[str], columns: Sequence[str], groups: int, w
     if not components or len({"time", *components}) <= len(components):
         raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
     data, told = _bytes_of(file)
-    layout, more = _layout(file, data, components, groups, waypoints)
+    known = units or (("m",) * 3 if components == ("x", "y", "z") else ("",) * len(components))
+    layout, more = _layout(file, data, dict(zip(components, known, strict=True)), groups, waypoints)
     lines, numbers, stops, commas = _numbers_of(file, data, layout)
     told += more + commas + _since_1970(numbers, layout)
     numbers /= layout.factors
@@ -151,7 +161,7 @@ def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
 
 
 def _layout(
-    file: Path, data: bytes, components: Sequence[str], groups: int, waypoints: bool
+    file: Path, data: bytes, components: Mapping[str, str], groups: int, waypoints: bool
 ) -> tuple[_Layout, list[str]]:
     """Read the header; return how the file is made and what is to be told."""
     blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
@@ -175,7 +185,7 @@ def _layout(
         raise InvalidReference(
             f"{file}, line {line}: the header {shortest}{more} was expected, but {','.join(names)!r} was found"
         )
-    factors = [_factor(file, line, name, units.get(name), k, len(components)) for k, name in enumerate(names)]
+    factors = [_factor(file, line, name, units.get(name), k, list(components.values())) for k, name in enumerate(names)]
     told = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
     told += [
         f"{', '.join(same)} in {unit}"
@@ -186,20 +196,21 @@ def _layout(
     return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), told
 
 
-def _factor(file: Path, line: int, name: str, unit: str | None, column: int, width: int) -> float:
-    """Return how many of a column's unit make one of SI."""
+def _factor(file: Path, line: int, name: str, unit: str | None, column: int, measured: Sequence[str]) -> float:
+    """Return how many of a column's unit make one of SI; `measured` are the units of the positions."""
     if unit is None or name == STOP:
         return 1.0
-    order = (column - 1) // width
+    order, component = divmod(column - 1, len(measured))
+    kinds = {"m": _LENGTHS, "rad": _ANGLES}.get(measured[component], _LENGTHS | _ANGLES)
     base, slash, _ = unit.partition("/")
     rate = _RATE.fullmatch(unit.removeprefix(base)) if slash else None
     power = int(rate[1] or _POWERS.get(rate[2], 1)) if rate else -1 if slash else 0
-    factor = _TIMES.get(unit) if column == 0 else _LENGTHS.get(base) if power == order else None
+    factor = _TIMES.get(unit) if column == 0 else kinds.get(base) if power == order else None
     if factor is None:
         per = {0: "", 1: "/s"}.get(order, f"/s^{order}")
-        known = _TIMES if column == 0 else [f"{each}{per}" for each in _LENGTHS]
+        known = _TIMES if column == 0 else [f"{each}{per}" for each in kinds]
         raise InvalidReference(
-            f"{file}, line {line}, column {name}: its unit {unit!r} is not known here; there are {', '.join(known)}"
+            f"{file}, line {line}, column {name}: its unit must be one of {', '.join(known)}, not {unit!r}"
         )
     return factor
 
@@ -287,8 +298,9 @@ def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
     named, first = layout.units.get("time"), numbers[0, 0]
     for unit, factor in _EPOCHS.items() if named is None else [(named, layout.factors[0])]:
         if _SINCE_1970[0] <= first / factor <= _SINCE_1970[1]:
-            numbers[:, 0] -= first  # before any division: fractions of a millisecond stay what they are
-            numbers[:, 0] /= factor if named is None else 1.0
+            # Before any division; doubles as large as these hold microseconds, and fractions of these are round-off.
+            microseconds = np.round((numbers[:, 0] - first) * (1e6 / factor))
+            numbers[:, 0] = microseconds / (1e6 if named is None else 1e6 / factor)
             return [f"times in {unit} since 1970, of which the first becomes 0"]
     return []
 
