@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -20,6 +20,15 @@ from crane_fmu.run import nothing_left
 from servocore.cli import interruption
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup
 from servocore.errors import IntegrationFailed
+
+
+@pytest.fixture(autouse=True)
+def heeds_ctrl_c() -> Iterator[None]:
+    """Heed Ctrl-C even where these tests run in the background, whose processes ignore it and hand that down."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
 
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2"]
 BEGUN = """
