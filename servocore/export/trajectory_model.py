@@ -24,9 +24,6 @@ from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile
 from servocore.references.rest_to_rest import RestToRest
 
-POLYNOMIALS = tuple(law.degree for law in TIME_LAWS.values() if isinstance(law, PolynomialProfile))
-"""Degrees of the time laws that rise by one polynomial; of lower ones inputs jump."""
-
 LAWS: Mapping[str, str] = {
     name: f"one polynomial of degree {law.degree}"
     if isinstance(law, PolynomialProfile)
