@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +12,7 @@ from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.csv_table import PREFIXES, Table, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
-from servocore.references.splines import fewest_samples, sampled, through
+from servocore.references.splines import fewest_samples, joined_legs, sampled
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -178,11 +177,13 @@ def _path_through(table: Table, rest_order: int) -> PiecewisePolynomial:
     if table.derivatives.shape[1] > 2:
         raise InvalidReference(f"{table.path}: waypoints have velocities at most, no accelerations")
     speeds = table.derivatives[:, 1] if table.derivatives.shape[1] > 1 else None
+    positions = table.derivatives[:, 0]
     try:
-        return through(table.derivatives[:, 0], table.t, rest_order=rest_order, velocities=speeds, stops=table.stops)
+        return joined_legs(
+            positions, table.t, None, rest_order, speeds, table.stops, lambda k: f"line {table.lines[k]}"
+        )
     except InvalidReference as error:
-        told = re.sub(r"waypoint (\d+)", lambda found: f"line {table.lines[int(found[1])]}", str(error))
-        raise InvalidReference(f"{table.path}: {told}") from None
+        raise InvalidReference(f"{table.path}: {error}") from None
 
 
 def _path_of(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:

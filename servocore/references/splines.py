@@ -15,7 +15,7 @@ from servocore.references.bspline import REST_ORDER, Ends, Slopes, fit, interpol
 from servocore.references.profiles import three_phase
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import numpy.typing as npt
     from scipy.interpolate import BSpline
@@ -77,6 +77,19 @@ def through(
         times are given, not exactly one of times and duration is given, `rest_order` is not a whole number from 1, or
         the path would move where it rests.
     """
+    return joined_legs(waypoints, times, duration, rest_order, velocities, stops, "waypoint {}".format)
+
+
+def joined_legs(
+    waypoints: npt.ArrayLike,
+    times: npt.ArrayLike | None,
+    duration: float | None,
+    rest_order: int,
+    velocities: npt.ArrayLike | None,
+    stops: npt.ArrayLike | None,
+    called: Callable[[int], str],
+) -> PiecewisePolynomial:
+    """Return the path of `through`; refusals call a waypoint, which they know by its number, as the caller does."""
     resting = Ends(start=True, end=True, order=rest_order)
     table = points(waypoints, "waypoint")
     if len(table) < 2:
@@ -85,7 +98,7 @@ def through(
         raise InvalidReference("give either the times of the waypoints or the duration of the whole path")
     at = _chord_times(table, duration) if duration is not None else _increasing(times, len(table), "waypoint")
     ends = [0, *_inner_stops(stops, len(table)), len(table) - 1]
-    speeds = _speeds(velocities, table, ends)
+    speeds = _speeds(velocities, table, ends, called)
     legs = []
     for first, last in pairwise(ends):
         leg = slice(first, last + 1)
@@ -106,7 +119,9 @@ def _inner_stops(stops: npt.ArrayLike | None, count: int) -> list[int]:
     return [int(each) for each in np.flatnonzero(wanted[1:-1]) + 1]
 
 
-def _speeds(velocities: npt.ArrayLike | None, waypoints: FloatArray, rests: Sequence[int]) -> FloatArray:
+def _speeds(
+    velocities: npt.ArrayLike | None, waypoints: FloatArray, rests: Sequence[int], called: Callable[[int], str]
+) -> FloatArray:
     """Return velocities (n, dimension), NaN where none is given; refuse those that move where the path rests."""
     if velocities is None:
         return np.full_like(waypoints, np.nan)
@@ -118,10 +133,10 @@ def _speeds(velocities: npt.ArrayLike | None, waypoints: FloatArray, rests: Sequ
         )
     partly = np.flatnonzero(np.isfinite(given).any(axis=1) & np.isnan(given).any(axis=1))
     if partly.size:
-        raise InvalidReference(f"waypoint {partly[0]} has a velocity in some directions only: give all or none")
+        raise InvalidReference(f"{called(partly[0])} has a velocity in some directions only: give all or none")
     for each in rests:
         if np.nan_to_num(given[each]).any():
-            raise InvalidReference(f"waypoint {each} has a velocity, but the path rests there")
+            raise InvalidReference(f"{called(each)} has a velocity, but the path rests there")
     return given
 
 
