@@ -36,6 +36,12 @@ def chosen(name: str, parameters: Path | None) -> Scene:
     return scene if parameters is None else scene.with_parameters(**read_parameters(parameters, scene))
 
 
+def path_columns(scene: Scene, model: str | None = None) -> tuple[list[str], list[str]]:
+    """Return the names and the units of the position columns that files of a scene's path have: its outputs."""
+    outputs = scene.model(model).outputs
+    return [output.name for output in outputs], [output.unit for output in outputs]
+
+
 def along(scene: Scene, reference: Path | None, model: str | None = None) -> Scene:
     """Return the scene with the path of a file, whose columns its outputs name; the scene as it is without one.
 
@@ -43,8 +49,8 @@ def along(scene: Scene, reference: Path | None, model: str | None = None) -> Sce
     """
     if reference is None:
         return scene
-    outputs, order = scene.model(model).outputs, Problem.of(scene, model).array.reference_order
-    names, units = [output.name for output in outputs], [output.unit for output in outputs]
+    order = Problem.of(scene, model).array.reference_order
+    names, units = path_columns(scene, model)
     return scene.with_reference(from_csv(reference, columns=names, rest_order=order, units=units))
 
 

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import chosen
+from servocore.cli.choice import chosen, path_columns
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.options import (
     End,
@@ -27,7 +27,6 @@ from servocore.cli.telling import Columns, Verbose, chosen_columns, column_names
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces, require_places
 from servocore.model.limit_files import limits_given
-from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
@@ -128,13 +127,12 @@ def _path(
         return None
     if from_files and len(given) > 1:
         raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-    outputs = scene.model(model).outputs
-    names = [quantity.name for quantity in outputs]
+    names, units = path_columns(scene, model)
     rest_order = Problem.of(scene, model).array.reference_order
     if from_files:
         file = files[from_files[0]]
         assert file is not None
-        return _of_file(file, from_files[0], outputs, tolerance, rest_order)
+        return _of_file(file, from_files[0], (names, units), tolerance, rest_order)
     missing = [name for name in ("--from", "--to", "--duration") if name not in given]
     if missing:
         raise InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
@@ -142,9 +140,9 @@ def _path(
 
 
 def _of_file(
-    file: Path, option: str, outputs: Sequence[Quantity], tolerance: float | None, rest_order: int
+    file: Path, option: str, columns: tuple[list[str], list[str]], tolerance: float | None, rest_order: int
 ) -> Reference:
-    names, units = [output.name for output in outputs], [output.unit for output in outputs]
+    names, units = columns
     if option == "--waypoints":
         return waypoints_from_csv(file, names, rest_order=rest_order, units=units)
     path, waypoints = samples_or_waypoints(file, names, tolerance, rest_order, units)

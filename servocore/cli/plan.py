@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from servocore.cli.choice import chosen
+from servocore.cli.choice import chosen, path_columns
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.options import (
     End,
@@ -173,12 +173,11 @@ def _way(
     scene: Scene, start: str | None, end: str | None, between: Sequence[str], reference: Path | None
 ) -> Reference | np.ndarray:
     """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
-    outputs = scene.model().outputs
-    names = [output.name for output in outputs]
+    names, units = path_columns(scene)
     if reference is not None:
         if start is not None or end is not None or between:
             raise InvalidSetting("a way is given either by --reference or by --from and --to, not by both")
-        return from_csv(reference, columns=names, units=[output.unit for output in outputs])
+        return from_csv(reference, columns=names, units=units)
     if start is None or end is None:
         raise InvalidSetting("no way is given: use --from and --to, or --reference")
     given = [("--from", start), *(("--by", each) for each in between), ("--to", end)]
