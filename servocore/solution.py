@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any
 
 from servocore.errors import InvalidModel, InvalidSetting
@@ -280,7 +281,7 @@ class Solution:
         >>> solution = sc.solve(sc.scenes.cars(), step=0.1)
         >>> solution.animate(frames=5).save("cars.gif", writer="pillow")
         """
-        for value, kind, what in ((speed, (int, float), "a positive speed"), (frames, int, "a whole number of frames")):
+        for value, kind, what in ((speed, Real, "a positive speed"), (frames, Integral, "a whole number of frames")):
             if not isinstance(value, kind) or not value > 0:
                 raise InvalidSetting(f"an animation needs {what}, not {value!r}")
         if self.origin is None:
