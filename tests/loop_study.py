@@ -1,6 +1,7 @@
-"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--native]``.
+"""The whole study of the loop: ``make loop``, or ``python tests/loop_study.py [COUNT [FOLDER]] [--native | --draw]``.
 
-With ``--native`` native FMUs run every manoeuvre themselves, and nothing but the distributions is told.
+With ``--native`` native FMUs run every manoeuvre themselves, and nothing but the distributions is told. With ``--draw``
+nothing runs: the picture is drawn from feedback.csv.
 
 Random manoeuvres run in machine code (`compiled_loop`); the default manoeuvre and one case in twenty also in the FMUs,
 which have to agree. Distributions and the loop's stability go to the standard output, every run into feedback.csv, the
@@ -209,6 +210,16 @@ def main(count: int, folder: Path) -> int:
     return status | (not agreement(count)) | (not stability())
 
 
+def recorded(file: Path) -> list[Run]:
+    """Read the runs that `main` wrote."""
+    with file.open(encoding="utf-8", newline="") as table:
+        return [
+            Run(row["kind"], row["master"], float(row["step"]), row["manoeuvre"],
+                *(float(row[name]) for name in ("jump", "distance", "without")))
+            for row in csv.DictReader(table)
+        ]  # fmt: skip
+
+
 def native(count: int) -> int:
     """Run native FMUs, and print; returns 1 if a bound is broken."""
     status = 0
@@ -219,7 +230,11 @@ def native(count: int) -> int:
 
 
 if __name__ == "__main__":
-    given = [each for each in sys.argv[1:] if each != "--native"]
-    if "--native" in sys.argv:
-        sys.exit(native(int(given[0]) if given else 200))
-    sys.exit(main(int(given[0]) if given else 200, Path(given[1]) if given[1:] else TARGET))
+    options = [word for word in sys.argv[1:] if word.startswith("--")]
+    numbers = [word for word in sys.argv[1:] if word not in options]
+    if "--draw" in options:
+        draw(recorded(TARGET / "feedback.csv"), TARGET / "feedback.png")
+    elif "--native" in options:
+        sys.exit(native(int(numbers[0]) if numbers else 200))
+    else:
+        sys.exit(main(int(numbers[0]) if numbers else 200, Path(numbers[1]) if numbers[1:] else TARGET))
