@@ -85,6 +85,8 @@ def test_a_load_at_rest_can_be_held_up_to_the_boom_s_length_and_the_offset() -> 
     [
         ((6.0, 0.0, -1.0), (12.0, 0.0, -1.0), 20.0, "at t = .* s the load is out of the boom's reach"),
         ((6.0, 0.0, -1.0), (-6.0, 0.1, -1.0), 20.0, "at t = .* s the boom stands upright"),
+        ((0.0, 0.0, -1.0), (6.0, 0.0, -1.0), 20.0, "at t = 0 s the boom stands upright, .* reach is -0.5 m"),
+        ((6.0, 0.0, -1.0), (-6.0, 0.0, -1.0), 20.0, "at t = .* s the boom stands upright, .* reach is -0.0"),
         ((6.0, 0.0, -1.0), (6.0, 0.0, 6.0), 20.0, "at t = .* s the load reaches the boom's tip"),
         ((6.0, 0.0, 5.0), (6.0, 0.0, -1.0), 1.0, "at t = .* s the rope goes slack"),
     ],

@@ -73,6 +73,7 @@ SWINGS = (
 SMALLEST_MARGIN = 1e-3
 """How far in m the rope must stay from where the boom can no longer hold it up, or stands upright."""
 
+_TINY = 1e-300  # m², beside which every square of a length that is not zero is as it was
 _ITERATIONS = 6  # of Newton's method, to round-off unless the boom is almost level
 
 
@@ -167,11 +168,16 @@ def _direction(gamma: ca.SX, p: Parameters) -> ca.SX:
     return pull / ca.norm_2(pull)
 
 
+def _from_axis(place: ca.SX) -> ca.SX:
+    """Return how far a place is from the slewing axis; on the axis its derivatives are zero, not undefined."""
+    return ca.sqrt(ca.sumsqr(place[:2]) + _TINY)
+
+
 def _distance(gamma: ca.SX, p: Parameters) -> ca.SX:
     """How near the rope's line comes to the circle of the boom's feet, by Newton's method from the height of these."""
     towards, load, length = _direction(gamma, p), gamma[:, 0], ca.SX.sym("l")
     place = load + length * towards
-    squared = (ca.norm_2(place[:2]) - p["foot_offset"]) ** 2 + place[2] ** 2
+    squared = (_from_axis(place) - p["foot_offset"]) ** 2 + place[2] ** 2
     slope = ca.gradient(squared, length)
     better = length - slope / ca.gradient(slope, length)
     nearest = -load[2] / towards[2]
@@ -187,7 +193,7 @@ def _tip(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX]:
     """
     towards, load, length = _direction(gamma, p), gamma[:, 0], ca.SX.sym("l")
     tip = load + length * towards
-    missed = (ca.norm_2(tip[:2]) - p["foot_offset"]) ** 2 + tip[2] ** 2 - p["boom_length"] ** 2
+    missed = (_from_axis(tip) - p["foot_offset"]) ** 2 + tip[2] ** 2 - p["boom_length"] ** 2
     better = length - missed / ca.gradient(missed, length)
     along, widest = ca.dot(load, towards), p["boom_length"] + p["foot_offset"]
     found = ca.sqrt(along**2 - ca.sumsqr(load) + widest**2) - along
