@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from numbers import Integral
 
 
 class ServocoreError(Exception):
@@ -106,6 +107,12 @@ def require_kind(
     """Raise `error`, saying what was wanted and what was found, unless `value` is of one of some kinds."""
     if not isinstance(value, kinds):
         raise error(f"{what} must be {wanted}, not {described(value)}")
+
+
+def require_count(value: object, least: int, what: str, error: type[ServocoreError]) -> None:
+    """Raise `error`, saying what was found, unless `value` is a whole number of at least `least`."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+        raise error(f"{what} must be a whole number of at least {least}, not {described(value)}")
 
 
 def require_real(value: object, what: str, wanted: str, error: type[ServocoreError]) -> None:

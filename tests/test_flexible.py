@@ -259,7 +259,7 @@ def test_a_shallow_arch_is_followed_past_both_limit_points() -> None:
 @pytest.mark.parametrize(
     ("part", "said"),
     [
-        (Beam("b", 1.0, 0, section(1.0, 1.0)), "beam b needs a whole number of elements, one at least, not 0"),
+        (Beam("b", 1.0, 0, section(1.0, 1.0)), "its number of elements must be a whole number of at least 1, not 0"),
         (Beam("b", -1.0, 2, section(1.0, 1.0)), "beam b: its length is -1, it must be finite and positive"),
         (Beam("b", 1.0, 2, section(0.0, 1.0)), "beam b: its axial stiffness is 0"),
         (Beam("b", 1.0, 2, section(1.0, 1.0, -2.0)), "beam b: its line mass is -2, .* not negative"),

@@ -134,7 +134,7 @@ def test_ropes_of_lumps_approach_it(inputs: sc.Solution) -> None:
 @pytest.mark.parametrize("elements", [-1, 1.5, True])
 def test_ropes_of_no_whole_number_of_elements_are_refused(elements: float) -> None:
     crane(1).model()  # which True is not, though it equals 1
-    with pytest.raises(sc.InvalidModel, match="rope rope needs a whole number of elements, one at least"):
+    with pytest.raises(sc.InvalidModel, match="rope rope: its number of elements must be a whole number of at least 1"):
         crane(elements).model()  # type: ignore[arg-type]  # wrong on purpose
 
 

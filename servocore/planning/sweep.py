@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, ServocoreError, described, require_kind
+from servocore.errors import InvalidSetting, ServocoreError, described, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
@@ -144,8 +144,8 @@ def _require_arguments(executor: Any, distributed: Any, chunk: Any, progress: An
         require_kind(executor, Executor, "the executor", "a concurrent.futures.Executor", InvalidSetting)
     if distributed is not None and not hasattr(distributed, "get_executor"):
         raise InvalidSetting(f"distributed must be a Client of the package distributed, not {described(distributed)}")
-    if chunk is not None and (isinstance(chunk, bool) or not isinstance(chunk, int) or chunk < 1):
-        raise InvalidSetting(f"chunk must be a number of cases, not {chunk!r}")
+    if chunk is not None:
+        require_count(chunk, 1, "chunk, the cases of a block,", InvalidSetting)
     if progress is not None:
         require_callable(progress, "progress", "a function of (cases done, cases in all)")
 

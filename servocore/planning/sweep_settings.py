@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from servocore.checks.motion_limits import motion_limits
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.grid import DURATION, Grid
@@ -59,8 +59,7 @@ def checked_settings(
 ) -> SweepSettings:
     """Return what is swept; raises what `sweep` says."""
     require_scene(scene, "sweep")
-    if isinstance(instants, bool) or not isinstance(instants, int) or instants < 2:
-        raise InvalidSetting(f"instants must be a number of at least 2, not {instants!r}")
+    require_count(instants, 2, "instants", InvalidSetting)
     if isinstance(references, Reference) or not isinstance(references, Iterable | None):
         raise InvalidSetting("references must be a list of paths, one or more")
     paths = tuple(references or ())
@@ -82,7 +81,7 @@ def checked_settings(
     for path in paths:
         bounded.with_reference(path)  # refuses what is no path of this scene
     paths = paths or (problem.reference,)
-    return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, instants, bool(inputs))
+    return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, int(instants), bool(inputs))
 
 
 def settings_of(swept: SweepSettings) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from servocore.errors import InvalidModel, require_kind
+from servocore.errors import InvalidModel, require_count, require_kind
 from servocore.model.potentials import Energy
 from servocore.model.quantity import Quantity
 from servocore.model.rotationless.parts import (
@@ -272,8 +272,7 @@ def _centre(places: Sequence[ca.SX]) -> ca.SX:
 
 def require_elements(what: str, elements: object) -> None:
     """Raise `InvalidModel` unless this is how many elements a body may have."""
-    if isinstance(elements, bool) or not isinstance(elements, int) or elements < 1:
-        raise InvalidModel(f"{what} needs a whole number of elements, one at least, not {elements!r}")
+    require_count(elements, 1, f"{what}: its number of elements", InvalidModel)
 
 
 def _check(what: str, length: Scalar, elements: int, parameters: Parameters) -> None:
