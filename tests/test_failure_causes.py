@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -13,6 +14,8 @@ import pytest
 from problems import as_scene, driven_pendulum, polynomial_path, scene
 
 import servocore as sc
+from servocore.checks import failure_causes
+from servocore.problem import Problem
 
 CRANE = scene("rotary_crane")
 REACH = 1.8
@@ -102,6 +105,29 @@ def test_a_path_out_of_reach_says_from_when_on_and_by_how_much(way: str, end: tu
     assert (x, y) == end
     assert off == pytest.approx(missed, rel=5e-3)
     assert (off_x, off_y) == pytest.approx((missed * abs(x) / distance, missed * abs(y) / distance), rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        lambda far, _: sc.sweep(far, {"duration": [2.0, 3.0]}),
+        lambda far, _: sc.sensitivities(far),
+        lambda far, folder: sc.export_fmu(far, folder / "arm.fmu", targets="host"),
+    ],
+    ids=["sweep", "sensitivities", "export"],
+)
+def test_whatever_is_asked_of_a_path_out_of_reach_the_cause_is_looked_for(
+    other: Callable[[sc.Scene, Path], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The search itself, which takes seconds, is that of the tests above."""
+
+    def found(problem: Problem, error: sc.ServocoreError) -> sc.ServocoreError:
+        return sc.InvalidReference(f"{problem.name}: the cause of {type(error).__name__}")
+
+    monkeypatch.setattr(failure_causes, "explained", found)
+    with pytest.raises(sc.InvalidReference, match=r"^arm: the cause of IntegrationFailed$"):
+        other(arm((1.0, 0.9), (2.0, 1.5)), tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_point_that_is_reached_to_the_last_millimetre_is_no_miss() -> None:

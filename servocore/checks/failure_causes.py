@@ -6,14 +6,15 @@ a point that is out of reach, and at a solution where the equations have lost ra
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
-from servocore.errors import InvalidReference, ServocoreError
+from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion, system_jacobian
@@ -39,6 +40,15 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
         return InvalidReference(missed)
     reason = singular(problem)
     return type(error)(reason) if reason else error
+
+
+@contextmanager
+def causes_explained(problem: Problem) -> Iterator[None]:
+    """Let what fails inside fail with the error that names the cause."""
+    try:
+        yield
+    except (InconsistentStart, IntegrationFailed) as error:
+        raise explained(problem, error) from None
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
@@ -136,7 +137,8 @@ def followed(problem: Problem) -> Problem:
             f"the path has derivatives up to order {problem.reference.max_order}, the inputs of {problem.name} need"
             f" order {problem.array.reference_order}"
         )
-    return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
+    with causes_explained(problem):
+        return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
 
 
 def _variables(

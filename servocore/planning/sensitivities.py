@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
+from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidSetting
@@ -149,7 +150,8 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
     """Return motion and inputs (2 n + m, N), dinputs/dp (N, m, k) and dstate/dp at the first instant (2 n, k)."""
     array, system = problem.array, problem.system
     n, m = len(system.coordinates), len(system.inputs)
-    states = exact_states(problem, prepared_table(problem))(t)
+    with causes_explained(problem):
+        states = exact_states(problem, prepared_table(problem))(t)
     jets = problem.reference.jet(t, array.reference_order)
     (slopes,) = at_instants(problem.resolved.once(_implicit), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]

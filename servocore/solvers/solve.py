@@ -12,12 +12,12 @@ from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
 from servocore.checks.branches import require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
-from servocore.checks.failure_causes import explained
+from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
-from servocore.errors import InconsistentStart, IntegrationFailed, InvalidSetting
+from servocore.errors import InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -114,10 +114,8 @@ def solve(
     if checked:
         require_feasible(problem, None if is_route else times, _native(route, times))
     run = run_within_limits if checked else _run
-    try:
+    with causes_explained(problem):
         solution = run(problem, lambda each: route.run(each, times, progress))
-    except (InconsistentStart, IntegrationFailed) as error:
-        raise explained(problem, error) from None
     if checked:
         solution = _looked_at(problem, route, solution)
     estimator = solution.estimator or partial(_estimated, problem, route)
@@ -148,10 +146,8 @@ def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
 def _at_more_instants(problem: Problem) -> Solution:
     """Return the exact inversion at many instants, for a run that has few: they hide what is between them."""
     finer = np.linspace(problem.reference.start_time, problem.reference.end_time, _MORE)
-    try:
+    with causes_explained(problem):
         return Pointwise(Reduced(), BackwardEuler()).run(problem, finer)
-    except IntegrationFailed as error:
-        raise explained(problem, error) from None
 
 
 def _require_arguments(
