@@ -82,8 +82,9 @@ def _overview(record: Record, scene: str) -> Figure:
         own = [row for row in rows if row.solver == solver and row.error is not None]
         _line(axis, front(row for row in own if COMPILED not in row.method), record.spread, "error", solver,
               colour_of(solver))  # fmt: skip
-    compiled = front(row for row in rows if row.solver == NAME and COMPILED in row.method)
-    _line(axis, compiled, record.spread, "error", f"{NAME}, machine code", len(COLOURS) - 1)
+    for solver, colour in ((NAME, len(COLOURS) - 1), ("casadi", len(SOLVERS))):
+        compiled = front(row for row in rows if row.solver == solver and COMPILED in row.method)
+        _line(axis, compiled, record.spread, "error", f"{solver}{COMPILED}", colour)
     _closed_form(axis, rows, "error")
     alone = [each["compiled"] for each in record.facts.get("costs", ()) if each["compiled"]]
     if alone:

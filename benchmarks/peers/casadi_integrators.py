@@ -13,24 +13,28 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from contextlib import chdir
-from functools import partial
+from functools import cache, partial
+from pathlib import Path
+from shlex import quote
 
 import casadi as ca
 import numpy as np
 
 from benchmarks.chart.candidate import COARSE, OUTPUT_INTERVALS, Answer, Array, Candidate, Prepared, Problem
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, Form
+from benchmarks.chart.own import COMPILED
 from benchmarks.peers.base import Effort, Lean, available_forms, inside, named, peer_models, reader
 
 NAME, DISTRIBUTION = "casadi", "casadi"
 
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
-COMPILED_TOLERANCES = (1e-3, 1e-4, 1e-6, 1e-7, 1e-10, 1e-11)
+_GCC = quote(str(Path(__file__).with_name("gcc_once.sh")))
 COMPILED_OPTIONS = {
-    "jit": True, "compiler": "shell",
-    "jit_options": {"compiler": "gcc", "flags": "-O2 -fPIC", "verbose": False},
+    "jit": True, "compiler": "shell", "jit_name": "peer", "jit_temp_suffix": False, "jit_cleanup": False,
+    "jit_options": {"compiler": f"sh {_GCC}", "flags": "-O2 -fPIC -ffp-contract=off -fno-math-errno",
+                    "cleanup": False, "verbose": False},
 }  # fmt: skip
-"""With functions that a compiler has made ready, as ours are where they are machine code."""
+"""Equations and Jacobian made ready by a compiler, with the flags that ours are; once for all tolerances."""
 ELEMENTS = (200, 400, 800)  # of low order
 COLLOCATION = {
     ("radau", 1): ELEMENTS, ("radau", 2): ELEMENTS, ("radau", 3): (100, *ELEMENTS), ("radau", 4): (*COARSE, 200, 400),
@@ -47,18 +51,15 @@ def candidates(problem: Problem, effort: Effort) -> list[Candidate]:
         for form in available_forms(problem, model):
             if form.formulation == "reduced" and form.variant != DERIVATIVE_ARRAY:
                 continue  # with derivatives as unknowns of their own this is the derivative array again
+            methods: dict[str, dict[str, object]] = {"idas": {}}
+            if form.formulation == "reduced" and not effort.smoke:
+                methods[f"idas{COMPILED}"] = COMPILED_OPTIONS
             found += [
-                Candidate(problem, NAME, model, form.formulation, named("idas", form), f"reltol = {tolerance:g}",
-                          partial(prepare, form, "idas", idas_options(form, tolerance)))
+                Candidate(problem, NAME, model, form.formulation, named(method, form), f"reltol = {tolerance:g}",
+                          partial(prepare, form, "idas", {**idas_options(form, tolerance), **more}))
+                for method, more in methods.items()
                 for tolerance in inside(TOLERANCES, effort.smoke)
             ]  # fmt: skip
-            if form.formulation == "reduced" and not effort.smoke:
-                found += [
-                    Candidate(problem, NAME, model, form.formulation, named("idas, machine code", form),
-                              f"reltol = {tolerance:g}",
-                              partial(prepare, form, "idas", {**idas_options(form, tolerance), **COMPILED_OPTIONS}))
-                    for tolerance in COMPILED_TOLERANCES
-                ]  # fmt: skip
             for (scheme, order), elements in inside(list(collocations(form).items()), effort.smoke):
                 found += [
                     Candidate(problem, NAME, model, form.formulation, named(f"collocation, {scheme} {order}", form),
@@ -96,7 +97,7 @@ def prepare(form: Form, plugin: str, options: dict[str, object], elements: int =
     x, z, ode, alg, y, yp = semi_explicit(form)
     t = form.problem.grid(min(elements, OUTPUT_INTERVALS))
     dae = {"t": form.t, "x": x, "z": z, "ode": ode, "alg": alg}
-    with chdir(tempfile.gettempdir()):  # where a compiler's files go
+    with chdir(workshop().name):
         integrator = ca.integrator("peer", plugin, dae, t[0], list(t[1:]), options)
     integrate = Lean(integrator)
     rebuild = Lean(ca.Function("rebuild", [form.t, x, z], [ca.densify(y), ca.densify(yp)]).map(len(t)))
@@ -120,6 +121,12 @@ def prepare(form: Form, plugin: str, options: dict[str, object], elements: int =
         return answer(t, found[0], found[1])
 
     return Prepared(run, read)
+
+
+@cache
+def workshop() -> tempfile.TemporaryDirectory[str]:
+    """Return the folder of a compiler's files, which go when the process ends."""
+    return tempfile.TemporaryDirectory(prefix="idas-")
 
 
 def implicit_rates(form: Form) -> list[int]:
