@@ -12,17 +12,20 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.chart.candidate import Answer, Candidate, Prepared
+from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem
 from benchmarks.chart.rows import Row
 
 MOST_REPEATS, FEWEST_REPEATS = 11, 3
-SLOW = 0.3
-"""A solve that takes longer, in s, is timed once: no disturbance changes its place."""
-UNHURRIED = 0.2
+SLOW = 0.1
+"""A solve that takes longer, in s, is timed once, where it is tried: no disturbance changes its place."""
+UNHURRIED = 0.02
 """A solve that takes longer, in s, is as warm the first time as ever."""
+
+Found = TypeVar("Found")
 
 
 def processor_time() -> float:
@@ -51,21 +54,30 @@ class Timed:
     errors: dict[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """What the trial of a candidate took, in s, and gave."""
+
+    seconds: float
+    answer: Answer
+    remark: str
+
+
 @dataclass(eq=False)
 class _Tried:
-    """A candidate after its trial: ready, or with the message why not."""
+    """A candidate after its trial: with what it gave, or with the message why not."""
 
     candidate: Candidate
-    prepared: Prepared | None
     preparation: float
     message: str = ""
-    expected: float = 0.0
-    answer: Answer | None = None
-    remark: str = ""
+    prepared: Prepared | None = None
+    trial: _Trial | None = None
     seconds: list[float] = field(default_factory=list)
 
 
-def measure(candidates: Sequence[Candidate], say: Callable[[str], None], budget: float = 1.0) -> list[Timed]:
+def measure(
+    candidates: Sequence[Candidate], say: Callable[[str], None], budget: float = 1.0, slow: float = SLOW
+) -> list[Timed]:
     """Prepare, try and time all candidates; the repeats are taken in turn, so that disturbances meet them alike.
 
     Parameters
@@ -76,14 +88,17 @@ def measure(candidates: Sequence[Candidate], say: Callable[[str], None], budget:
         Told what is going on.
     budget : float
         Seconds that the repeats of one candidate may take together, but for the fewest.
+    slow : float
+        Seconds from which on the time of the trial is that of the row.
     """
-    tried = []
+    tried: list[_Tried] = []
     for candidate in candidates:
         say(", ".join((candidate.problem.name, candidate.solver, candidate.model, candidate.formulation,
                        candidate.method, candidate.setting)))  # fmt: skip
         tried.append(_try(candidate))
-    say(f"timing {sum(each.prepared is not None for each in tried)} solvers in turn")
-    _time_in_turn([each for each in tried if each.prepared is not None], budget)
+    in_turn = [each for each in tried if each.trial and each.trial.seconds <= slow]
+    say(f"timing {len(in_turn)} solvers in turn")
+    _time_in_turn(in_turn, budget)
     return [_timed(each) for each in tried]
 
 
@@ -92,83 +107,66 @@ def _try(candidate: Candidate) -> _Tried:
     try:
         prepared = candidate.prepare()
     except Exception as error:  # whatever a peer raises becomes its message
-        return _Tried(candidate, None, processor_time() - begin, one_line(error))
-    found = _Tried(candidate, prepared, processor_time() - begin)
-    outcome = in_child(lambda: _trial(candidate, prepared), candidate.limit)
+        return _Tried(candidate, processor_time() - begin, one_line(error))
+    preparation = processor_time() - begin
+    outcome = in_child(lambda: _trial(prepared, candidate.problem), candidate.limit)
     if isinstance(outcome, str):
-        found.prepared, found.message = None, outcome
-    else:
-        found.expected = outcome
-    return found
+        return _Tried(candidate, preparation, outcome)
+    return _Tried(candidate, preparation, "", prepared, outcome)
 
 
-def _trial(candidate: Candidate, prepared: Prepared) -> float:
-    """Run once to see whether an answer comes out, and once more for the time it takes when warm."""
-    took = 0.0
-    for _ in range(2):
-        if prepared.before:
-            prepared.before()
-        begin = processor_time()
-        found = prepared.run()
-        took = processor_time() - begin
-        values = prepared.read(found).inputs
-        for name in candidate.problem.inputs:
-            if not np.isfinite(values[name]).all():
-                raise ArithmeticError(f"{name} is not finite")
-        if took > UNHURRIED:
-            break
-    return took
+def _trial(prepared: Prepared, problem: Problem) -> _Trial:
+    """Run once to see whether an answer comes out, and a short run once more for the time it takes when warm."""
+    seconds, found = _run(prepared)
+    answer = prepared.read(found)
+    for name in problem.inputs:
+        if not np.isfinite(answer.inputs[name]).all():
+            raise ArithmeticError(f"{name} is not finite")
+    remark = prepared.remark(found) if prepared.remark else ""
+    return _Trial(seconds if seconds > UNHURRIED else _run(prepared)[0], answer, remark)
 
 
-def _time_in_turn(tried: Sequence[_Tried], budget: float) -> None:
-    """Take the processor time of every run several times round, after a round to warm up and to keep the answers."""
-    for each in tried:
-        _run(each)
-        if each.expected < UNHURRIED:
-            each.seconds.clear()
-    wanted = {id(each): _repeats(each.expected, budget) for each in tried if not each.message}
-    for _ in range(max(wanted.values(), default=0)):
-        for each in tried:
-            if not each.message and len(each.seconds) < wanted[id(each)]:
-                _run(each)
-
-
-def _repeats(expected: float, budget: float) -> int:
-    if expected > SLOW:
-        return 1
-    return int(np.clip(budget / max(expected, 1e-6), FEWEST_REPEATS, MOST_REPEATS))
-
-
-def _run(each: _Tried) -> None:
-    prepared = each.prepared
-    assert prepared is not None
+def _run(prepared: Prepared) -> tuple[float, object]:
+    """Return the processor time of one run, and what it gives."""
     if prepared.before:
         prepared.before()
     begin = processor_time()
-    try:
-        found = prepared.run()
-    except Exception as error:  # it was solved in the trial, and now is not: no answer to rely on
-        each.message, each.answer = one_line(error), None
-        return
-    each.seconds.append(processor_time() - begin)
-    if each.answer is None:
-        each.answer = prepared.read(found)
-        each.remark = prepared.remark(found) if prepared.remark else ""
+    found = prepared.run()
+    return processor_time() - begin, found
+
+
+def _time_in_turn(tried: Sequence[_Tried], budget: float) -> None:
+    """Take the processor time of every run several times round; the first round warms short runs up."""
+    for turn in range(1 + MOST_REPEATS):
+        for each in tried:
+            assert each.prepared is not None
+            assert each.trial is not None
+            expected = each.trial.seconds
+            repeats = np.clip(budget / max(expected, 1e-6), FEWEST_REPEATS, MOST_REPEATS)
+            if each.message or turn > repeats or (turn == 0 and expected > UNHURRIED):
+                continue
+            try:
+                took, _ = _run(each.prepared)
+            except Exception as error:  # it was solved in the trial, and now is not: no answer to rely on
+                each.message = one_line(error)
+            else:
+                each.seconds += [took] if turn else []
 
 
 def _timed(each: _Tried) -> Timed:
     candidate = each.candidate
     head = (candidate.problem.name, candidate.solver, candidate.model, candidate.formulation, candidate.method,
             candidate.setting)  # fmt: skip
-    if each.answer is None:
+    if each.message or each.trial is None:
         return Timed(Row(*head, message=each.message), preparation=each.preparation)
-    errors = candidate.problem.errors(each.answer.inputs)
-    violation = each.answer.violation if np.isfinite(each.answer.violation) else None
-    row = Row(*head, float(np.median(each.seconds)), max(errors.values()), violation, each.remark)
-    return Timed(row, tuple(each.seconds), each.preparation, errors)
+    answer, seconds = each.trial.answer, tuple(each.seconds) or (each.trial.seconds,)
+    errors = candidate.problem.errors(answer.inputs)
+    violation = answer.violation if np.isfinite(answer.violation) else None
+    row = Row(*head, float(np.median(seconds)), max(errors.values()), violation, each.trial.remark)
+    return Timed(row, seconds, each.preparation, errors)
 
 
-def in_child(work: Callable[[], float], limit: float) -> float | str:
+def in_child(work: Callable[[], Found], limit: float) -> Found | str:
     """Run `work` in a forked process; returns what it returns, or a sentence if it raises, dies or takes too long."""
     reading, writing = os.pipe()
     with warnings.catch_warnings():
@@ -189,14 +187,14 @@ def in_child(work: Callable[[], float], limit: float) -> float | str:
         os.waitpid(child, 0)
 
 
-def _as_child(work: Callable[[], float], reading: int, writing: int) -> None:
+def _as_child(work: Callable[[], Found], reading: int, writing: int) -> None:
     os.setsid()
     os.close(reading)
     silence = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silence, 1)
     os.dup2(silence, 2)
     try:
-        outcome: float | str = work()
+        outcome: Found | str = work()
     except BaseException as error:  # reported to the parent
         outcome = one_line(error)
     with os.fdopen(writing, "wb") as stream:
