@@ -8,10 +8,12 @@ from pathlib import Path
 from benchmarks.chart import tables
 from benchmarks.chart.c_cost import FLAGS
 from benchmarks.chart.candidate import OUTPUT_INTERVALS
+from benchmarks.chart.own import PREPARED
 from benchmarks.chart.record import Record
 from benchmarks.chart.requirements import ratios_table, requirements_table
-from benchmarks.chart.selection import compare_compiled
+from benchmarks.chart.selection import ACCURACIES, compare_compiled, fastest, is_compiled, is_own
 from benchmarks.chart.study import PEERS
+from benchmarks.chart.timing import SLOW
 
 PAGE = "index.md"
 _TEXTS = Path(__file__).with_name("page.md")
@@ -43,6 +45,8 @@ def render(record: Record) -> str:
         "figures": "\n".join(_figures(name) for name in record.scenes),
         "picks": tables.picks(record),
         "slower": slower(record),
+        "beside_solve": beside_solve(record),
+        "slow": f"{SLOW:g}",
     }  # fmt: skip
     text = _TEXTS.read_text(encoding="utf-8")
     for key, value in values.items():
@@ -64,6 +68,24 @@ def slower(record: Record) -> str:
     if not found:
         return "No peer is faster than our fastest route on any scene of this page at 1e-3, 1e-6 or 1e-9."
     return f"We are slower on {'; '.join(scene + ' at ' + ', '.join(errors) for scene, errors in found.items())}."
+
+
+def beside_solve(record: Record) -> str:
+    """Say what a solve of internal dynamics takes beside idas, both interpreted; nothing where there are none."""
+    ratios = []
+    for scene in record.scenes:
+        here = [row for row in record.of(scene) if row.formulation == "reduced" and not is_compiled(row)]
+        if any(row.method == PREPARED for row in here):
+            for accuracy in ACCURACIES:
+                own = fastest(here, accuracy, lambda row: is_own(row) and row.method != PREPARED)
+                peer = fastest(here, accuracy, lambda row: row.method.startswith("idas"))
+                ratios += [own.point[0] / peer.point[0]] if own and peer else []
+    if not ratios:
+        return ""
+    return (
+        f"Interpreted, `solve` takes {min(ratios):.1f} to {max(ratios):.1f} times as long as CasADi's `idas` on the"
+        " reduced form, which steps as far as its tolerance allows, and does not check."
+    )
 
 
 def _peer(name: str, text: str) -> str:
