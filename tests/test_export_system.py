@@ -69,11 +69,12 @@ def assert_as(found: Array, expected: Array, within: float = 1e-12) -> None:
     ("number", "profile"), [(1, sc.DEGREE9), (2, sc.DEGREE13), (3, sc.three_phase()), (3, sc.three_phase(3.0))]
 )
 def test_time_laws_are_those_of_the_library(number: int, profile: sc.Profile) -> None:
-    t = np.arange(-10, 231) * 0.1
+    """To the last digit: estimated derivatives amplify a difference there by 1/h^4."""
+    t = np.arange(-8, 185) / 8  # sums of steps are exact
     ramp = getattr(profile, "ramp", None) or 0.0
-    found = played(t, profile=number, ramp=ramp, start_time=1.0, duration=18.0)
-    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 18.0, profile, 1.0)
-    assert_as(found, path.jet(t, 4))
+    found = played(t, profile=number, ramp=ramp, start_time=1.1, duration=17.9)
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 17.9, profile, 1.1)
+    np.testing.assert_array_equal(found, path.jet(t, 4))
 
 
 def test_a_path_that_is_baked_in_is_that_path() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,8 +20,8 @@ from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.hermite import hermite
 from servocore.references.piecewise import PiecewisePolynomial
-from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile
-from servocore.references.rest_to_rest import RestToRest
+from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
+from servocore.references.rest_to_rest import RestToRest, rest_to_rest
 
 LAWS: Mapping[str, str] = {
     name: f"one polynomial of degree {law.degree}"
@@ -37,7 +36,6 @@ FROM_FILE = "file"
 
 TERMINALS = {"path": ("output", "the path with its derivatives")}
 
-_RAMP_SHARES = 0.5, 1.5, 2.5, 2.5  # of s in the first phase, in powers of what is left of the ramp
 _ROWS = 256  # at least, of a path that is no polynomial
 
 
@@ -151,48 +149,22 @@ def _variables(
 
 
 def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
-    """Return (start, end, duration, start time, ramp, time) -> the path, order by order.
+    """Return (start, end, start time, end time, ramp, time) -> the path, order by order.
 
-    All is evaluated about the nearer end, in products and sums of positive terms of the times since and until it.
+    It is the formula of the library's path, operation by operation: estimates from positions amplify a difference in
+    their last digits by 1/h^4.
     """
     first, last, time = ca.SX.sym("start", m), ca.SX.sym("end", m), ca.SX.sym("time")
-    duration, begin, ramp = ca.SX.sym("duration"), ca.SX.sym("start_time"), ca.SX.sym("ramp")
-    elapsed = ca.fmin(ca.fmax(time - begin, 0), duration)
-    remaining = ca.fmin(ca.fmax(begin + duration - time, 0), duration)
-    ramping = ca.if_else(ramp > 0, ramp, DEFAULT_RAMP * duration)
-    covered = _covered(name, orders, ca.fmin(elapsed, remaining), duration, ramping)
-    late, moving = elapsed > remaining, ca.logic_and(time >= begin, time < begin + duration)
-    way, path = last - first, []
-    for k, each in enumerate(covered):
-        if k == 0:
-            path.append(ca.if_else(late, last - each * way, first + each * way))
-        else:
-            path.append(ca.if_else(moving, ca.if_else(late, (-1) ** (k + 1), 1) * each, 0) * way)
-    return ca.Function(function_name, [first, last, duration, begin, ramp, time], [ca.vertcat(*path)], {"cse": True})
-
-
-def _covered(name: str, orders: int, on: ca.SX, duration: ca.SX, ramp: ca.SX) -> list[ca.SX]:
-    """Return the share of the way that is covered some time after the nearer end, and its derivatives by that time."""
-    law = TIME_LAWS[name]
-    if not isinstance(law, PolynomialProfile):
-        cruise = duration - ramp
-        x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        rising = x**5 * sum(share * y**k for k, share in enumerate(_RAMP_SHARES)) * ramp / cruise
-        first = _by_time([rising], x, y, ramp, orders)
-        first = ca.substitute(first, [x, y], [on / ramp, (ramp - on) / ramp])
-        steady = [(on - ramp / 2) / cruise, 1 / cruise, *[ca.SX(0)] * orders]
-        return [ca.if_else(on < ramp, early, late) for early, late in zip(first, steady, strict=False)]
-    k = law.smoothness
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    share = x ** (k + 1) * sum(math.comb(k + i, i) * y**i for i in range(k + 1))
-    return list(ca.substitute(_by_time([share], x, y, duration, orders), [x, y], [on / duration, 1 - on / duration]))
-
-
-def _by_time(slopes: list[ca.SX], x: ca.SX, y: ca.SX, span: ca.SX, orders: int) -> list[ca.SX]:
-    """Differentiate by a time of which x is the share of a span that is over, and y the share that is left."""
-    while len(slopes) < orders:
-        slopes.append((ca.gradient(slopes[-1], x) - ca.gradient(slopes[-1], y)) / span)
-    return slopes
+    begin, end, ramp = ca.SX.sym("start_time"), ca.SX.sym("end_time"), ca.SX.sym("ramp")
+    law, span, order = TIME_LAWS[name], end - begin, orders - 1
+    if isinstance(law, ThreePhaseProfile):
+        numbers = law.numbers_with(ca.if_else(ramp > 0, ramp, DEFAULT_RAMP * span), span, order)
+    else:
+        numbers = law.numbers(span, order)
+    ends = [each for point in (first, last, last - first) for each in ca.vertsplit(point)]
+    line = rest_to_rest([0.0] * m, [1.0] * m, 1.0, law).formula
+    path = line.jet(time, [*ends, begin, end, *numbers], order)
+    return ca.Function(function_name, [first, last, begin, end, ramp, time], [ca.vertcat(*path)], {"cse": True})
 
 
 # Paths ---------------------------------------------------------------------------------------------------------------

@@ -84,19 +84,19 @@ class Profile(ABC):
         return np.stack(self.law(elapsed, remaining, numbers, order), axis=1)
 
     @abstractmethod
-    def numbers(self, duration: float, order: int) -> list[float]:
+    def numbers(self, duration: Values, order: int) -> list[Values]:
         """Return what `law` takes of the duration: the same number of numbers for any.
 
         Parameters
         ----------
-        duration : float
+        duration : float or casadi.SX
             Of the motion, in s.
         order : int
             Highest derivative that `law` will give.
 
         Returns
         -------
-        list of float
+        list
             As many for each duration.
         """
 
@@ -170,9 +170,9 @@ class PolynomialProfile(Profile):
         scale = factorial(2 * k + 1) // factorial(k) ** 2
         return (0,) * (k + 1) + tuple((-1) ** i * scale * comb(k, i) // (k + 1 + i) for i in range(k + 1))
 
-    def numbers(self, duration: float, order: int) -> list[float]:
+    def numbers(self, duration: Values, order: int) -> list[Values]:
         """Return the powers of the duration."""
-        return [duration**m for m in range(max(order, 1) + 1)]
+        return powers(duration, max(order, 1))
 
     def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
         """Evaluate as `Profile.law` says; `numbers` are those of `numbers`, of which the second is the duration."""
@@ -238,10 +238,27 @@ class ThreePhaseProfile(Profile):
     def _ramp(self, duration: float) -> float:
         return DEFAULT_RAMP * duration if self.ramp is None else self.ramp
 
-    def numbers(self, duration: float, order: int) -> list[float]:
+    def numbers(self, duration: Values, order: int) -> list[Values]:
         """Return the time of the cruise at full speed that would take as long, and the powers of the ramp."""
-        ramp = self._ramp(duration)
-        return [duration - ramp, *(ramp**m for m in range(max(order, 1) + 1))]
+        return self.numbers_with(self._ramp(duration), duration, order)
+
+    @staticmethod
+    def numbers_with(ramp: Values, duration: Values, order: int) -> list[Values]:
+        """Return the same for a ramp that may be an expression, as the duration may be.
+
+        Parameters
+        ----------
+        ramp, duration : float or casadi.SX
+            In s.
+        order : int
+            Highest derivative that `law` will give.
+
+        Returns
+        -------
+        list
+            What `law` takes.
+        """
+        return [duration - ramp, *powers(ramp, max(order, 1))]
 
     def law(self, elapsed: Values, remaining: Values, numbers: Sequence[Values], order: int) -> list[Values]:
         """Evaluate as `Profile.law` says."""

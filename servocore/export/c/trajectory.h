@@ -1,6 +1,6 @@
 /* A path and its derivatives over time: a line from rest to rest by a time law, or a path that is baked in.
 
-   The time laws are generated: start, end, duration, start time, ramp and time -> the path, order by order. */
+   The time laws are generated: start, end, start time, end time, ramp and time -> the path, order by order. */
 
 #ifndef TRAJECTORY_H
 #define TRAJECTORY_H
@@ -69,6 +69,7 @@ static void follow_table(double time, double *found)
 static Outcome followed(Instance *instance, Moment *moment)
 {
     const double *settings = instance->state.parameters, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
+    const double end_time = settings[PLACE_START_TIME] + duration;
     const int64_t law = instance->state.choices[PROFILE];
 #if N_PIECES > 0
     if (law > N_LAWS) {
@@ -83,8 +84,8 @@ static Outcome followed(Instance *instance, Moment *moment)
                    2.0 * ramp, duration);
     instance->arguments[0] = settings + PLACE_START;
     instance->arguments[1] = settings + PLACE_END;
-    instance->arguments[2] = &settings[PLACE_DURATION];
-    instance->arguments[3] = &settings[PLACE_START_TIME];
+    instance->arguments[2] = &settings[PLACE_START_TIME];
+    instance->arguments[3] = &end_time;
     instance->arguments[4] = &settings[PLACE_RAMP];
     instance->arguments[5] = &moment->time;
     instance->results[0] = moment->outputs;
