@@ -7,11 +7,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import typer
 from command_lines import CommandLine
 
 import servocore as sc
+from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
-from servocore.cli.choice import along
+from servocore.cli.choice import GivenPath
 from servocore.cli.commands import NAME, app
 from servocore.scenes import REGISTRY
 
@@ -101,9 +103,20 @@ def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: P
     bar, file = REGISTRY["elastic_bar"](), tmp_path / "path.csv"
     outputs = [each.name for each in bar.model().outputs]
     file.write_text(sc.csv_of(bar.reference, outputs, each=40), encoding="utf-8")
-    assert along(bar, file).reference.smoothness >= 6
+    assert GivenPath(file).along(bar).reference.smoothness >= 6
     sensitivities = servocore_command("sensitivities", "elastic_bar", "--reference", file, "-o", tmp_path / "by.csv")
     assert sensitivities.exit_code == 0, sensitivities.stderr
+
+
+@pytest.mark.parametrize("commands", [app, crane_app], ids=["servocore", "crane-fmu"])
+def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: typer.Typer) -> None:
+    """Sentences about files name --waypoints, whatever command reads them."""
+    group = typer.main.get_command(commands)
+    assert isinstance(group, typer.core.TyperGroup)
+    options = {name: {each for option in one.params for each in option.opts} for name, one in group.commands.items()}
+    reading = [name for name, known in options.items() if "--reference" in known]
+    assert len(reading) >= 4
+    assert [name for name in reading if not {"--waypoints", "--tolerance"} <= options[name]] == []
 
 
 def test_columns_are_chosen_by_name() -> None:

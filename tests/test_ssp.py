@@ -19,7 +19,7 @@ from fmu_host import Host, fmu_file, in_a_process, scratch
 from typer.testing import CliRunner
 
 import servocore as sc
-from crane_fmu.build import build_ssp
+from crane_fmu.build import Wishes, build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, table_of
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
@@ -236,12 +236,21 @@ def test_in_other_masters_the_load_ends_at_ones_own_goal_too(package: str) -> No
     assert np.linalg.norm(found - GOAL) < 1e-4
 
 
+def test_waypoints_are_a_path_to_carry_as_well() -> None:
+    file = Path(__file__).parents[1] / "examples" / "working_cycle_waypoints.csv"
+    path, expected = Wishes(waypoints=file).reference(), sc.waypoints_from_csv(file)
+    assert path is not None
+    assert (path.jet(7.0, 4) == expected.jet(7.0, 4)).all()
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--tolerance", "1e-3"], "--tolerance belongs to --reference"),
         (["--profile", "none"], "there is no profile 'none'"),
         (["--profile", "degree13", "--reference", "path.csv"], "either by --reference or by --profile"),
+        (["--waypoints", "way.csv", "--tolerance", "1e-3"], "--tolerance belongs to --reference"),
+        (["--waypoints", "way.csv", "--reference", "path.csv"], "either by --reference or by --waypoints"),
     ],
 )
 def test_wishes_that_make_no_sense_are_one_sentence_and_no_folder(

@@ -48,6 +48,8 @@ class Wishes:
     ----------
     path : Path, optional
         A table of a load path that the trajectory shall carry.
+    waypoints : Path, optional
+        Instead, a table of points with times, joined from rest to rest.
     tolerance : float, optional
         How far the path may stay away from the positions in the table, in m.
     profile : str, optional
@@ -61,6 +63,7 @@ class Wishes:
     """
 
     path: Path | None = None
+    waypoints: Path | None = None
     tolerance: float | None = None
     profile: str | None = None
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -68,7 +71,7 @@ class Wishes:
     targets: str | None = None
 
     def reference(self) -> sc.Reference | None:
-        """Return the path in the table, or None without one; raises `InvalidSetting` for wishes that exclude others.
+        """Return the path in a table, or None without one; raises `InvalidSetting` for wishes that exclude others.
 
         Returns
         -------
@@ -77,12 +80,16 @@ class Wishes:
         """
         if self.profile is not None:
             chosen(PROFILES, self.profile, "profile")
+        options = {"--reference": self.path, "--waypoints": self.waypoints, "--profile": self.profile}
+        given = [name for name, value in options.items() if value is not None]
+        if len(given) > 1:
+            raise sc.InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
+        if self.waypoints is not None and self.tolerance is None:
+            return sc.waypoints_from_csv(self.waypoints)
         if self.path is None:
             if self.tolerance is not None:
                 raise sc.InvalidSetting("--tolerance belongs to --reference")
             return None
-        if self.profile is not None:
-            raise sc.InvalidSetting("a path is given either by --reference or by --profile, not by both")
         return sc.from_csv(self.path, self.tolerance)
 
 

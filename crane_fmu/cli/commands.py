@@ -170,6 +170,7 @@ PathToCarry = Annotated[
 def ssp(
     output: OutputFolder = Path("system"),
     reference: PathToCarry = None,
+    waypoints: WaypointsFile = None,
     tolerance: Tolerance = None,
     profile: ProfileName = None,
     parameters: ParametersFile = None,
@@ -184,8 +185,9 @@ def ssp(
     """Build trajectory, inverse model and plant as FMUs, and Crane.ssp, which connects them.
 
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
-    Crane.ssp. Run it with a communication step of 0.01 s. With --reference or --profile the load goes that way, with
-    --parameters the crane is that of the file, without anything to set in the tool. With --native they are in C.
+    Crane.ssp. Run it with a communication step of 0.01 s. With --reference, --waypoints or --profile the load goes
+    that way, with --parameters the crane is that of the file, without anything to set in the tool. With --native they
+    are in C.
     """
     if targets is not None and not native:
         raise sc.InvalidSetting("--targets belongs to --native")
@@ -193,7 +195,7 @@ def ssp(
 
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     with PatientProgress("building the system") as progress:
-        wishes = Wishes(reference, tolerance, profile, changed, native, targets)
+        wishes = Wishes(reference, waypoints, tolerance, profile, changed, native, targets)
         files = build_ssp(output, progress.describe, wishes)
     print(*files, sep="\n")
 
@@ -222,6 +224,7 @@ def drive(
     mapped: Signals = None,
     settings: Settings = None,
     reference: ReferenceFile = None,
+    waypoints: WaypointsFile = None,
     tolerance: Tolerance = None,
     start: Start = None,
     end: End = None,
@@ -242,8 +245,8 @@ def drive(
     from crane_fmu import drive as driving  # noqa: PLC0415
 
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile, "--ramp": ramp}
-    path = path_request(reference, tolerance, line)
-    require_places({"--output": output}, [reference, parameters, plant, limits])
+    path = path_request(reference, tolerance, line, waypoints)
+    require_places({"--output": output}, [reference, waypoints, parameters, plant, limits])
     changed = {} if parameters is None else sc.read_parameters(parameters, sc.scenes.rotary_crane())
     names, starts = driving.signals(mapped or ()), driving.settings(settings or ())
     with PatientProgress("driving the plant"):

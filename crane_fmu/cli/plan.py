@@ -24,6 +24,7 @@ from crane_fmu.cli.options import (
     ReferenceFile,
     Start,
     Tolerance,
+    WaypointsFile,
 )
 from crane_fmu.feedforward import COLUMNS, MOST_ROWS, table
 from servocore.cli.console import PatientProgress, deliver
@@ -115,6 +116,7 @@ The same path for the other commands, such as ssp, whose LoadTrajectory.fmu play
 
 def plan_motion(
     reference: ReferenceFile = None,
+    waypoints: WaypointsFile = None,
     tolerance: Tolerance = None,
     start: Start = None,
     end: End = None,
@@ -134,16 +136,25 @@ def plan_motion(
     The table is that of feedforward with the swing angle behind it. With --output, how good the plan is and how it is
     known that it keeps the limits is printed. With --free only start and end are given.
     """
-    if (reference is None) == (start is None or end is None):
-        raise sc.InvalidSetting("the way is given either by --reference or by --from and --to")
+    files, points = (sum(each is not None for each in given) for given in ((reference, waypoints), (start, end)))
+    if (files, points) not in ((1, 0), (0, 2)):
+        raise sc.InvalidSetting("the way is given either by --reference or --waypoints, or by --from and --to")
+    if tolerance is not None and reference is None:
+        raise sc.InvalidSetting("--tolerance belongs to --reference")
     if keep_out and not free:
         raise sc.InvalidSetting("--keep-out belongs to --free")
-    require_places({"--output": output, "--path": path_file, "--plot": plot}, [reference, parameters, limits])
+    require_places(
+        {"--output": output, "--path": path_file, "--plot": plot}, [reference, waypoints, parameters, limits]
+    )
     require_picture(plot)
     scene = sc.scenes.rotary_crane()
     if parameters is not None:
         scene = scene.with_parameters(**sc.read_parameters(parameters, scene))
-    way = (start, end) if reference is None else sc.from_csv(reference, tolerance)
+    way: Any = (start, end)
+    if reference is not None:
+        way = sc.from_csv(reference, tolerance)
+    elif waypoints is not None:
+        way = sc.waypoints_from_csv(waypoints)
     space = sc.Space.of_texts(keep_out or (), dimension=3) if free else None
     wanted = Plan(way, sc.limits_given(limit, limits), sc.factors_of_texts(robust or ()), space, step)
     contents: dict[Path, str | bytes] = {}

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import importlib
 import sys
+import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, ServocoreWarning
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.references.csv_file import from_csv
+from servocore.references.base import Reference
+from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
+from servocore.references.splines import fewest_samples
 from servocore.scenes import REGISTRY
 
 
@@ -42,16 +46,55 @@ def path_columns(scene: Scene, model: str | None = None) -> tuple[list[str], lis
     return [output.name for output in outputs], [output.unit for output in outputs]
 
 
-def along(scene: Scene, reference: Path | None, model: str | None = None) -> Scene:
-    """Return the scene with the path of a file, whose columns its outputs name; the scene as it is without one.
+@dataclass(frozen=True)
+class GivenPath:
+    """The options that give a path by a file, whose columns the outputs of a scene name.
 
-    The path is as smooth as the scene's inputs need it, as that of `servocore feedforward`.
+    Attributes
+    ----------
+    reference : Path, optional
+        A path, sampled; positions alone in few rows are taken as waypoints.
+    waypoints : Path, optional
+        Points with times, joined from rest to rest.
+    tolerance : float, optional
+        How far the path may stay away from the samples.
     """
-    if reference is None:
-        return scene
-    order = Problem.of(scene, model).array.reference_order
-    names, units = path_columns(scene, model)
-    return scene.with_reference(from_csv(reference, columns=names, rest_order=order, units=units))
+
+    reference: Path | None = None
+    waypoints: Path | None = None
+    tolerance: float | None = None
+
+    def option(self) -> str | None:
+        """Return which option gives a file, None if none does; raises `InvalidSetting` if they exclude each other."""
+        if self.reference is not None and self.waypoints is not None:
+            raise InvalidSetting("a path is given either by --reference or by --waypoints, not by both")
+        if self.tolerance is not None and self.reference is None:
+            raise InvalidSetting("--tolerance belongs to --reference")
+        return "--reference" if self.reference is not None else "--waypoints" if self.waypoints is not None else None
+
+    def path(self, scene: Scene, model: str | None = None) -> Reference | None:
+        """Return the path, as smooth as the inputs of a scene need it; None without a file."""
+        if self.option() is None:
+            return None
+        rest_order = Problem.of(scene, model).array.reference_order
+        names, units = path_columns(scene, model)
+        if self.waypoints is not None:
+            return waypoints_from_csv(self.waypoints, names, rest_order=rest_order, units=units)
+        assert self.reference is not None
+        path, rows = samples_or_waypoints(self.reference, names, self.tolerance, rest_order, units)
+        if rows is not None:
+            warnings.warn(
+                f"{self.reference}: its {rows} rows are taken as waypoints, for samples of a path are"
+                f" {fewest_samples(rest_order)} or more",
+                ServocoreWarning,
+                stacklevel=2,
+            )
+        return path
+
+    def along(self, scene: Scene, model: str | None = None) -> Scene:
+        """Return the scene with the path of the file, or as it is without one."""
+        path = self.path(scene, model)
+        return scene if path is None else scene.with_reference(path)
 
 
 def _registered(name: str) -> Scene:

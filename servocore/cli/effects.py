@@ -9,9 +9,9 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import along, chosen
+from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Parameters, ReferenceFile, SceneName
+from servocore.cli.options import Parameters, ReferenceFile, SceneName, Waypoints
 from servocore.effects.drives import Drives
 from servocore.effects.report import HEADINGS, EffectsReport
 from servocore.effects.study import effects
@@ -50,6 +50,7 @@ def show_effects(
     simulate: Simulate = False,
     parameters: Parameters = None,
     reference: ReferenceFile = None,
+    waypoints: Waypoints = None,
     markdown: Markdown = None,
 ) -> None:
     """Say which physical effects a scene may leave out, and what that costs.
@@ -61,12 +62,12 @@ def show_effects(
     effects too.
     """
     subject = chosen(scene, None)
-    require_places({"--markdown": markdown}, [parameters, reference])
+    require_places({"--markdown": markdown}, [parameters, reference, waypoints])
     declared = subject.effects.parameters
     given = {} if parameters is None else read_parameters(parameters, subject, declared.values())
     own = subject.model().parameters.names
     subject = subject.with_parameters(**{name: each for name, each in given.items() if name in own})
-    subject = along(subject, reference)
+    subject = GivenPath(reference, waypoints).along(subject)
     allowed = _allowed(tolerance, subject.model().outputs[0].unit)
     if open_loop and bandwidth is not None:
         raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import along, chosen
+from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.console import PatientProgress
-from servocore.cli.options import Model, Parameters, SceneName
+from servocore.cli.options import Model, Parameters, SceneName, Tolerance, Waypoints
 from servocore.errors import InvalidSetting
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
@@ -82,6 +82,8 @@ def export_scene(
     plant: PlantWanted = False,
     trajectory: TrajectoryWanted = False,
     reference: CarriedPath = None,
+    tolerance: Tolerance = None,
+    waypoints: Waypoints = None,
 ) -> None:
     """Export the inverse model of a scene for tools without Python.
 
@@ -91,9 +93,10 @@ def export_scene(
     dynamics are unstable are refused. With --plant it is the forward dynamics that
     is exported, with --trajectory a generator of the path and its derivatives.
     """
-    if plant or trajectory or reference is not None:
-        _require_one(plant, trajectory, (reference, c, wasm, cross_check), output)
-        _export_beside(scene, plant, (output, parameters, reference), fmi, model, targets)
+    carried = GivenPath(reference, waypoints, tolerance)
+    if plant or trajectory or carried.option():
+        _require_one(plant, trajectory, carried, (c, wasm, cross_check), output)
+        _export_beside(scene, plant, (output, parameters, carried), fmi, model, targets)
         return
     subject = _possible(scene, parameters, {"-o": output, "--c": c, "--wasm": wasm}, fmi, targets, cross_check)
     with PatientProgress("exporting") as progress:
@@ -152,35 +155,36 @@ def _possible(
     return subject
 
 
-def _require_one(plant: bool, trajectory: bool, others: tuple[object, ...], output: Path | None) -> None:
+def _require_one(
+    plant: bool, trajectory: bool, carried: GivenPath, others: tuple[object, ...], output: Path | None
+) -> None:
     """Raise `InvalidSetting` if options do not go with --plant or --trajectory."""
-    reference, *rest = others
     if plant and trajectory:
         raise InvalidSetting("--plant and --trajectory are FMUs of their own: ask for one at a time")
-    if reference is not None and not trajectory:
-        raise InvalidSetting("--reference belongs to --trajectory")
-    if any(rest):
+    if carried.option() and not trajectory:
+        raise InvalidSetting(f"{carried.option()} belongs to --trajectory")
+    if any(others):
         raise InvalidSetting("--c, --wasm and --cross-check are about inverse models: not with --plant or --trajectory")
     if output is None:
         raise InvalidSetting("name the file to write with -o FILE.fmu")
 
 
 def _export_beside(
-    scene: str, plant: bool, files: tuple[Path | None, Path | None, Path | None], fmi: int, model: str | None,
+    scene: str, plant: bool, files: tuple[Path | None, Path | None, GivenPath], fmi: int, model: str | None,
     targets: str | None,
 ) -> None:  # fmt: skip
     """Export plant or trajectory, what an inverse model stands between."""
-    output, parameters, reference = files
+    output, parameters, carried = files
     if output is None:
         return
     require_built(output, targets, fmi)
     subject = chosen(scene, parameters)
-    require_places({"--output": output}, [parameters, reference])
+    require_places({"--output": output}, [parameters, carried.reference, carried.waypoints])
     with PatientProgress("exporting") as progress:
         if plant:
             export_plant(subject, output, fmi=fmi, model=model, targets=targets, tell=progress.describe)
         else:
-            path = None if reference is None else along(subject, reference, model).reference
+            path = carried.path(subject, model)
             export_trajectory(
                 subject, output, TrajectoryWishes(path), fmi=fmi, model=model, targets=targets, tell=progress.describe
             )

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import chosen, path_columns
+from servocore.cli.choice import GivenPath, chosen, path_columns
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.options import (
     End,
@@ -18,9 +16,12 @@ from servocore.cli.options import (
     Model,
     Output,
     Parameters,
+    ReferenceFile,
     SceneName,
     Start,
     Step,
+    Tolerance,
+    Waypoints,
     point,
 )
 from servocore.cli.telling import Columns, Verbose, chosen_columns, column_names, details, summary, tell, timed
@@ -31,10 +32,8 @@ from servocore.model.scene import Scene
 from servocore.planning.durations import shortest_duration_told
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
 from servocore.references.profiles import DEGREE9, DEGREE13, TIME_LAWS, Profile, polynomial
 from servocore.references.rest_to_rest import rest_to_rest
-from servocore.references.splines import fewest_samples
 from servocore.solvers.solve import solve
 
 EXAMPLES = """[bold]Examples[/bold]
@@ -52,25 +51,11 @@ ProfileName = Annotated[
     typer.Option("--profile", metavar="NAME", help=f"Time law of a line: {', '.join(TIME_LAWS)}. Default: what the"
                  " scene needs."),
 ]  # fmt: skip
-Samples = Annotated[
-    Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="A path, sampled: its header is time and the outputs' names,"
-                 " optionally followed by their derivatives, as vx,vy,vz."),
-]  # fmt: skip
-Tolerance = Annotated[
-    float | None,
-    typer.Option("--tolerance", metavar="METRES", help="How far the path may stay away from rounded or noisy samples."),
-]
-Waypoints = Annotated[
-    Path | None,
-    typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
-                 " rest."),
-]  # fmt: skip
 
 
 def feed_forward(
     scene: SceneName,
-    reference: Samples = None,
+    reference: ReferenceFile = None,
     tolerance: Tolerance = None,
     waypoints: Waypoints = None,
     start: Start = None,
@@ -96,7 +81,7 @@ def feed_forward(
     subject = chosen(scene, parameters)
     require_places({"--output": output}, [parameters, limits, reference, waypoints])
     line = {"--from": start, "--to": end, "--duration": duration, "--profile": profile}
-    path = _path(subject, model, {"--reference": reference, "--waypoints": waypoints}, tolerance, line)
+    path = _path(subject, model, GivenPath(reference, waypoints, tolerance), line)
     bounded = subject.with_limits(**limits_given(limit, limits))
     moved = bounded if path is None else bounded.with_reference(path)
     system = subject.model(model)
@@ -111,49 +96,17 @@ def feed_forward(
     tell(told)
 
 
-def _path(
-    scene: Scene,
-    model: str | None,
-    files: dict[str, Path | None],
-    tolerance: float | None,
-    line: dict[str, str | float | None],
-) -> Reference | None:
+def _path(scene: Scene, model: str | None, file: GivenPath, line: dict[str, str | float | None]) -> Reference | None:
     """Return the path that options describe, None where they describe none; raises `InvalidSetting` for two."""
-    given = [name for name, value in {**files, **line}.items() if value is not None]
-    from_files = [name for name in given if name in files]
-    if tolerance is not None and from_files != ["--reference"]:
-        raise InvalidSetting("--tolerance belongs to --reference")
+    given, option = [name for name, value in line.items() if value is not None], file.option()
+    if option and given:
+        raise InvalidSetting(f"a path is given either by {option} or by {given[0]}, not by both")
     if not given:
-        return None
-    if from_files and len(given) > 1:
-        raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-    names, units = path_columns(scene, model)
-    rest_order = Problem.of(scene, model).array.reference_order
-    if from_files:
-        file = files[from_files[0]]
-        assert file is not None
-        return _of_file(file, from_files[0], (names, units), tolerance, rest_order)
+        return file.path(scene, model)
     missing = [name for name in ("--from", "--to", "--duration") if name not in given]
     if missing:
         raise InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
-    return _line(line, names, rest_order)
-
-
-def _of_file(
-    file: Path, option: str, columns: tuple[list[str], list[str]], tolerance: float | None, rest_order: int
-) -> Reference:
-    names, units = columns
-    if option == "--waypoints":
-        return waypoints_from_csv(file, names, rest_order=rest_order, units=units)
-    path, waypoints = samples_or_waypoints(file, names, tolerance, rest_order, units)
-    if waypoints is not None:
-        fewest = fewest_samples(rest_order)
-        print(
-            f"servocore: note: {file}: its {waypoints} rows are taken as waypoints, for samples of a path are"
-            f" {fewest} or more",
-            file=sys.stderr,
-        )
-    return path
+    return _line(line, path_columns(scene, model)[0], Problem.of(scene, model).array.reference_order)
 
 
 def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order: int) -> Reference:

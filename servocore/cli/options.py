@@ -28,8 +28,18 @@ Parameters = Annotated[
 ]  # fmt: skip
 ReferenceFile = Annotated[
     Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="Another path: its header is time and the outputs' names."),
+    typer.Option("--reference", metavar="FILE.csv", help="Another path, sampled: its header is time and the outputs'"
+                 " names, optionally followed by their derivatives, as vx,vy,vz."),
+]  # fmt: skip
+Tolerance = Annotated[
+    float | None,
+    typer.Option("--tolerance", metavar="METRES", help="How far the path may stay away from rounded or noisy samples."),
 ]
+Waypoints = Annotated[
+    Path | None,
+    typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
+                 " rest."),
+]  # fmt: skip
 Step = Annotated[
     float | None,
     typer.Option("--step", metavar="H", help="Time between rows (s); divides the duration. Default: duration/200."),

@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from servocore.cli.choice import chosen, path_columns
+from servocore.cli.choice import GivenPath, chosen, path_columns
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.options import (
     End,
@@ -21,6 +21,8 @@ from servocore.cli.options import (
     Parameters,
     SceneName,
     Start,
+    Tolerance,
+    Waypoints,
     point,
 )
 from servocore.cli.telling import column_names
@@ -33,7 +35,7 @@ from servocore.planning.fastest import fastest
 from servocore.planning.space import Space
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.csv_file import csv_of, from_csv
+from servocore.references.csv_file import csv_of
 from servocore.references.csv_table import PREFIXES
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
@@ -103,6 +105,8 @@ def plan_scene(
     end: End = None,
     between: Between = None,
     reference: ReferenceFile = None,
+    tolerance: Tolerance = None,
+    waypoints: Waypoints = None,
     limit: LimitTexts = None,
     limits: LimitsFile = None,
     parameters: Parameters = None,
@@ -118,18 +122,21 @@ def plan_scene(
     """Find the fastest law along a way that keeps all limits, and write it as a table.
 
     The way is a line (--from, --to), a smooth curve through more points (--by),
-    or the curve of a path in a file (--reference). Everything starts and ends at
+    or the curve of a path in a file (--reference, --waypoints). Everything starts and ends at
     rest, inputs without a jump. The table has one row every --step: time,
     inputs, what the model reports, the path. How good the plan is, and how it is
     known that it keeps the limits, is printed when the table goes into a file.
     """
-    subject = chosen(scene, parameters)
-    require_places({"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference])
+    subject, file = chosen(scene, parameters), GivenPath(reference, waypoints, tolerance)
+    require_places(
+        {"--output": output, "--path": path_file, "--plot": plot}, [parameters, limits, reference, waypoints]
+    )
     require_picture(plot)
     if path_file is not None:
         _require_a_path_file(subject, model)
     bounds = limits_given(limit, limits)
-    way = _way(subject, start, end, between or [], reference)
+    points = [("--from", start), *(("--by", each) for each in between or ()), ("--to", end)]
+    way = _way(subject, model, [(option, text) for option, text in points if text], file)
     if keep_out and not free:
         raise InvalidSetting("--keep-out belongs to --free")
     space = Space.of_texts(keep_out or (), dimension=len(subject.model(model).outputs)) if free else None
@@ -169,19 +176,18 @@ def planned_motion(
     return solve(scene.with_reference(path).with_limits(**bounds), step=path.duration / rows, model=model)
 
 
-def _way(
-    scene: Scene, start: str | None, end: str | None, between: Sequence[str], reference: Path | None
-) -> Reference | np.ndarray:
+def _way(scene: Scene, model: str | None, points: Sequence[tuple[str, str]], file: GivenPath) -> Reference | np.ndarray:
     """Return the way that options describe; raises `InvalidSetting` if they describe none, or two."""
-    names, units = path_columns(scene)
-    if reference is not None:
-        if start is not None or end is not None or between:
-            raise InvalidSetting("a way is given either by --reference or by --from and --to, not by both")
-        return from_csv(reference, columns=names, units=units)
-    if start is None or end is None:
-        raise InvalidSetting("no way is given: use --from and --to, or --reference")
-    given = [("--from", start), *(("--by", each) for each in between), ("--to", end)]
-    return np.array([point(option, text, names) for option, text in given])
+    option = file.option()
+    if option and points:
+        raise InvalidSetting(f"a way is given either by {option} or by --from and --to, not by both")
+    path = file.path(scene, model)
+    if path is not None:
+        return path
+    if not {"--from", "--to"} <= {option for option, _ in points}:
+        raise InvalidSetting("no way is given: use --from and --to, --reference, or --waypoints")
+    names, _ = path_columns(scene, model)
+    return np.array([point(option, text, names) for option, text in points])
 
 
 def _table(scene: Scene, solution: Solution, model: str | None) -> str:

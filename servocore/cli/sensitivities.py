@@ -10,9 +10,9 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import along, chosen
+from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName, Step
+from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName, Step, Tolerance, Waypoints
 from servocore.files import PICTURES, require_picture, require_places, write_together
 from servocore.planning.sensitivities import Sensitivities, sensitivities
 
@@ -41,6 +41,8 @@ def show_sensitivities(
     scene: SceneName,
     wrt: ByParameters = None,
     reference: ReferenceFile = None,
+    tolerance: Tolerance = None,
+    waypoints: Waypoints = None,
     parameters: Parameters = None,
     model: Model = None,
     step: Step = None,
@@ -54,9 +56,9 @@ def show_sensitivities(
     the load goes (drift) if the inputs stay as they were.
     """
     subject = chosen(scene, parameters)
-    require_places({"--output": output, "--plot": plot}, [parameters, reference])
+    require_places({"--output": output, "--plot": plot}, [parameters, reference, waypoints])
     require_picture(plot)
-    subject = along(subject, reference, model)
+    subject = GivenPath(reference, waypoints, tolerance).along(subject, model)
     with PatientProgress("differentiating"):
         found = sensitivities(subject, wrt or None, step=step, model=model)
         contents: dict[Path, str | bytes] = {}

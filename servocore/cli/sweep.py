@@ -13,9 +13,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from servocore.cli.choice import along, chosen
+from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.interruption import stop_if_asked
-from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName
+from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName, Tolerance, Waypoints
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import write_together
 from servocore.model.limit_files import limits_given
@@ -77,6 +77,8 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         limit: LimitTexts = None,
         limits: LimitsFile = None,
         reference: ReferenceFile = None,
+        tolerance: Tolerance = None,
+        waypoints: Waypoints = None,
         parameters: Parameters = None,
         model: Model = None,
         instants: Instants = 201,
@@ -95,7 +97,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         the_xarray()  # what may be missing is told before the work
         from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
-        subject = along(chosen(scene, parameters), reference, model)
+        subject = GivenPath(reference, waypoints, tolerance).along(chosen(scene, parameters), model)
         bounds = limits_given(limit, limits)
         varied = _varied(vary or (), sample, seed)
         if output.exists() and not output.is_dir():

@@ -7,9 +7,19 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import along, chosen
+from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.console import PatientProgress
-from servocore.cli.options import LimitsFile, LimitTexts, Model, Parameters, ReferenceFile, SceneName, Step
+from servocore.cli.options import (
+    LimitsFile,
+    LimitTexts,
+    Model,
+    Parameters,
+    ReferenceFile,
+    SceneName,
+    Step,
+    Tolerance,
+    Waypoints,
+)
 from servocore.files import require_places, write_together
 from servocore.model.limit_files import limits_given
 from servocore.solvers.solve import solve
@@ -31,6 +41,8 @@ def view_scene(
     scene: SceneName,
     output: Output = None,
     reference: ReferenceFile = None,
+    tolerance: Tolerance = None,
+    waypoints: Waypoints = None,
     parameters: Parameters = None,
     model: Model = None,
     step: Step = None,
@@ -43,9 +55,9 @@ def view_scene(
     data, duration, start and target compute everything again while one drags, and
     limits light up when exceeded. Scenes with internal dynamics are shown as solved.
     """
-    subject = along(chosen(scene, parameters), reference, model)
+    subject = GivenPath(reference, waypoints, tolerance).along(chosen(scene, parameters), model)
     file = require_page(output or f"{subject.name}.html")
-    require_places({"--output": file}, [parameters, reference, limits])
+    require_places({"--output": file}, [parameters, reference, waypoints, limits])
     shown = subject.with_limits(**limits_given(limit, limits))
     with PatientProgress("solving"):
         solution = solve(subject, step=step, model=model)

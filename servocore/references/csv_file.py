@@ -146,7 +146,8 @@ def waypoints_from_csv(
     """Smooth path from rest to rest through the waypoints of a file.
 
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, velocities to be met, in which cells may be empty
-    where any is right, and by `stop`, which is 1 where the path comes to rest in between and 0 or empty elsewhere.
+    where any is right, and by `stop`, which is 1 (or yes, true, x, stop) where the path comes to rest in
+    between, and 0 (or no, false, nothing) elsewhere.
 
     Parameters
     ----------
