@@ -90,7 +90,7 @@ function marched(settings, step) {
   const path = new Float64Array(about.rows * about.orders), next = new Float64Array(size), found = new Float64Array(about.outputs.length);
   const givens = new Float64Array(size + about.rows * orders + 1 + settings.parameters.length);
   const state = begun(settings, grid, h), t = new Float64Array(grid.count), rows = about.outputs.map(() => new Float64Array(grid.count).fill(NaN));
-  const x = new Float64Array(unknowns), scale = new Float64Array(unknowns);
+  const x = new Float64Array(unknowns), scale = new Float64Array(unknowns), blocks = about.steps.blocks.map(workOf);
   givens.set(settings.parameters, size + about.rows * orders + 1);
   givens[size + about.rows * orders] = h;
   for (let k = 0, good = true; k < grid.count; k++) {
@@ -100,7 +100,7 @@ function marched(settings, step) {
       givens.set(state);
       givens.set(path.subarray(0, about.rows * orders), size);
       source.guess(givens, x, scale);
-      good = good && about.steps.blocks.every((block, number) => solved(block, source[`block${number}`], x, givens, scale));
+      for (let number = 0; good && number < blocks.length; number++) good = solved(blocks[number], x, givens, scale);
       source.next(x, givens, next);
       state.set(next);
     }
@@ -125,9 +125,15 @@ function begun(settings, grid, h) {
   return first;
 }
 
+// A block with what its solution needs, made once: new arrays at every step take longer than the computing.
+function workOf(block, number) {
+  const n = block.columns.length;
+  return { ...block, evaluate: source[`block${number}`], residual: new Float64Array(n), jacobian: new Float64Array(n * n) };
+}
+
 // Newton's method on one block of unknowns; linear blocks take one step.
-function solved({ columns, linear }, evaluate, x, givens, scale) {
-  const n = columns.length, residual = new Float64Array(n), jacobian = new Float64Array(n * n);
+function solved({ columns, linear, evaluate, residual, jacobian }, x, givens, scale) {
+  const n = columns.length;
   for (let k = 0; k < MOST_ITERATIONS; k++) {
     evaluate(x, givens, residual, jacobian);
     if (!eliminated(jacobian, residual, n)) return false;
