@@ -33,6 +33,9 @@ def main(arguments: list[str]) -> None:
     warnings.simplefilter("ignore")  # of peers; what fails has its row
     begin = time.perf_counter()
 
+    def minutes() -> float:
+        return round((time.perf_counter() - begin) / 60, 1)
+
     def say(text: str) -> None:
         if not chosen.quiet:
             print(f"{time.perf_counter() - begin:7.1f} s  {text}", flush=True)
@@ -43,11 +46,10 @@ def main(arguments: list[str]) -> None:
         timed = carry_out(effort, say)
         measured = {each.row.scene for each in timed}
         facts = gather([each for each in problems() if each.name in measured], chosen.smoke)
+        write_record(chosen.out, timed, {**facts, "minutes": minutes()})  # should sizes fail, this is not lost
         say("cost against size")
-        points = measure_scale(chosen.smoke)
-        facts["minutes"] = round((time.perf_counter() - begin) / 60, 1)
-        write_record(chosen.out, timed, facts)
-        write_points(chosen.out, points)
+        write_points(chosen.out, measure_scale(chosen.smoke))
+        write_record(chosen.out, timed, {**facts, "minutes": minutes()})
     record = read_record(chosen.out)
     draw_all(record, chosen.out)
     (chosen.out / PAGE).write_text(render(record), encoding="utf-8")

@@ -30,7 +30,7 @@ _COMPILED = "faster than any peer on the reduced form, machine code on both"
 _FEW = (
     "a call of ours is mostly the call itself, whatever its steps or instants, and at this error a peer takes few steps"
 )
-_CALL = "both sides are interpreted here, and a call of 40 instants is mostly the call itself, some 0.3 ms"
+_CALL = "both sides are interpreted here, and a call for so few instants is to a good part the call itself"
 _MORE = "the interpreter, and the derivatives of the path, take what C and its arguments that are ready do not"
 REASONS = {
     **{f"error {each:g}: faster than any peer on the reduced form": _CALL for each in (1e-3, 1e-6)},

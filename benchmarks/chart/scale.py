@@ -319,8 +319,9 @@ REASONS = {
     f"{CRANE}: projected": _TOGETHER,
     f"{MANY}: solve": "inputs, motion and violations take a third, what belongs to the result (angles, noise, one"
     " branch) a third, and the checks that `checks=False` leaves out (limits, ranks, peaks between instants) a third",
-    f"{STEPPED}: {WITHOUT_CHECKS}": "each state is copied out of the loop and observed (inputs, coordinates, violations"
-    " of all constraints), and all are looked at for noise and turns of angles: about as much as the steps themselves",
+    f"{STEPPED}: {WITHOUT_CHECKS}": "NumPy evaluates the path, CasADi goes from step to step, each state is observed"
+    " (inputs, coordinates, violations of all constraints), and all are looked at for noise and turns of angles:"
+    " together more than the steps themselves",
     f"{STEPPED}: {CHECKED}": "the checks compare all inputs with the exact inversion, at the instants and between them,"
     " keep the limits of the motion at all times, and look for poles and lost ranks: more than the steps themselves",
     f"{COLD}: import": "NumPy and CasADi take what the table below says, and some hundred modules with as many"
