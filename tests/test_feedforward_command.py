@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
 from servocore.cli.choice import GivenPath
 from servocore.cli.commands import NAME, app
+from servocore.cli.telling import summary
 from servocore.scenes import REGISTRY
 
 servocore_command = CommandLine(app, NAME)
@@ -117,6 +119,13 @@ def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: typer.Typer)
     reading = [name for name, known in options.items() if "--reference" in known]
     assert len(reading) >= 4
     assert [name for name in reading if not {"--waypoints", "--tolerance"} <= options[name]] == []
+
+
+def test_what_is_undefined_is_told_with_its_first_time() -> None:
+    solution = sc.solve(REGISTRY["overhead_crane"](), step=0.3)
+    values = solution.values.copy()
+    values[4:6, solution.names.index("swing")] = np.nan
+    assert "  swing: undefined in 2 of 11 rows, first at t = 1.2 s" in summary(replace(solution, values=values))
 
 
 def test_columns_are_chosen_by_name() -> None:

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import casadi as ca
@@ -23,7 +24,7 @@ from servocore.model.picture import picture_of
 from servocore.problem import Problem
 from servocore.stepping.observation import observed
 from servocore.view.javascript import javascript
-from servocore.view.live import live_model
+from servocore.view.live import LiveModel, live_model
 
 run = CommandLine(app, "servocore")
 SCENES = sorted(sc.scenes.REGISTRY)
@@ -170,6 +171,24 @@ def test_a_solution_that_does_not_know_what_was_solved_has_to_be_told(tmp_path: 
     with pytest.raises(sc.InvalidSetting, match=r"view\(solution, path, scene=scene\) says it"):
         sc.view(lost, tmp_path / "cars.html")
     assert told(sc.view(lost, tmp_path / "cars.html", scene=scene))["live"]
+
+
+def test_what_is_no_number_is_refused_and_no_page_is_written(tmp_path: Path) -> None:
+    scene = sc.scenes.overhead_crane()
+    solution = sc.solve(scene, step=scene.reference.duration / 10)
+    values = solution.values.copy()
+    values[4, [each.name for each in solution.channels].index("swing")] = np.nan
+    with pytest.raises(sc.InvalidModel, match=r"^overhead_crane has no swing at t = 1\.2 s, and a page shows finite"):
+        sc.view(replace(solution, values=values), tmp_path / "crane.html")
+    assert not any(tmp_path.iterdir())
+
+
+def test_formulas_that_give_no_number_are_not_put_into_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    solution = sc.solve(sc.scenes.cars())
+    monkeypatch.setattr(LiveModel, "values", lambda live, _, t: np.full((len(t), len(live.outputs)), np.nan))
+    page = told(sc.view(solution, tmp_path / "cars.html"))
+    assert not page["live"]
+    assert sc.live_part(solution).why.startswith("its formulas give no ")
 
 
 def test_coordinates_of_one_name_are_a_body_and_what_holds_two_together_is_drawn() -> None:

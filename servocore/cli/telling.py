@@ -66,6 +66,7 @@ def summary(solution: Solution) -> list[str]:
         value, unit = float(solution[name][k]), solution.unit(name)
         shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
         lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
+    lines += [f"  {_undefined(solution, name)}" for name in solution.names if np.isnan(solution[name]).any()]
     lines.append(f"  ends: {_rest(path, problem.array.reference_order, [each.unit for each in system.outputs])}")
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
@@ -75,6 +76,12 @@ def summary(solution: Solution) -> list[str]:
     if error.largest is not None:
         lines.append(f"  inputs: off by at most {error.largest:.1e} of their peaks, by {error.basis.rstrip(',')}")
     return lines
+
+
+def _undefined(solution: Solution, name: str) -> str:
+    """Say of a trajectory how often it is not a number."""
+    gaps = np.flatnonzero(np.isnan(solution[name]))
+    return f"{name}: undefined in {len(gaps)} of {len(solution.t)} rows, first at t = {solution.t[gaps[0]]:.6g} s"
 
 
 @contextmanager

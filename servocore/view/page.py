@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -86,7 +87,7 @@ def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, mo
         If the file cannot be written or has another ending, the solution does not know what was solved and no scene
         is given, or the package Jinja2 is not installed.
     InvalidModel
-        If the drawing of the scene cannot be drawn.
+        If the drawing of the scene cannot be drawn, or something that it reports is no finite number.
 
     Examples
     --------
@@ -136,10 +137,7 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
         As `view`.
     """
     problem = _problem(solution, scene, model)
-    try:
-        live, why = live_model(problem), ""
-    except InvalidModel as error:
-        live, why = None, str(error)
+    live, why = _live(problem, solution)
     about, source = _written(problem, solution, live)
     title = problem.name.replace("_", " ")
     scripts = [WEB.joinpath(script).read_text(encoding="utf-8") for script in _SCRIPTS]
@@ -155,6 +153,23 @@ def live_part(solution: Solution, *, scene: Scene | None = None, model: str | No
         title=title,
     )
     return LivePart(style, body, title, live is not None, why)
+
+
+def _live(problem: Problem, solution: Solution) -> tuple[LiveModel | None, str]:
+    """Return what a page computes by itself, or why it does not."""
+    try:
+        live = live_model(problem)
+    except InvalidModel as error:
+        return None, str(error)
+    t = solution.t[_thinned(solution.t)]
+    gap = _undefined(t, dict(zip((each.name for each in live.outputs), live.values(problem, t).T, strict=True)))
+    return (None, f"its formulas give {gap}") if gap else (live, "")
+
+
+def _undefined(t: Array, rows: Mapping[str, Array]) -> str:
+    """Say what is first no finite number, and when; empty if all are."""
+    gaps = [(int(np.argmin(finite)), name) for name, row in rows.items() if not (finite := np.isfinite(row)).all()]
+    return f"no {min(gaps)[1]} at t = {t[min(gaps)[0]]:.6g} s" if gaps else ""
 
 
 def _problem(solution: Solution, scene: Scene | None, model: str | None) -> Problem:
@@ -190,6 +205,9 @@ def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tu
     times, system = solution.t[t], problem.system
     if live is not None and not _is_exact(problem, solution, live):
         rows = dict(zip((quantity.name for quantity in quantities), live.values(problem, times).T, strict=True))
+    gap = _undefined(times, rows)
+    if gap:
+        raise InvalidModel(f"{problem.name} has {gap}, and a page shows finite numbers only")
     orders = live.orders if live else 1
     path, laws = path_of(problem.reference, _refined(times) if live else times, orders)
     steps = live.steps if live and _can_march(problem, times, orders) else None
