@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,18 @@ from servocore.references.piecewise import PiecewisePolynomial
 LINE = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 T = np.linspace(0.0, 20.0, 41)
 ROWS = np.column_stack([T, LINE.jet(T, 0)[:, 0]])
+
+
+def dated(rows: np.ndarray, ending: str = "Z", **more: str) -> str:
+    """Return rows with dates for times: from ten seconds before midnight on of a 28th of February."""
+    instants = np.datetime64("2026-02-28T23:59:50") + np.round(rows[:, 0] * 1e3).astype("timedelta64[ms]")
+    header, *lines = text(rows, **more).splitlines()
+    delimiter = more.get("delimiter", ",")
+    cells = [
+        f"{instant}{ending}{delimiter}{line.partition(delimiter)[2]}"
+        for instant, line in zip(instants, lines, strict=True)
+    ]
+    return "\n".join([header, *cells]) + "\n"
 
 
 def text(rows: np.ndarray, header: str = "time,x,y,z", delimiter: str = ",", point: str = ".") -> str:
@@ -61,6 +74,20 @@ CLEAR = {
         text(ROWS * [1e3, 1, 1, 1] + [1763850000123.0, 0, 0, 0], "time [ms],x,y,z"),
         "time in ms, times in ms since 1970, of which the first becomes 0",
     ),
+    "dates": (dated(ROWS), "dates as times, of which the first becomes 0"),
+    "dates without a zone": (dated(ROWS, ""), "dates as times, of which the first becomes 0"),
+    "dates with a space and quotes": (
+        re.sub("^(.*)T([^Z]*Z)", r'"\1 \2"', dated(ROWS), flags=re.MULTILINE),
+        "dates as times, of which the first becomes 0",
+    ),
+    "dates and decimal commas": (
+        dated(ROWS, "+01:00", header="time;x;y;z", delimiter=";", point=","),
+        "semicolons between cells, dates as times, of which the first becomes 0, decimal commas",
+    ),
+    "capitals": (text(ROWS, "Time,X,Y,Z"), "Time,X,Y,Z as time,x,y,z"),
+    "capitals and units": (
+        text(MILLI, "TIME [ms],X [mm],y [mm],Z [mm]"), "TIME,X,y,Z as time,x,y,z, time in ms, x, y, z in mm"
+    ),
 }  # fmt: skip
 
 
@@ -101,6 +128,15 @@ UNCLEAR = {
     "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
     "commas between cells and digits": (text(ROWS, point=","), "line 2: 8 cells .* decimal commas need semicolons"),
     "grouped digits": ("time;x;y;z\n0;1.234,5;0;1\n", "column x: '1.234,5' is not a finite number; digits are not"),
+    "a clock": ("time,x,y,z\n12:00:00,1,0,1\n", "column time: '12:00:00' .*; times are numbers of seconds, or dates"),
+    "a date as some write it": (
+        "time,x,y,z\n01.02.2026 12:00,1,0,1\n",
+        "'01.02.2026 12:00' .*, or dates such as 2026-",
+    ),
+    "no such day": (dated(ROWS).replace("03-01", "02-29"), "line 22, .* is no date and time that there is"),
+    "one date only": (dated(ROWS[:1]) + "1.0,1,0,1\n", "line 3, column time: '1.0' is no date and time such as 2026-"),
+    "zones here and there": (dated(ROWS[:1]) + "2026-03-01T00:00:00,1,0,1\n", "line 3, .* without a time zone where"),
+    "dates in ms": (dated(ROWS, header="time [ms],x,y,z"), "line 1: its times are dates, which have no unit"),
     "unknown unit": (text(ROWS, "time,x [ft],y,z"), "line 1, column x: its unit must be one of m, mm, cm, km, not 'f"),
     "unit of another order": (text(ROWS, "time,x [m/s],y,z"), "column x: its unit must be .* m, mm, cm, km, not 'm/s'"),
     "angles of a load": (text(ROWS, "time,x [deg],y,z"), "column x: its unit must be one of m, mm, cm, km, not 'deg'"),
@@ -113,6 +149,22 @@ UNCLEAR = {
 def test_what_is_unclear_is_refused_with_the_remedy(content: str | bytes, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match=r"path\.csv.*" + sentence):
         read(tmp_path, content)
+
+
+def test_dates_of_several_zones_are_one_time(tmp_path: Path) -> None:
+    lines = dated(ROWS).splitlines()
+    lines[21:] = [line.replace("2026-03-01T00", "2026-03-01T05").replace("Z", "+0500") for line in lines[21:]]
+    lines[1:21] = [line.replace("2026-02-28T23", "2026-02-28T21").replace("Z", "-02") for line in lines[1:21]]
+    assert lines[21].startswith("2026-03-01T05:00:00.000+0500")
+    assert as_line(read(tmp_path, "\n".join(lines))[0])
+
+
+def test_capitals_that_tell_columns_apart_are_heeded(tmp_path: Path) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text("time,X,x\n0,0,0\n1,1,2\n", encoding="utf-8")
+    with pytest.raises(InvalidReference, match=r"the header time,x,X, .* was expected, but 'time,X,x' was found"):
+        waypoints_from_csv(file, ["x", "X"])
+    assert waypoints_from_csv(file, ["X", "x"]).jet(1.0, 0)[0].tolist() == [1.0, 2.0]
 
 
 def test_a_header_with_units_ends_the_doubt(tmp_path: Path) -> None:

@@ -41,7 +41,8 @@ def from_csv(
     """Path from a file with times, positions and, if known, their derivatives.
 
     Commas, semicolons or tabs divide the cells; the encoding is UTF-8 or UTF-16. Units are those of SI unless the
-    header names others, as `time [ms],x [mm]`. What is converted is told by a warning.
+    header names others, as `time [ms],x [mm]`; times may also be dates, as 2026-01-01T12:00:00.100Z. What is converted
+    is told by a warning.
 
     The header is `time,x,y,z`, optionally followed by `vx,vy,vz`, then `ax,ay,az`, then `jx,jy,jz`, then
     `sx,sy,sz` (velocity, acceleration, jerk, snap); with other columns, their names in place of x, y and z. With

@@ -1,7 +1,8 @@
 """Tables of numbers from CSV files, whatever program wrote them; every complaint names file, line and column.
 
-What is unambiguous is read and told in a note: UTF-16, semicolons or tabs between cells, decimal commas, units in the
-header, times since 1970. What only looks odd, such as times that seem to be milliseconds, is refused with the remedy.
+What is unambiguous is read and told in a note: UTF-16, semicolons or tabs between cells, decimal commas, units and
+capitals in the header, times since 1970, dates with times. What only looks odd, such as times that seem to be
+milliseconds, is refused with the remedy.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
+from servocore.references.time_stamps import EXAMPLE, with_seconds
 
 if TYPE_CHECKING:
     from servocore.references.base import FloatArray
@@ -36,6 +38,7 @@ _ANGLES = {"rad": 1.0, "deg": 180.0 / np.pi, "°": 180.0 / np.pi}
 _EPOCHS = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 _SINCE_1970 = 1e9, 4e9  # s: the years 2001 to 2096
 _WITH_UNIT = re.compile(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]")
+_CLOCK = re.compile(r"\d[:/.-]\d+[:/.-]\d|\d:\d\d")
 _RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
 _POWERS = {"²": 2, "³": 3, "⁴": 4}
 _SLOW, _FAST = 1e-3, 20.0  # m/s: mean speeds beside which one asks whether units are what they seem
@@ -109,8 +112,9 @@ def read_table(
     data, told = _bytes_of(file)
     known = units or (("m",) * 3 if components == ("x", "y", "z") else ("",) * len(components))
     layout, more = _layout(file, data, dict(zip(components, known, strict=True)), groups, waypoints)
-    lines, numbers, stops, commas = _numbers_of(file, data, layout)
-    told += more + commas + _since_1970(numbers, layout)
+    body, layout, dated = _body(file, data, layout)
+    lines, numbers, stops, commas = _numbers_of(file, body, layout)
+    told += more + dated + commas + _since_1970(numbers, layout)
     numbers /= layout.factors
     stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
     if stuck.size:
@@ -176,17 +180,19 @@ def _layout(
     delimiter = next((each for each in ";\t" if each in header), ",")
     cells = [each.strip() for each in next(csv.reader([header], delimiter=delimiter))]
     found = [_WITH_UNIT.fullmatch(each) for each in cells]
-    names = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
-    units = {unit[1]: unit[2] for unit in found if unit}
+    written = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
+    names = _without_capitals(written, [*wanted[-1], *([STOP] if waypoints else [])])
+    units = {name: unit[2] for name, unit in zip(names, found, strict=True) if unit}
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:
         more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
         more += f", then {STOP}" if waypoints else ""
         raise InvalidReference(
-            f"{file}, line {line}: the header {shortest}{more} was expected, but {','.join(names)!r} was found"
+            f"{file}, line {line}: the header {shortest}{more} was expected, but {','.join(written)!r} was found"
         )
     factors = [_factor(file, line, name, units.get(name), k, list(components.values())) for k, name in enumerate(names)]
     told = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
+    told += [f"{','.join(written)} as {','.join(names)}"] if written != names else []
     told += [
         f"{', '.join(same)} in {unit}"
         for unit in dict.fromkeys(units.values())
@@ -194,6 +200,12 @@ def _layout(
     ]
     numbers, free = factors[:-1] if stops else factors, 1 + len(components) if waypoints else len(names)
     return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), told
+
+
+def _without_capitals(names: list[str], wanted: Sequence[str]) -> list[str]:
+    """Return names of columns as they are wanted, whatever letters are capitals, where that leaves no doubt."""
+    meant = {name.casefold(): name for name in wanted}
+    return names if len(meant) < len(wanted) else [meant.get(name.casefold(), name) for name in names]
 
 
 def _factor(file: Path, line: int, name: str, unit: str | None, column: int, measured: Sequence[str]) -> float:
@@ -215,13 +227,24 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
     return factor
 
 
-def _numbers_of(
-    file: Path, data: bytes, layout: _Layout
-) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
-    """Return lines, numbers (n, columns), stops, and what is to be told."""
-    body, told = data[layout.first :].rstrip(), []
+def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
+    """Return the rows, in which times are numbers, what is known of them, and what is to be told."""
+    body = data[layout.first :].rstrip()
     if not body:
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
+    timed = with_seconds(file, body, layout.delimiter.encode(), layout.line)
+    if timed is None:
+        return body, layout, []
+    if "time" in layout.units:
+        raise InvalidReference(f"{file}, line {layout.line - 1}: its times are dates, which have no unit in the header")
+    return timed, layout._replace(units={**layout.units, "time": "s"}), ["dates as times, of which the first becomes 0"]
+
+
+def _numbers_of(
+    file: Path, body: bytes, layout: _Layout
+) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
+    """Return lines, numbers (n, columns), stops, and what is to be told."""
+    told = []
     if layout.delimiter != "," and b"," in body and b"." not in body:
         body, told = body.replace(b",", b"."), ["decimal commas"]
     if not layout.stops:
@@ -282,6 +305,8 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
             continue
         if not np.isfinite(value):
             hint = "; digits are not grouped, and decimals follow a point" if "," in cell or "'" in cell else ""
+            if k == 0 and _CLOCK.search(cell):
+                hint = f"; times are numbers of seconds, or dates such as {EXAMPLE}"
             raise InvalidReference(f"{file}, line {line}, column {name}: {cell!r} is not a finite number{hint}")
         values.append(value)
     return values
