@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 from threading import Lock
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -85,10 +84,10 @@ class WhenAsked:
     def __set_name__(self, _: type, name: str) -> None:
         self._name = name
 
-    def __set__(self, holder: Any, given: ca.Function | Callable[[], ca.Function]) -> None:
+    def __set__(self, holder: object, given: ca.Function | Callable[[], ca.Function]) -> None:
         holder.__dict__[self._name] = given
 
-    def __get__(self, holder: Any, _: type | None = None) -> ca.Function:
+    def __get__(self, holder: object, _: type | None = None) -> ca.Function:
         if holder is None:
             raise AttributeError(self._name)  # to a dataclass: a field without a default
         given: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]

@@ -6,6 +6,8 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
+import casadi as ca
+
 from servocore.numerics.machine_code import BACKGROUND, Build, build_of, compiled, library_of, loaded
 from servocore.numerics.vectorized import MANY
 
@@ -20,7 +22,8 @@ def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str) -> Hol
     InvalidSetting
         If there is no C compiler, or it does not compile.
     """
-    made: Holder = replace(holder, **compiled({name: getattr(holder, name) for name in names}, of_what))
+    functions: dict[str, ca.Function] = {name: getattr(holder, name) for name in names}
+    made: Holder = replace(holder, **compiled(functions, of_what))
     return made
 
 
@@ -51,7 +54,7 @@ class JustInTime(Generic[Holder]):
         self._calls += 1
         if self._made is not None or self._given_up or (self._calls < 2 and count < MANY):
             return self.interpreted if self._made is None else self._made
-        functions = {name: getattr(self.interpreted, name) for name in self.names}
+        functions: dict[str, ca.Function] = {name: getattr(self.interpreted, name) for name in self.names}
         asked = self._build is not None
         self._build = self._build or build_of(functions, self.of_what)
         if asked and BACKGROUND.pending(self._build):

@@ -26,7 +26,7 @@ def to_json(value: Any, form: str) -> str:
     """
     functions = ca.StringSerializer()
     document: dict[str, object] = {"format": form, "casadi": ca.__version__}
-    known = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+    known: dict[str, object] = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
     functions.pack([each for each in known.values() if isinstance(each, ca.Function)])
     document["functions"] = functions.encode()
     for name, each in known.items():

@@ -78,10 +78,15 @@ class SquareSystem:
 
     def __post_init__(self) -> None:
         size = self.unknowns.numel()
-        for attribute in ("residual", "guess", "unknown_scale", "residual_scale"):
-            count = getattr(self, attribute).numel()
-            if count != size:
-                raise InvalidModel(f"{size} unknowns, but {attribute} has {count} rows")
+        beside = {
+            "residual": self.residual,
+            "guess": self.guess,
+            "unknown_scale": self.unknown_scale,
+            "residual_scale": self.residual_scale,
+        }
+        for name, expression in beside.items():
+            if expression.numel() != size:
+                raise InvalidModel(f"{size} unknowns, but {name} has {expression.numel()} rows")
 
     @cached_property  # a system is compiled for exact guesses and for any
     def alike(self) -> list[IsomorphicParts]:

@@ -36,7 +36,7 @@ _LIBRARY = {
     for name in ("SQRT", "SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH",
                  "EXP", "LOG", "POW", "ATAN2", "FLOOR", "CEIL", "COPYSIGN", "FMOD", "ERF", "LOG1P", "EXPM1", "HYPOT")
 } | {"CONSTPOW": "pow"}  # fmt: skip
-_NAMES = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
+_NAMES: dict[int, str] = {getattr(ca, name): name[3:] for name in dir(ca) if name.startswith("OP_")}
 
 _HEAD = f"""#include <math.h>
 #define LANES {LANES}

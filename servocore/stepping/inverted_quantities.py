@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeVar
 
 import casadi as ca
 
@@ -12,6 +12,8 @@ from servocore.model.quantity import Quantity
 from servocore.problem import ResolvedSystem
 from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
+
+Symbol = TypeVar("Symbol", ca.SX, ca.MX)
 
 
 def compile_inverted_quantities(
@@ -25,7 +27,7 @@ def compile_inverted_quantities(
     order = resolved.array.reference_order
     read = compile_observation(system, dae, instantaneous(dae), wanted, order)
 
-    def reading(name: str, inverted: ca.Function, kind: Any) -> ca.Function:
+    def reading(name: str, inverted: ca.Function, kind: type[Symbol]) -> ca.Function:
         gamma, p = kind.sym("gamma", system.gamma.size1(), order + 1), kind.sym("p", system.p.numel())
         return ca.Function(name, [gamma, p], [read(inverted(gamma, p)[0], gamma, p)[0]], {"cse": kind is ca.SX})
 
