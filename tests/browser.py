@@ -17,7 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from present import present
 
+Message = dict[str, Any]  # what DevTools say
 SECONDS = 60.0
 PLACED = """
 import fcntl, os, sys
@@ -53,7 +55,7 @@ class Page:
         self._write, self._read, self._left, self._number = from_us, to_us, b"", 0
         self.errors: list[str] = []
 
-        command = [browser(), "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe",
+        command = [present(browser()), "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-pipe",
                    "--no-first-run", "--disable-dev-shm-usage", "--disable-background-networking", "--hide-scrollbars",
                    f"--user-data-dir={profile}", "about:blank"]  # fmt: skip
         self._process = subprocess.Popen(
@@ -128,20 +130,21 @@ class Page:
         if len(places) > 1:
             self.ask("Input.dispatchMouseEvent", type="mouseReleased", x=x, y=y, button="left", clickCount=1)
 
-    def ask(self, method: str, **parameters: object) -> dict:
+    def ask(self, method: str, **parameters: object) -> Message:
         """Send one command and return its answer."""
         self._number += 1
         number, message = self._number, {"id": self._number, "method": method, "params": parameters}
         if getattr(self, "_session", None):
             message["sessionId"] = self._session
         os.write(self._write, json.dumps(message).encode() + b"\0")
-        answers: list[dict] = []
+        answers: list[Message] = []
         self._until(lambda: bool(answers), number, answers)
         if "error" in answers[0]:
             raise AssertionError(f"{method}: {answers[0]['error']}")
-        return answers[0]["result"]
+        result: Message = answers[0]["result"]
+        return result
 
-    def _until(self, done: Callable[[], bool], number: int = 0, answers: list | None = None) -> None:
+    def _until(self, done: Callable[[], bool], number: int = 0, answers: list[Message] | None = None) -> None:
         end = time.monotonic() + SECONDS
         while not done():
             while b"\0" not in self._left:
@@ -153,11 +156,11 @@ class Page:
                 self._left += chunk
             line, _, self._left = self._left.partition(b"\0")
             message = json.loads(line)
-            if number and message.get("id") == number:
+            if answers is not None and message.get("id") == number:
                 answers.append(message)
             self._note(message)
 
-    def _note(self, message: dict) -> None:
+    def _note(self, message: Message) -> None:
         method, told = message.get("method"), message.get("params", {})
         if method == "Page.loadEventFired":
             self._loaded = True

@@ -40,16 +40,16 @@ def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1
     state = np.array([np.arctan2(y, x), np.hypot(x, y), -z, *[0.0] * 7])
     memory = np.array(functions[f"begin_{at}"](jets[0], _seen()(state, p), p, h)).ravel()
     loop = np.concatenate([memory, state, inputs, inputs])
-    fixed = np.append(p, [case.disturbance.get("mass_error", 0.0), h, share])
+    fixed = ca.DM(np.append(p, [case.disturbance.get("mass_error", 0.0), h, share]))
     more = -count % _BLOCK  # at rest, for the last block
     told = [
         np.pad(each, [(0, more), (0, 0)], mode="edge").T for each in (jets[:-1], jets[1:], _forces(case, h, count).T)
     ]
     run, rows = _block(at, _parts(h)), []
     for k in range(0, count + more, _BLOCK):
-        after, found = run(loop, *(each[:, k : k + _BLOCK] for each in told), ca.repmat(fixed, 1, _BLOCK))
-        loop = after[:, -1]
-        rows.append(np.array(found))
+        after, poses = run(loop, *(each[:, k : k + _BLOCK] for each in told), ca.repmat(fixed, 1, _BLOCK))
+        loop = np.array(after[:, -1]).ravel()
+        rows.append(np.array(poses))
     found = np.hstack(rows)[:, :count]
     if not (np.isfinite(found).all() and found[3].min() > 0.0):
         return float("inf")

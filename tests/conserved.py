@@ -38,7 +38,7 @@ class Motion:
         inputs: Callable[[float], Any] | None = None,
         **how: Any,
     ) -> sc.Solution:
-        t = step * np.arange(0, steps + 1, every)
+        t = step * np.arange(0.0, steps + 1.0, every)
         still = lambda _: np.zeros(len(self.system.inputs))  # noqa: E731
         how = how if "rtol" in how else {"method": sc.EnergyMomentum(), "step": step} | how
         return sc.simulate(self.scene, inputs or still, t=t, start=self.start, **how)
@@ -59,7 +59,7 @@ class Motion:
         return float(v @ np.asarray(mass(q, self.system.parameters.values())) @ v / 2)
 
 
-def started(names: tuple[str, ...] | list[str], q: Sequence[Any], v: Sequence[Any]) -> dict[str, float]:
+def started(names: tuple[str, ...] | list[str], q: Sequence[Any] | Array, v: Sequence[Any] | Array) -> dict[str, float]:
     """Values and rates by name."""
     return dict(zip(names, map(float, q), strict=True)) | {
         f"{name}_dot": float(rate) for name, rate in zip(names, v, strict=True)
@@ -215,7 +215,7 @@ def four_bar() -> Motion:
         "four-bar", 2, (1.0, 1.0),
         lambda r: [ca.sumsqr(r[0]) - 1, ca.sumsqr(r[1] - r[0]) - 4, ca.sumsqr(r[1] - ca.DM(ground)) - 1.5**2],
         lambda r: GRAVITY * (r[0][1] + r[1][1]),
-        ([first, second], [speed, other]),
+        (np.array([first, second]), np.array([speed, other])),
     )  # fmt: skip
 
 

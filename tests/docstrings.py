@@ -43,7 +43,8 @@ class Documented(Validator):  # type: ignore[misc]  # numpydoc has no types
     @property
     def doc_all_parameters(self) -> dict[str, tuple[str, str]]:
         """The same with other parameters."""
-        return self.doc_parameters | self._doc_parameters(["Other Parameters"])
+        others: dict[str, tuple[str, str]] = self._doc_parameters(["Other Parameters"])
+        return self.doc_parameters | others
 
 
 def methods(kind: type) -> Iterator[tuple[str, object]]:
@@ -67,7 +68,9 @@ def public() -> Iterator[tuple[str, object, set[str]]]:
         seen.add(id(found))
         protocol = getattr(found, "_is_protocol", False)
         yield f"{face}.{name}", found, DESCRIBED_ELSEWHERE if protocol else set()
-        for member, method in methods(found) if inspect.isclass(found) else ():
+        if not inspect.isclass(found):
+            continue
+        for member, method in methods(found):
             above = not protocol and (member in protocols or any(member in vars(base) for base in found.__mro__[1:]))
             yield f"{face}.{name}.{member}", method, DESCRIBED_ELSEWHERE if above else set()
 

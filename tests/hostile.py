@@ -204,7 +204,7 @@ class Hostile(RuleBasedStateMachine):
             live.account.calls.append(call)
 
     @rule(live=lives, reference=st.sampled_from((0, 20, 999)), text=st.sampled_from((b"", b"%n%s", b"x" * 100)))
-    def other_types(self, live: Live, reference: int, text: str) -> None:
+    def other_types(self, live: Live, reference: int, text: bytes) -> None:
         if live in self.alive:
             assert live.instance.set_integers("Boolean", [reference], [1]) == OK
             assert live.instance.get_integers("Boolean", [reference]) == (OK, [0])
@@ -214,7 +214,7 @@ class Hostile(RuleBasedStateMachine):
     @rule(
         live=lives, text=st.sampled_from((b"\xff\xfe", b"\xc0\xaf", b"\xed\xa0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82"))
     )
-    def text_that_is_none(self, live: Live, text: str) -> None:
+    def text_that_is_none(self, live: Live, text: bytes) -> None:
         if live in self.alive and self.fmu.has_shim:
             assert live.instance.set_text(0, text) == ERROR
 
@@ -295,14 +295,14 @@ class Hostile(RuleBasedStateMachine):
             assert live.instance.free_state(state) == OK
 
     @rule(target=serialized, live=lives)
-    def serialize(self, live: Live) -> tuple[Live, bytes] | MultipleResults[tuple[Live, bytes]]:
+    def serialize(self, live: Live) -> tuple[bytes, Account] | MultipleResults[tuple[bytes, Account]]:
         if live not in self.alive or not live.states:
             return multiple()
         state, account = live.states[-1]
         return live.instance.serialized(state), account.copy()
 
     @rule(live=lives, form=serialized, damage=st.sampled_from((None, None, "cut", "shorter", "empty", "other")))
-    def deserialize(self, live: Live, form: tuple[Live, bytes], damage: int) -> None:
+    def deserialize(self, live: Live, form: tuple[bytes, Account], damage: str | None) -> None:
         if live not in self.alive:
             return
         text, account = form

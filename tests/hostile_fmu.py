@@ -9,13 +9,14 @@ from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, 
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 from fmpy import read_model_description
 from fmpy.fmi2 import fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 
 OK, DISCARD, ERROR = 0, 2, 3
 
-_ARGUMENTS: dict[str, list[object]] = {
+_ARGUMENTS: dict[str, list[type[ctypes._SimpleCData[Any]] | type[ctypes._Pointer[Any]]]] = {
     "SetupExperiment": [c_void_p, c_int, c_double, c_double, c_int, c_double],
     "DoStep": [c_void_p, c_double, c_double, c_int],
     "SetFMUstate": [c_void_p, c_void_p],

@@ -11,6 +11,7 @@ from __future__ import annotations
 from math import factorial
 
 import numpy as np
+from present import present
 from scipy.optimize import linprog
 
 _STEPS = 40  # more change nothing
@@ -49,7 +50,7 @@ def smallest_distance(first: int = 2, most: float | None = None) -> float:
         A_eq=np.hstack([effect, np.zeros((_ORDER, 1))]), b_eq=-missed, bounds=[*bounds, (0.0, None)],
     )  # fmt: skip
     assert found.success, found.message
-    return float(found.fun)
+    return float(present(found.fun))
 
 
 if __name__ == "__main__":

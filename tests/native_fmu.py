@@ -5,19 +5,21 @@ from __future__ import annotations
 import ctypes
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi3 import FMU3Slave
 from fmu_host import extracted, only_one, scratch
 from outside import timed
+from present import of_kind
 from scipy.interpolate import BPoly
 
 import servocore as sc
@@ -39,10 +41,10 @@ HOWTO = Path(__file__).resolve().parent.parent / "docs" / "howto" / "add-a-scene
 def users_scene() -> sc.Scene:
     """Return the scene of the page that shows how to write one."""
     blocks = re.findall(r"^```python\n(.*?)^```", HOWTO.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
-    names: dict[str, object] = {"__name__": "page"}
+    names: dict[str, Any] = {"__name__": "page"}
     for block in blocks[:3]:
         exec(compile(block, str(HOWTO), "exec", dont_inherit=True), names)
-    return names["elastic_hoist"]()
+    return of_kind(sc.Scene, names["elastic_hoist"]())
 
 
 def crossing() -> sc.Scene:
@@ -51,7 +53,7 @@ def crossing() -> sc.Scene:
     return replace(sc.scenes.rotary_crane(across_axis=True).with_reference(path), name="crossing")
 
 
-OTHERS = {
+OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "crossing": crossing,
     "elastic_hoist": users_scene,
     "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),
@@ -151,7 +153,8 @@ class Native:
 
     def __init__(self, name: str, fmi: int = 3, file: Path | None = None) -> None:
         file = file or native_file(name, fmi)
-        self.fmi, self.name, self.messages = fmi, name, []
+        self.fmi, self.name = fmi, name
+        self.messages: list[str] = []
         self.description = read_model_description(str(file), validate=False)
         arguments = {
             "guid": self.description.guid,
@@ -272,7 +275,7 @@ def size_of(variable: Any) -> int:
     return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
 
 
-def jets_of(name: str, t: float | Array) -> np.ndarray:
+def jets_of(name: str, t: npt.ArrayLike) -> np.ndarray:
     """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
     return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).mathematics.orders - 1)
 

@@ -14,11 +14,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from present import of_kind
 
 import servocore as sc
 from servocore.model.system import DERIVED, MAX_REFERENCE_ORDER
 from servocore.numerics.compiled_calls import Array
 from servocore.references.profiles import polynomial
+from servocore.references.rest_to_rest import RestToRest
 from servocore.scenes.jets import Jet, components
 from servocore.stepping.stepper import Stepper
 
@@ -197,7 +199,7 @@ def problem(scene_name: str, model: str, formulation: str = "projected", method:
 @cache
 def smooth_scene(name: str) -> sc.Scene:
     """Return a scene with a path of degree 17 between the same points: C^8, so that no method meets a kink."""
-    path = scene(name).reference
+    path = of_kind(RestToRest, scene(name).reference)
     return scene(name).with_reference(sc.rest_to_rest(path.start, path.end, path.duration, polynomial(17)))
 
 

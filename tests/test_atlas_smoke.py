@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.atlas.page import anchor, page, table  # noqa: E402
-from benchmarks.atlas.record import read_csv, write_csv  # noqa: E402
+from benchmarks.atlas.record import Row, read_csv, write_csv  # noqa: E402
 from benchmarks.atlas.rows import ROWS, named  # noqa: E402
 from benchmarks.atlas.style import drawn, save  # noqa: E402
 
@@ -44,7 +44,7 @@ def test_the_page_that_is_committed_shows_the_table_that_is_committed() -> None:
 
 
 @pytest.mark.parametrize(("number", "row"), list(enumerate(ROWS, 1)), ids=[row.name for row in ROWS])
-def test_the_page_has_the_fixed_sections_of_a_row(number: int, row: str) -> None:
+def test_the_page_has_the_fixed_sections_of_a_row(number: int, row: Row) -> None:
     text = (PAGE / "index.md").read_text(encoding="utf-8")
     start = text.index(f"## {number}. {row.title}\n")
     following = text.find("\n## ", start + 1)

@@ -7,6 +7,7 @@ import pytest
 from problems import scene
 
 import servocore as sc
+from servocore.numerics.compiled_calls import Array
 
 CRANE = scene("rotary_crane")
 T = np.linspace(0.0, 20.0, 41)
@@ -91,8 +92,8 @@ def rides(count: int) -> list[sc.Reference]:
     return [sc.rest_to_rest(start, end * (1.0 + k / 10), path.duration) for k in range(count)]
 
 
-def alone(car: sc.Scene, **how: object) -> np.ndarray:
-    return sc.DynamicInversion(car, native=False, **how)(INSTANTS)
+def alone(car: sc.Scene, tolerance: float = 1e-6) -> Array:
+    return sc.DynamicInversion(car, native=False, tolerance=tolerance)(INSTANTS)
 
 
 @pytest.mark.parametrize("native", [False, True])

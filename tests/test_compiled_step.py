@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fmu_host import extracted, fmu_file
+from present import present
 
 import servocore as sc
 from crane_fmu.build.compiled_step import compiled_steps
@@ -66,7 +67,7 @@ def test_the_libraries_are_those_that_were_chosen_and_are_used() -> None:
     names = [f"{model}-{formulation}" for model in CRANE.models for formulation in ("reduced", "projected", "original")]
     assert set(NAMES) <= set(names)
     for name in names:
-        used = quick_step(program(name), bundle() / f"{name}.so")
+        used = present(quick_step(program(name), bundle() / f"{name}.so"))
         assert used.is_compiled == (name in NAMES)
 
 
@@ -76,14 +77,14 @@ def test_a_library_that_cannot_be_loaded_is_done_without(tmp_path: Path, content
     if content is not None:
         file.write_bytes(content)
     saved = program("points-reduced")
-    found = quick_step(saved, file)
+    found = present(quick_step(saved, file))
     assert not found.is_compiled
     assert states(found, saved, "points-reduced")
 
 
 @compiles
 def test_a_library_of_another_program_is_done_without() -> None:
-    assert not quick_step(program("points-reduced"), bundle() / "points-original.so").is_compiled
+    assert not present(quick_step(program("points-reduced"), bundle() / "points-original.so")).is_compiled
 
 
 @compiles
@@ -96,7 +97,8 @@ def test_two_libraries_of_one_machine_are_equal_byte_by_byte() -> None:
 @compiles
 def test_a_compiler_that_fails_is_told_once_and_costs_the_libraries_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "false")
-    text, said = (bundle() / "points-reduced.json").read_text(), []
+    text = (bundle() / "points-reduced.json").read_text()
+    said: list[str] = []
     assert compiled_steps({"a.json": text, "b.json": text}, said.append) == {}
     (notice,) = said
     assert notice.startswith("false does not compile")

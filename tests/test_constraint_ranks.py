@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from present import present
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import ROUND_OFF, ConstraintRank, assembled, constraint_rank, scaled_rows
@@ -65,7 +66,7 @@ def test_almost_the_same_constraint_twice_is_told_from_round_off() -> None:
 
 def test_assembly_from_afar_ends_on_the_constraints_and_gives_up_where_there_is_nothing() -> None:
     rows = scaled_rows(ca.vertcat(SPHERE, X - Y), Q, P, np.zeros(0), np.ones(3))
-    found = assembled(rows, np.array([5.0, -3.0, 2.0]))
+    found = present(assembled(rows, np.array([5.0, -3.0, 2.0])))
     assert np.abs(rows(found)[0]).max() < 1e-12
     nowhere = scaled_rows(ca.vertcat(SPHERE, X - 3), Q, P, np.zeros(0), np.ones(3))
     assert assembled(nowhere, START) is None

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from browser import Page, require_browser
 from fmu_host import fmu_file
+from present import present
 from typer.testing import CliRunner
 
 import crane_fmu.demo
@@ -35,7 +36,7 @@ def fmu() -> Path:
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    said = []
+    said: list[str] = []
     result = demo(tmp_path_factory.mktemp("demo") / "deep" / "out", said.append, STEPS)
     assert said
     return result
@@ -206,7 +207,7 @@ class TestRunFmu:
         reference = sc.scenes.rotary_crane().reference
         rows = input_rows(reference, 0.5)
         assert rows["time"][-1] == 20.0
-        assert len(rows.dtype.names) == 16 + 12
+        assert len(present(rows.dtype.names)) == 16 + 12
         assert not rows["measured.l"].any()
         np.testing.assert_array_equal(rows["load.position[1]"], reference.jet(rows["time"], 0)[:, 0, 0])
         np.testing.assert_array_equal(rows["load.snap[3]"], reference.jet(rows["time"], 4)[:, 4, 2])
@@ -214,10 +215,10 @@ class TestRunFmu:
 
 class TestExamples:
     def test_they_are_beside_the_package_in_a_clone(self) -> None:
-        assert (examples_folder() / "working_cycle_sampled.csv").is_file()
+        assert (present(examples_folder()) / "working_cycle_sampled.csv").is_file()
 
     def test_waypoints_and_samples_are_one_path(self) -> None:
-        cycle = example_cycle(sc.scenes.rotary_crane(), examples_folder())
+        cycle = present(example_cycle(sc.scenes.rotary_crane(), examples_folder()))
         assert cycle.apart < 1e-9
         assert max(cycle.errors[name] for name in ("M_b", "F", "M_w")) < 1e-12
         assert 1e-3 < cycle.paper["M_b"] < 0.05

@@ -62,7 +62,8 @@ def test_every_row_is_the_time_derivative_of_the_row_before() -> None:
     assert max(order for _, order in array.rows) >= 3
     evaluate = ca.Function("rows", [array.y, system.gamma, system.p], [array.residual])
     found = np.asarray(evaluate(y, gamma, p)).ravel()
-    derivative, expected = placed, {}
+    derivative = placed
+    expected: dict[tuple[int, int], float] = {}
     for order in range(max(order for _, order in array.rows) + 1):
         values = np.asarray(ca.Function("at", [t], [derivative])(0.0)).ravel()
         expected |= {(i, order): values[i] for i in range(len(values))}

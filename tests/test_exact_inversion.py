@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from present import present
 from problems import scene
 
 import servocore as sc
@@ -92,7 +93,7 @@ def test_a_guess_that_is_not_exact_costs_time_and_nothing_else() -> None:
     t = np.linspace(0.0, 20.0, 51)
     array = sc.Problem.of(crane).array
     jet = CRANE.reference.jet(7.0, array.reference_order)
-    quick = compile_inversion(array).expression(jet.T, astray.parameters.values({}))[0]
+    quick = present(compile_inversion(array).expression)(jet.T, astray.parameters.values({}))[0]
     assert np.isnan(np.asarray(quick)).any()
     assert_exact(sc.ExactInversion(crane)(t), CRANE.exact(t), ("M_b", "F", "M_w"))
     assert_exact(sc.solve(crane, sc.Reduced(), step=0.4).values, CRANE.exact(t), ("M_b", "F", "M_w"))

@@ -124,9 +124,10 @@ def test_inputs_that_belong_to_the_start_of_a_step_are_continued_as_by_the_pytho
 
 
 def test_the_rotary_crane_has_the_variables_of_the_python_fmu() -> None:
-    def table(file: Path) -> dict[str, Array]:
+    def table(file: Path) -> dict[str, tuple[str | None, str | None]]:
         root = ET.fromstring(zipfile.ZipFile(file).read("modelDescription.xml"))
-        return {each.get("name"): (each.get("causality"), each[0].get("unit")) for each in root.iter("ScalarVariable")}
+        variables = root.iter("ScalarVariable")
+        return {each.attrib["name"]: (each.get("causality"), each[0].get("unit")) for each in variables}
 
     native, python = table(native_file("rotary_crane", 2)), table(fmu_file())
     left_out = {name for name in python if name.startswith(("measured.", "limit.", "feedback"))}
@@ -183,7 +184,7 @@ def test_directional_derivatives_are_those_of_the_step_that_was_computed(name: s
 def test_a_restored_state_goes_on_to_the_bit(name: str, fmi: int) -> None:
     reference = scene_called(name).reference
     h = 0.01 * reference.duration
-    t = reference.start_time + 0.3 * reference.duration + h * np.arange(5)
+    t = reference.start_time + 0.3 * reference.duration + h * np.arange(5.0)
     jets = jets_of(name, t)
     with Native(name, fmi) as host, Native(name, fmi) as other:
         host.start(jets[0], t[0])

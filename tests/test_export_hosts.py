@@ -60,7 +60,17 @@ def numbers_of(text: str) -> np.ndarray:
 def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int, compiler: list[str], tmp_path: Path) -> None:
     name, steps = "rotary_crane", 100
     host = tmp_path / "host"
-    build = [*compiler, "-O1", "-w", f"-DFMI={fmi}", f"-I{HEADERS}", HERE / "host.c", "-o", host, "-ldl"]
+    build: list[str | Path] = [
+        *compiler,
+        "-O1",
+        "-w",
+        f"-DFMI={fmi}",
+        f"-I{HEADERS}",
+        HERE / "host.c",
+        "-o",
+        host,
+        "-ldl",
+    ]
     subprocess.run(build, check=True)
     folder = Path(extracted(native_file(name, fmi)))
     (library,) = folder.glob("binaries/*/*.so")
@@ -75,7 +85,7 @@ def test_a_host_in_c_gets_what_a_host_in_python_gets(fmi: int, compiler: list[st
 @pytest.mark.parametrize("master", ["ecospy", "libcosimpy"])
 def test_another_master_gets_what_a_host_in_python_gets(master: str, tmp_path: Path) -> None:
     required(master)
-    file, t = native_file("rotary_crane", 2), np.arange(40, 60) * 0.1
+    file, t = native_file("rotary_crane", 2), np.arange(40.0, 60.0) * 0.1
     jets = jets_of("rotary_crane", t)
     with Native("rotary_crane", 2) as host:
         host.start(jets[0])  # inputs belong to the start of a step: these masters set no enumerations
@@ -115,7 +125,15 @@ def under_sanitizers(name: str, fmi: int, driver: str, compiler: list[str], fold
     options = ["-std=c99", "-g", "-O1" if FULL else "-O0", "-w", "-ffp-contract=off", "-I.", *SANITIZERS]
     if name == "rotary_crane plant":  # inputs by chance would drop its load
         options.append("-DAMPLITUDE=0.0")
-    build = [*compiler, *options, HERE / f"{driver}.c", *compiled_files(model, fmi), "-o", driver, "-lm"]
+    build: list[str | Path] = [
+        *compiler,
+        *options,
+        HERE / f"{driver}.c",
+        *compiled_files(model, fmi),
+        "-o",
+        driver,
+        "-lm",
+    ]
     built = subprocess.run(build, cwd=folder, capture_output=True, text=True, check=False)
     if built.returncode and "sanitize" in built.stderr + "libasan":
         pytest.skip(f"this compiler has no sanitizers: {built.stderr.splitlines()[-1]}")
@@ -176,7 +194,7 @@ def test_a_branch_that_is_followed_is_followed_in_an_fmu_too() -> None:
     assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
-RUNNERS = {
+RUNNERS: dict[str, tuple[str | None, ...]] = {
     "x86_64-linux": (),
     "x86_64-windows": (WINE,),
     "aarch64-linux": (QEMU, "-L", "/usr/aarch64-linux-gnu"),  # Debian: libc6-arm64-cross
@@ -186,8 +204,8 @@ RUNNERS = {
 @pytest.mark.skipif(not PLATFORMS, reason="make platforms")
 @pytest.mark.parametrize("target", RUNNERS)
 def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path: Path) -> None:
-    runner = RUNNERS[target]
-    if zig() is None or None in runner or not all(Path(each).exists() for each in runner[2:]):
+    runner, compiler = [word for word in RUNNERS[target] if word is not None], zig()
+    if compiler is None or len(runner) < len(RUNNERS[target]) or not all(Path(word).exists() for word in runner[2:]):
         pytest.skip("needs ziglang, and Wine or QEMU with a C library")
     name, steps = "rotary_crane", 100
     # With a second platform all are built by zig, this machine's own too.
@@ -197,7 +215,7 @@ def test_libraries_of_other_platforms_give_the_same_digits(target: str, tmp_path
     windows = target.endswith("windows")
     host = tmp_path / ("host.exe" if windows else "host")
     options = ["-target", f"{target}-gnu", "-O1", "-w", "-DFMI=3", f"-I{HEADERS}", *(() if windows else ("-ldl",))]
-    subprocess.run([*zig(), "cc", *options, HERE / "host.c", "-o", host], check=True, timeout=900)
+    subprocess.run([*compiler, "cc", *options, HERE / "host.c", "-o", host], check=True, timeout=900)
     words, path = host_words(name, 3, steps)
     done = subprocess.run(
         [*runner, host, library, read_model_description(str(folder)).guid, *words],

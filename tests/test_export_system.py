@@ -10,6 +10,7 @@ from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -19,6 +20,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from fmpy.validation import validate_fmu
 from fmu_host import fmu_file, scratch
 from native_fmu import DISCARD, END, OK, START, Native, exported, native_file, path_of
+from present import present
 from test_ssp import MASTERS, places, system
 
 import servocore as sc
@@ -49,7 +51,7 @@ def test_a_checker_has_nothing_to_say(name: str, fmi: int) -> None:
 # Trajectory ----------------------------------------------------------------------------------------------------------
 
 
-def played(instants: Array, **parameters: float) -> Array:
+def played(instants: Array, **parameters: Any) -> Array:
     """Return jets (N, orders, m) of the crane's trajectory, whose steps end at some instants."""
     with Native("rotary_crane trajectory", 2) as host:
         host.start(time=float(instants[0]), **parameters)
@@ -70,7 +72,7 @@ def assert_as(found: Array, expected: Array, within: float = 1e-12) -> None:
 )
 def test_time_laws_are_those_of_the_library(number: int, profile: sc.Profile) -> None:
     """To the last digit: estimated derivatives amplify a difference there by 1/h^4."""
-    t = np.arange(-8, 185) / 8  # sums of steps are exact
+    t = np.arange(-8.0, 185.0) / 8  # sums of steps are exact
     ramp = getattr(profile, "ramp", None) or 0.0
     found = played(t, profile=number, ramp=ramp, start_time=1.1, duration=17.9)
     path = sc.rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 17.9, profile, 1.1)
@@ -79,7 +81,7 @@ def test_time_laws_are_those_of_the_library(number: int, profile: sc.Profile) ->
 
 def test_a_path_that_is_baked_in_is_that_path() -> None:
     t = np.linspace(-1.0, 21.0, 221)
-    assert_as(played(t, profile=4), path_of("rotary_crane").jet(t, 4))
+    assert_as(played(t, profile=4), present(path_of("rotary_crane")).jet(t, 4))
 
 
 def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence() -> None:
@@ -105,7 +107,7 @@ def inputs(steps: int) -> np.ndarray:
     return found
 
 
-SETTINGS = (
+SETTINGS: tuple[dict[str, float], ...] = (
     {},
     {"input_time": END},
     {"hold": 2},
@@ -119,7 +121,7 @@ WATCHED = (
 
 
 @pytest.mark.parametrize("settings", SETTINGS, ids=str)
-def test_the_plant_moves_as_the_one_in_python(settings: dict[str, float]) -> None:
+def test_the_plant_moves_as_the_one_in_python(settings: dict[str, Any]) -> None:
     found = []
     for make in (partial(Native, "python", 2, fmu_file("CranePlant")), partial(Native, "rotary_crane plant", 2)):
         with make() as host:
@@ -185,8 +187,9 @@ def set_all(host: Native, values: Array, shift: dict[str, Array] | None = None) 
         own = np.asarray(values[place : place + sizes[name]]) + (shift or {}).get(name, 0.0)
         host.fmu.setFloat64([host.references[name]], own.tolist())
         place += sizes[name]
-    for name in set(shift or ()) - set(host.inputs):
-        host.set(**{name: host.get(name)[0] + shift[name][0]})
+    for name, change in (shift or {}).items():
+        if name not in host.inputs:
+            host.set(**{name: host.get(name)[0] + change[0]})
 
 
 def directions(name: str) -> dict[str, np.ndarray]:
@@ -228,7 +231,8 @@ def test_adjoint_products_are_those_of_directions(name: str) -> None:
 def test_the_feedback_is_that_of_python(input_time: int) -> None:
     """A load beside its path, its measured motion made up: only equal laws say the same of it."""
     h, first = 0.1, 40
-    motion, found = sc.solve(CRANE, step=h), []
+    motion = sc.solve(CRANE, step=h)
+    found: list[Any] = []
     jets = CRANE.reference.jet(motion.t, 4)
     for make in (partial(Native, "python", 2, fmu_file()), partial(Native, "rotary_crane loop", 2)):
         with make() as host:
@@ -326,7 +330,7 @@ def test_a_load_far_from_its_path_is_left_to_the_feedforward_with_a_warning() ->
 def test_the_command_writes_plant_and_trajectory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CFLAGS", "-O0")
-    write("path.csv", csv_of(path_of("rotary_crane")))
+    write("path.csv", csv_of(present(path_of("rotary_crane"))))
     common = ("--targets", "host", "--fmi", "2")
     said = run("export", "cars", "--plant", "-o", "plant.fmu", *common).output
     assert "plant.fmu: plant of cars, FMI 2" in said
@@ -362,7 +366,8 @@ PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration"
 @cache
 def systems(connected: str) -> dict_values[bool, Path]:
     """Return the system in Python and the native one whose inverse models are told no more than a derivative."""
-    parts, wishes = {}, {"parameters": {"connected": connected}} if connected != "snap" else {}
+    parts = {}
+    wishes: dict[str, Any] = {"parameters": {"connected": connected}} if connected != "snap" else {}
     for native in (False, True):
         folder = scratch() / f"{connected} {native}"
         if native or wishes:
@@ -404,14 +409,14 @@ def test_other_masters_take_the_native_system_where_the_one_in_python_goes(
 @pytest.mark.skipif(not FULL, reason="make native")
 def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    write("path.csv", csv_of(path_of("rotary_crane")))
+    write("path.csv", csv_of(present(path_of("rotary_crane"))))
     write("heavy.toml", "load_mass = 80.0\n")
     options = ("--native", "--targets", "host", "--reference", "path.csv", "--parameters", "heavy.toml")
     assert crane("ssp", *options).exit_code == 0
     with nothing_left():
         rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
     wanted, found = (np.array([rows[f"{n}.load.position[{k}]"] for k in (1, 2, 3)]) for n in ("trajectory", "plant"))
-    np.testing.assert_allclose(wanted.T, path_of("rotary_crane").jet(rows["time"] + 0.01, 0)[:, 0], atol=1e-12)
+    np.testing.assert_allclose(wanted.T, present(path_of("rotary_crane")).jet(rows["time"] + 0.01, 0)[:, 0], atol=1e-12)
     assert np.abs(wanted - found).max() < 1e-4
     assert rows["plant.tension"][0] == pytest.approx(80.0 * 9.81, rel=1e-2)
     with zipfile.ZipFile("system/Crane.ssp") as archive:

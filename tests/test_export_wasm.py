@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from command_lines import CommandLine
 from native_fmu import scene_called
-from wasm_module import Module, module_file, sections
+from wasm_module import Module, Verdicts, module_file, sections
 
 import servocore as sc
 from servocore.cli.commands import app
@@ -66,7 +66,7 @@ def largest_difference(found: dict[str, Array], solution: sc.Solution) -> float:
     return float(max(np.abs(values - solution[name]).max() / peaks[name] for name, values in found.items()))
 
 
-def marched(name: str, **parameters: float) -> tuple[Array, Array, sc.Scene]:
+def marched(name: str, **parameters: float) -> tuple[tuple[dict[str, Array], Verdicts], float, sc.Scene]:
     scene, t = scene_called(name), instants(name, STEPS)
     h = (t[-1] - t[0]) / STEPS
     times = np.concatenate([t[0] + h * np.array(module(name).about["instants"]), t[1:]])

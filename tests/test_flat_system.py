@@ -99,7 +99,7 @@ def test_a_point_to_point_plan_has_the_inputs_of_the_exact_inversion(name: str) 
 class OfBasis(Reference):
     """The path of a trajectory of python-control, by its own basis functions."""
 
-    trajectory: object
+    trajectory: Any  # python-control has no types
 
     def _derivatives(self, t: Array, order: int) -> Array:
         basis = self.trajectory.basis

@@ -13,6 +13,7 @@ import scipy.linalg
 import scipy.special
 
 import servocore as sc
+from servocore.model.system import reference_symbols
 from servocore.numerics.compiled_calls import Array
 from servocore.rotationless import GROUND, Assembly, Beam, ElasticRope, Frame, Section, angle, fixed, revolute, turned
 
@@ -36,7 +37,7 @@ def cantilever(elements: int) -> sc.MechanicalSystem:
     root, tip, phi = parts.node("beam", 0), parts.node("beam", -1), parts.augmented("phi")
     size = LENGTH / elements
 
-    def rolled(y: Array) -> dict[str, float]:
+    def rolled(y: ca.SX) -> dict[str, object]:
         nodes, place = [], ca.SX.zeros(3)
         for k in range(elements + 1):
             nodes.append((place, turned(Y, y[0] * k / elements) @ ALONG_X))
@@ -155,7 +156,7 @@ def truss(controlled: str) -> sc.MechanicalSystem:
     across, down, load = ca.vertsplit(coordinates.q)
     lengths = [ca.sqrt((HALF_SPAN + side * across) ** 2 + (RISE - down) ** 2) for side in (1, -1)]
     strain = sum(STIFFNESS / (2 * BAR) * (each - BAR) ** 2 for each in lengths)
-    y = sc.model.system.reference_symbols(1)
+    y = reference_symbols(1)
     by_way = controlled == "down"
     return sc.MechanicalSystem(
         name="von Mises truss",
@@ -168,7 +169,7 @@ def truss(controlled: str) -> sc.MechanicalSystem:
         input_matrix=ca.SX([[0, -1 if by_way else 0, 0 if by_way else -1]]),
         potential=strain + (load**2 / 2 if by_way else -load * down),
         gamma=y,
-        guess=ca.vertcat(0, y[0, 0] if by_way else 0, 0 if by_way else y[0, 0]),
+        guess=ca.vertcat(0, y[0, 0], 0) if by_way else ca.vertcat(0, 0, y[0, 0]),
         home=(0.05 if by_way else 1.0,),
     )
 

@@ -14,9 +14,11 @@ import pytest
 from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from fmu_host import Host, extracted, fmu_file, in_a_process, interface, scratch
+from present import present
 
 import servocore as sc
 from crane_fmu.build import fmu as build
+from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Content, collect, travelling
 from crane_fmu.build.description import UNITS
 from crane_fmu.build.page import user_page
@@ -80,9 +82,7 @@ def test_an_fmu_that_fails_its_check_is_not_put_in_place(
 def test_a_file_missing_from_the_bundle_is_found_by_the_check(
     content: Content, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    packed = build.packed
-
-    def without_one_program(content: bytes, _: object) -> bytes:
+    def without_one_program(content: Content, _: object) -> bytes:
         stream = io.BytesIO()
         with zipfile.ZipFile(stream, "w") as archive:
             for name, data in members(io.BytesIO(packed(content))).items():
@@ -99,7 +99,7 @@ def test_a_file_missing_from_the_bundle_is_found_by_the_check(
 
 def test_building_leaves_no_traces_in_the_process(content: Content) -> None:
     path, modules = list(sys.path), set(sys.modules)
-    build.packed(content)
+    packed(content)
     assert sys.path == path
     assert not {each for each in set(sys.modules) - modules if each.startswith("rotary_crane")}
 
@@ -143,7 +143,7 @@ def test_all_variables_have_units_with_their_dimension() -> None:
     for element, variable in zip(description.iter("ScalarVariable"), interface().variables, strict=True):
         if not variable.is_choice:
             assert element[0].get("unit") == variable.unit
-            exponents = {base: int(n) for base, n in defined[variable.unit].attrib.items()}
+            exponents = {base: int(n) for base, n in present(defined[variable.unit]).attrib.items()}
             assert exponents == UNITS[variable.unit][0]
     displays = {(each.get("name")) for each in description.iter("DisplayUnit")}
     assert {"deg", "kN"} <= displays
@@ -186,7 +186,7 @@ def test_two_builds_of_different_content_live_in_one_process(content: Content) -
     assert "LONGEST_STEP = 3600.0" in checks
     impatient = checks.replace("LONGEST_STEP = 3600.0", "LONGEST_STEP = 0.05")
     other = scratch() / "impatient.fmu"
-    other.write_bytes(build.packed(replace(content, files={**content.files, "crane_fmu/slave/checks.py": impatient})))
+    other.write_bytes(packed(replace(content, files={**content.files, "crane_fmu/slave/checks.py": impatient})))
     with Host() as patient, Host(other) as hasty:
         assert patient.start().step(0.0, 0.1)
         assert not hasty.start().step(0.0, 0.1)

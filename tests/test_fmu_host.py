@@ -117,7 +117,7 @@ def test_a_step_that_lands_on_another_branch_is_refused_and_smaller_ones_go_on(h
 
 
 def test_after_a_refusal_the_host_goes_on_as_if_nothing_had_happened() -> None:
-    t = np.arange(0, 41) * 0.1 + 4.0
+    t = np.arange(41.0) * 0.1 + 4.0
     jets = CRANE.reference.jet(t, 4)
     with Host() as plain, Host() as disturbed:
         wanted = follow(plain, CRANE.reference, t)
@@ -200,7 +200,7 @@ def test_a_terminated_fmu_refuses_steps() -> None:
 
 
 def test_nothing_is_logged_with_logging_off_and_the_numbers_are_the_same() -> None:
-    t = np.arange(51) * 0.1
+    t = np.arange(51.0) * 0.1
     with Host(logging=False) as quiet, Host(logging=True) as loud:
         found = follow(quiet, CRANE.reference, t), follow(loud, CRANE.reference, t)
         assert not quiet.step(0.0, 0.1)
@@ -263,7 +263,7 @@ with Host(file) as host:
 
 
 def test_a_serialized_state_goes_on_in_another_process_bit_by_bit(tmp_path: Path) -> None:
-    t = 5.0 + np.arange(31) * 0.1
+    t = 5.0 + np.arange(31.0) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:
         host.set(model="bodies").start(jets[0], t[0])
@@ -294,7 +294,7 @@ def test_a_foreign_state_is_refused_and_nothing_changes(wrong: bytes) -> None:
 
 
 def test_two_instances_do_not_know_each_other() -> None:
-    t = np.arange(31) * 0.1
+    t = np.arange(31.0) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as alone:
         wanted = drive(alone.start(jets[0]), t, jets)
@@ -310,13 +310,13 @@ def test_two_instances_do_not_know_each_other() -> None:
 
 
 def test_a_reset_instance_is_like_a_fresh_one() -> None:
-    t = 3.0 + np.arange(21) * 0.1
+    t = 3.0 + np.arange(21.0) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as fresh:
         wanted = drive(fresh.start(jets[0], 3.0), t, jets)
     with Host() as used:
         used.set(load_mass=7.0, model="bodies", input_time="end").start()
-        drive(used, np.arange(11) * 0.2, np.tile(REST, (11, 1, 1)))
+        drive(used, np.arange(11.0) * 0.2, np.tile(REST, (11, 1, 1)))
         used.fmu.reset()
         assert used["load_mass"] == 100.0
         assert drive(used.start(jets[0], 3.0), t, jets) == wanted

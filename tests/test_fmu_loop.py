@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from fmu_host import Host
@@ -63,7 +65,8 @@ def test_drives_that_give_no_more_bring_the_load_back_without_winding_up() -> No
     disturbance = {"gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0}
     path, h, count = CRANE.reference, 0.02, 800
     jets, errors, peak = path.jet(h * np.arange(count + 1), 4), [], 0.0
-    with Loop(Case(disturbance=disturbance), **{"limit.M_b": 500.0}) as loop:
+    limits: dict[str, Any] = {"limit.M_b": 500.0}
+    with Loop(Case(disturbance=disturbance), **limits) as loop:
         for k in range(count):
             errors.append(np.linalg.norm(loop.step(jets, k, h) - jets[k + 1, 0]))
             peak = max(peak, abs(loop.crane["M_b"]))

@@ -40,7 +40,7 @@ def worst(found: dict[str, Array], wanted: sc.Solution | dict[str, Array], names
 
 
 def simulate(step: float, **settings: str) -> tuple[Any, Any]:
-    t = np.arange(round(20 / step) + 1) * step
+    t = np.arange(round(20 / step) + 1.0) * step
     result = simulate_fmu(
         str(fmu_file()),
         start_time=0.0,
@@ -78,7 +78,7 @@ def test_a_step_that_newton_cannot_solve_is_refused_with_its_times_and_the_worst
     route = dict(zip(("model", "formulation"), UNSOLVED, strict=True))
     with pytest.raises(sc.IntegrationFailed):
         sc.solve(CRANE, sc.Original(), sc.BackwardEuler(), step=0.1, model=route["model"])
-    t = np.arange(201) * 0.1
+    t = np.arange(201.0) * 0.1
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:
         host.set(**route, input_time="end").start(jets[0])
@@ -94,7 +94,7 @@ def test_a_step_that_newton_cannot_solve_is_refused_with_its_times_and_the_worst
 def test_the_error_falls_in_proportion_to_the_step(formulation: str, at: str) -> None:
     errors = []
     for step in (0.1, 0.05, 0.025):
-        t = np.arange(round(20 / step) + 1) * step
+        t = np.arange(round(20 / step) + 1.0) * step
         with Host() as host:
             found = follow(host.set(formulation=formulation), CRANE.reference, t, at=at)
         errors.append(worst(found, CRANE.exact(t), ("M_b", "F")))
@@ -103,7 +103,7 @@ def test_the_error_falls_in_proportion_to_the_step(formulation: str, at: str) ->
 
 
 def test_the_reduced_formulation_has_no_step_error() -> None:
-    t = np.arange(201) * 0.1
+    t = np.arange(201.0) * 0.1
     with Host() as host:
         found = follow(host, CRANE.reference, t, at="end")
     assert worst(found, CRANE.exact(t)) < 1e-11
@@ -127,7 +127,7 @@ def test_steps_that_vary_cost_no_order(formulation: str, at: str) -> None:
 
 @pytest.mark.parametrize("at", ["start", "end"])
 def test_internal_steps_are_as_good_as_communication_steps(at: str) -> None:
-    t = np.arange(201) * 0.1
+    t = np.arange(201.0) * 0.1
     errors = []
     for internal in (0.0, 0.05, 0.025):
         with Host() as host:
@@ -157,7 +157,7 @@ def test_outputs_are_exact_after_an_initialization_in_motion() -> None:
 
 
 def test_a_start_in_motion_is_forgotten_after_one_step() -> None:
-    t = 5.0 + np.arange(20) * 0.01
+    t = 5.0 + np.arange(20.0) * 0.01
     with Host() as host:
         found = follow(host.set(formulation="projected"), CRANE.reference, t, at="end")
     error = np.abs(found["M_b"] - CRANE.exact(t)["M_b"]) / np.abs(CRANE.exact(np.arange(0, 20, 0.1))["M_b"]).max()
@@ -210,7 +210,7 @@ def test_the_bridge_angle_counts_full_turns() -> None:
 @pytest.mark.parametrize("model", MODELS)
 def test_tunable_parameters_take_effect_at_the_next_step(model: str, name: str) -> None:
     heavier = CRANE.with_parameters(**{name: 2.0 * CRANE.parameter_values()[name]})
-    t = np.arange(201) * 0.1
+    t = np.arange(201.0) * 0.1
     wanted = sc.solve(heavier, sc.Projected(), sc.BackwardEuler(), step=0.1, model=model)
     jets = CRANE.reference.jet(t, 4)
     with Host() as host:

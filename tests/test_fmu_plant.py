@@ -27,7 +27,7 @@ def plant(**settings: float | str) -> Host:
     return Host(fmu_file("CranePlant")).set(**settings)
 
 
-def trajectory(**settings: float) -> Host:
+def trajectory(**settings: float | str) -> Host:
     return Host(fmu_file("LoadTrajectory")).set(**settings)
 
 

@@ -13,6 +13,7 @@ import pytest
 from fmu_host import Host
 from hypothesis import given
 from hypothesis import strategies as st
+from present import present
 
 import servocore as sc
 from crane_fmu.build.estimates import amplification, estimate_functions
@@ -38,11 +39,11 @@ def driven(
     step: float,
     connected: str,
     stop: float = 3.0,
-    settings: Mapping[str, float] | None = None,
+    settings: Mapping[str, float | str] | None = None,
     jets: Callable[[Array], Array] = sine,
 ) -> tuple[Array, dict[str, Array], list[str]]:
     """Times and outputs of a host that connects derivatives up to one order, from the first step on."""
-    t = np.arange(round(stop / step) + 1) * step
+    t = np.arange(round(stop / step) + 1.0) * step
     names = ("M_b", "F", "M_w", "s", "l")
     rows = []
     with Host() as host:
@@ -63,7 +64,7 @@ def _told(jet: Array, connected: str) -> Array:
 
 
 def exact(t: Array) -> dict[str, Array]:
-    return sc.scenes.rotary_crane().closed_form(sine(t), CRANE.parameter_values())
+    return present(sc.scenes.rotary_crane().closed_form)(sine(t), CRANE.parameter_values())
 
 
 def error(name: str, step: float, connected: str = "snap", **settings: Any) -> float:
@@ -93,7 +94,7 @@ def test_the_error_of_the_extrapolated_position_is_of_fifth_order() -> None:
 
 
 def test_inputs_of_the_end_of_a_step_take_no_extrapolation() -> None:
-    t = np.arange(301) * 0.01
+    t = np.arange(301.0) * 0.01
     with Host() as host:
         host.set(input_time="end").start(sine(t[:1])[0])
         for k in range(300):
@@ -134,7 +135,7 @@ def estimates(times: Array, path: Callable[[float], Any], order: int) -> SimpleN
 def test_estimates_fall_with_third_order_in_snap(connected: str) -> None:
     order, errors = ORDERS.index(connected), []
     for step in (0.04, 0.02):
-        found = estimates(np.arange(-20, 1) * step, lambda t: sine(t)[0, order], order)
+        found = estimates(np.arange(-20.0, 1.0) * step, lambda t: sine(t)[0, order], order)
         errors.append(np.abs(found.rows[-1] - sine(0.0)[0, 4]).max())
     assert np.log2(errors[0] / errors[1]) > 2.7 or errors[1] < 1e-6
 
@@ -158,7 +159,7 @@ def test_quartic_paths_are_estimated_exactly_also_with_steps_that_vary(
 def test_noise_comes_out_less_amplified_than_the_page_says() -> None:
     rng, step = np.random.default_rng(3), 0.01
     for order in range(4):
-        found = estimates(np.arange(-200, 1) * step, lambda _: 1e-6 * rng.choice([-1.0, 1.0], 3), order)
+        found = estimates(np.arange(-200.0, 1.0) * step, lambda _: 1e-6 * rng.choice([-1.0, 1.0], 3), order)
         assert np.abs(found.rows[-1]).max() <= 1e-2 * amplification(order) * 1e-6 / step ** (4 - order)
 
 
@@ -211,7 +212,7 @@ def test_rounded_positions_are_filtered_and_told(rounding: float) -> None:
 
 
 def test_exact_positions_at_1_ms_are_not_lost_in_rounding() -> None:
-    error, said = worst_torque(np.arange(7000, 9000) * 1e-3)
+    error, said = worst_torque(np.arange(7000.0, 9000.0) * 1e-3)
     assert error < 0.05 or "starts in motion" in said[0]
 
 
@@ -240,7 +241,7 @@ def test_positions_alone_are_enough_for_the_default_manoeuvre() -> None:
     _, found, said = driven(
         0.02, "position", 20.0, {"connected": "position"}, lambda t: CRANE.reference.jet(np.atleast_1d(t), 4)
     )
-    wanted = CRANE.exact(np.arange(1, 1001) * 0.02)
+    wanted = CRANE.exact(np.arange(1.0, 1001.0) * 0.02)
     assert said == []
     for name in ("M_b", "F", "M_w"):
         assert np.abs(found[name] - wanted[name]).max() < 0.03 * np.abs(wanted[name]).max(), name
@@ -248,7 +249,7 @@ def test_positions_alone_are_enough_for_the_default_manoeuvre() -> None:
 
 @pytest.mark.parametrize("connected", ORDERS[:-1])
 def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_and_then_refused(connected: str) -> None:
-    t = np.arange(30) * 0.1
+    t = np.arange(30.0) * 0.1
     with Host() as host:
         host.start(_told(sine(0.0)[0], connected))
         steps = []

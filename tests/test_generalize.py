@@ -118,14 +118,14 @@ def pendulum(
     mapping: ca.SX | None = None,
     coordinates: sc.Coordinates = ANGLE,
     system: sc.MechanicalSystem | None = None,
-    **settings: str,
+    name: str | None = None,
 ) -> sc.MechanicalSystem:
     """Return the redundant pendulum in its angle."""
     system = system or redundant_pendulum("theta")
     length = system.parameters["l"]
     theta = coordinates.q[0]
     F = ca.vertcat(length * ca.sin(theta), -length * ca.cos(theta), theta) if mapping is None else mapping
-    return generalise(system, coordinates, F, **settings)
+    return generalise(system, coordinates, F, name=name)
 
 
 def test_the_pendulum_in_its_angle_is_the_textbook_pendulum() -> None:

@@ -111,7 +111,7 @@ def in_two_parts(first: Array, second: Array) -> tuple[tuple[Part, ...], Array]:
     blocks = np.zeros((len(first), 6, 6))
     blocks[:, :3, :3], blocks[:, 3:, 3:] = first, second
     pattern = ca.Sparsity.dense(3, 3)
-    both = ca.diagcat(pattern, pattern)
+    both = ca.diagcat(ca.DM(pattern), ca.DM(pattern)).sparsity()
     rows, columns = both.get_triplet()
     return parts_of(both), blocks[:, rows, columns].T
 
@@ -173,7 +173,7 @@ def test_parts_that_are_alike_are_solved_as_if_each_stood_alone() -> None:
     system, values = equations((1.0, 1.0, 2.0)), [1.1, 0.9, 1.2, 0.8]
     x, counts, residual = compile_solver("together", system, [system.unknowns])(values)
     assert float(residual) < 1e-14
-    total = 0
+    total = 0.0
     for k, number in enumerate((1.0, 1.0, 2.0)):
         single = equations((number,))
         own, own_counts, _ = compile_solver("alone", single, [single.unknowns])([values[0], values[1 + k]])
@@ -263,8 +263,8 @@ def test_a_loss_of_rank_is_found_in_the_part_that_has_it() -> None:
     x, y = radius * np.cos(angles), radius * np.sin(angles)
     slide = x + np.sqrt(length**2 - y**2)
     problem = Problem.of(sc.Scene("two cranks", {"only": lambda: system}, sc.sampled(t, slide)))
-    q = np.column_stack([part[:, i] for i in range(2) for part in (x, y, slide)])
-    losses = rank_losses(problem, t, q)
+    motion = np.column_stack([part[:, i] for i in range(2) for part in (x, y, slide)])
+    losses = rank_losses(problem, t, motion)
     assert [each.time for each in losses] == pytest.approx([(np.pi - np.pi / 3) / 4.5], abs=0.01)
 
 

@@ -7,7 +7,6 @@ times that rows without derivatives have to be differentiated until E is regular
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection
 
 import casadi as ca
 import numpy as np
@@ -66,7 +65,7 @@ def differentiations(E: np.ndarray, A: np.ndarray) -> int:
 
 @pytest.mark.parametrize(("name", "model", "formulation"), CASES)
 def test_the_index_of_a_form_is_the_number_of_differentiations_it_needs(
-    name: str, model: Collection[pytest.MarkDecorator | pytest.Mark], formulation: sc.Formulation
+    name: str, model: str, formulation: sc.Formulation
 ) -> None:
     problem = sc.Problem.of(SCENES[name], model)
     dae = problem.dae(formulation)

@@ -47,4 +47,4 @@ def test_both_sides_at_once_are_the_decaying_part_forward_and_the_growing_part_b
 def test_modes_that_all_decay_are_refused_with_their_eigenvalues() -> None:
     matrix = np.diag([-1.0, -2.5])
     with pytest.raises(sc.InvalidModel, match=r"their eigenvalues are -1, -2\.5$"):
-        two_sided(rate(matrix, np.ones(2)), T, 0.0, 2.0, matrix)  # type: ignore[arg-type]  # wrong on purpose
+        two_sided(rate(matrix, np.ones(2)), T, 0.0, 2.0, matrix)

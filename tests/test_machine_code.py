@@ -11,6 +11,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import pytest
+from present import present
 from typer.testing import CliRunner
 
 import servocore as sc
@@ -169,8 +170,8 @@ def test_what_stands_out_between_instants_is_found_in_machine_code_too() -> None
 
 def test_machine_code_has_no_more_statements_than_the_expression_has_operations() -> None:
     problem = Problem.of(sc.scenes.rotary_crane())
-    flat = problem.resolved.once(inversion).expression
-    source = vector_source(flat, (True, False))
+    flat = present(problem.resolved.once(inversion).expression)
+    source = present(vector_source(flat, (True, False)))
     assert sum(line.startswith("    const vec") for line in source.splitlines()) <= flat.n_instructions()
     assert vector_source(problem.resolved.once(inversion).search, (True, False, True)) is None
 
@@ -310,7 +311,7 @@ def test_the_longest_unused_go_when_there_is_no_more_room(
     own_cache: code_cache.CodeCache, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(code_cache, "MOST_BYTES", 250)
-    paths = [own_cache.store(f"{k}" * 40, bytes([k]) * 100) for k in (1, 2)]
+    paths = [present(own_cache.store(f"{k}" * 40, bytes([k]) * 100)) for k in (1, 2)]
     os.utime(paths[0], (2e9, 2e9))
     os.utime(paths[1], (1e9, 1e9))
     newest = own_cache.store("3" * 40, b"3" * 100)

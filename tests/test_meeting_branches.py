@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
-from problems import Problem
+from present import present
 from scipy.optimize import brentq
 
 import servocore as sc
@@ -44,7 +45,7 @@ def linkage(longer: float = 0.0, guess: str = "parallelogram", freewheel: bool =
         parameters=sc.Parameters(),
         inputs=(sc.Quantity("torque", "N.m"),),
         outputs=(sc.Quantity("angle", "rad"),),
-        mass=ca.sparsify(ca.diag(ca.vertcat(MASS, MASS, MASS, MASS, 0, *([1.0] if freewheel else [])))),
+        mass=ca.SX(ca.sparsify(ca.diag(ca.vertcat(MASS, MASS, MASS, MASS, 0, *([1.0] if freewheel else []))))),
         output=theta,
         input_matrix=ca.sparsify(-ca.SX.eye(n)[4, :]),
         potential=MASS * GRAVITY * (y1 + y2),
@@ -64,7 +65,7 @@ def torque(jets: Array, _: object) -> dict[str, Array]:
     return {"torque": 2 * MASS * (CRANK**2 * y[2] + GRAVITY * CRANK * np.cos(y[0]))}
 
 
-def scene(reference: RestToRest = THROUGH, follow_branch: bool = False, **model: str) -> sc.Scene:
+def scene(reference: RestToRest = THROUGH, follow_branch: bool = False, **model: Any) -> sc.Scene:
     return sc.Scene(
         "linkage", {"points": lambda: linkage(**model)}, reference, closed_form=torque, closed_form_order=2,
         follow_branch=follow_branch,
@@ -170,7 +171,7 @@ def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch: pytest.Mon
     solution = sc.solve(subject, sc.Reduced(), sc.BackwardEuler(), step=0.001)
     counts = []
 
-    def counting(problem: Problem, t: float, q: Array) -> list[branches.RankLoss]:
+    def counting(problem: sc.Problem, t: Array, q: Array) -> list[branches.RankLoss]:
         counts.append(len(t))
         return rank_losses(problem, t, q)
 
@@ -189,5 +190,5 @@ def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch: py
 def test_configurations_are_read_from_a_solution() -> None:
     subject = scene(sc.rest_to_rest((0.3,), (2.0,), 4.0))
     solution = sc.solve(subject)
-    q = configurations(sc.Problem.of(linkage()), solution)
+    q = present(configurations(sc.Problem.of(linkage()), solution))
     np.testing.assert_array_equal(q[:, 4], solution["theta"])

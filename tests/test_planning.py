@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 from scipy.optimize import linprog
 
 import servocore as sc
+from servocore.model.limits import Bounds
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.integrator_chains import advanced, sampled_law
 from servocore.planning.smoothed_lengths import rounded
@@ -25,7 +26,7 @@ from servocore.references.timed_path import TimedPath
 CRANE = sc.scenes.rotary_crane()
 OVERHEAD = sc.scenes.overhead_crane()
 LINE = [(5, 0, -5), (-2, 2, -2)]
-DEFAULT = {"M_b": 1000, "F": 60, "swing": "5 deg"}
+DEFAULT: dict[str, Bounds] = {"M_b": 1000, "F": 60, "swing": "5 deg"}
 LEVEL = [(0, -4), (5, -4)]
 QUICK, COARSE = 40, 20
 """Intervals: half and a quarter of what is usual; plans are some two and five per cent slower."""
@@ -178,11 +179,11 @@ class TestRefusals:
 
     def test_waypoints_need_as_many_numbers_as_outputs(self) -> None:
         with pytest.raises(sc.InvalidReference, match="3 components, this one has 2"):
-            sc.fastest(CRANE, LEVEL, DEFAULT)  # type: ignore[arg-type]  # wrong on purpose
+            sc.fastest(CRANE, LEVEL, DEFAULT)
 
     def test_an_odd_grid_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="even number of intervals"):
-            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)  # type: ignore[arg-type]  # wrong on purpose
+            sc.fastest(CRANE, LINE, DEFAULT, intervals=7)
 
     def test_a_progress_that_cannot_be_called_is_refused(self) -> None:
         with pytest.raises(sc.InvalidSetting, match="progress must be a function of a text, not 4"):
@@ -236,7 +237,7 @@ def test_a_curve_passes_through_its_waypoints_and_is_no_longer_than_it_must_be(c
 
 
 def test_the_way_of_a_reference_counts_and_not_its_times() -> None:
-    slow = sc.fastest(OVERHEAD, sc.rest_to_rest(*LEVEL, 50.0), {"F": 200}, intervals=QUICK)[1]
+    slow = sc.fastest(OVERHEAD, sc.rest_to_rest(LEVEL[0], LEVEL[1], 50.0), {"F": 200}, intervals=QUICK)[1]
     assert slow.duration == pytest.approx(
         sc.fastest(OVERHEAD, LEVEL, {"F": 200}, intervals=QUICK)[1].duration, rel=1e-6
     )
@@ -252,7 +253,7 @@ def test_a_curve_with_rest_at_its_ends_is_followed_closely_and_one_with_a_corner
     assert away.max() < report.deviation + 4e-3  # half the distance of neighbours
     cornered = sc.through([(5, 0, -5), (3, 0, -5), (3, 0.001, -5), (3, 3, -5)], times=[0, 4, 8, 12])
     with pytest.raises(sc.InvalidReference, match="no smooth curve follows the path"):
-        sc.fastest(CRANE, cornered, DEFAULT)  # type: ignore[arg-type]  # wrong on purpose
+        sc.fastest(CRANE, cornered, DEFAULT)
 
 
 def test_a_law_along_a_spline_of_many_pieces_comes_back_from_its_file(tmp_path: Path) -> None:
@@ -277,7 +278,7 @@ def test_a_rounded_length_has_a_slope_at_its_tip_and_is_a_little_longer() -> Non
 class TestFreeWay:
     """Between two points a plan may choose its way, clear of what stands there."""
 
-    LIMITS = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}  # noqa: RUF012
+    LIMITS: ClassVar[dict[str, Bounds]] = {"F": 200, "M_w": (-113.1, -83.1), "swing": "15 deg", "z": (-6, -1)}
 
     def test_is_faster_than_the_line_and_clear_of_a_box_with_load_and_rope(self) -> None:
         box = sc.Box((2.5, -5.0), (0.3, 1.6))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -18,6 +18,10 @@ from servocore.planning.tasks import corner_problems, curve_of, with_a_formula
 ARM = elbow_arm()
 WAY = [(1.2, 0.6), (1.0, 0.9)]
 TORQUES = {"T_1": 0.9, "T_2": 0.25}
+
+
+def unchanged(system: sc.MechanicalSystem) -> sc.MechanicalSystem:
+    return system
 
 
 def exact(path: sc.Reference) -> Mapping[str, Array]:
@@ -60,7 +64,7 @@ def hardening_chain() -> sc.MechanicalSystem:
         mass=ca.SX.eye(3),
         force=ca.vertcat(pulls[0], pulls[1] - pulls[0], -pulls[1]),
         output=c,
-        input_matrix=-ca.vertcat(1.0, 0.0, 0.0),
+        input_matrix=ca.SX([-1.0, 0.0, 0.0]),
         gamma=symbols(1),
         home=(0.0,),
     )
@@ -81,7 +85,8 @@ def test_another_model_that_has_a_formula_is_planned_for_if_its_limits_are_the_s
     stronger = replace(crane.model("points"), input_matrix=2 * crane.model("points").input_matrix)
     curve = curve_of([(0, 0, -4), (4, 2, -3)], 3, "cranes")
     for points, same in ((crane.model("points"), True), (stronger, False)):
-        models = {"generalized": crane.models["generalized"], "points": partial(lambda system: system, points)}
+        models: dict[str, Callable[[], sc.MechanicalSystem]] = {"points": partial(unchanged, points)}
+        models["generalized"] = crane.models["generalized"]
         scene = sc.Scene("cranes", models, crane.reference).with_limits(F_x=200.0)
         corners = corner_problems(scene, "generalized", {})
         assert (with_a_formula(scene, corners, {}, curve) is not corners) == same

@@ -8,8 +8,13 @@ import sys
 from pathlib import Path
 
 import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.animation import FuncAnimation
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Line3D
+from present import of_kind
 
 import servocore as sc
 
@@ -37,12 +42,16 @@ def test_a_notebook_shows_ends_and_extremes_of_every_trajectory(solution: sc.Sol
         np.testing.assert_allclose(numbers, [values[0], values[-1], values.min(), values.max()], rtol=1e-5)
 
 
+def figure_of(animation: FuncAnimation) -> Figure:
+    return of_kind(Figure, vars(animation)["_fig"])
+
+
 def test_a_figure_has_a_panel_for_every_trajectory_and_angles_in_degrees(solution: sc.Solution) -> None:
     figure = solution.plot(["M_b", "s", "phi"])
     panels = {panel.get_title(loc="left"): panel.lines[0] for panel in figure.axes}
     assert list(panels) == ["M_b (N m)", "s (m)", "phi (deg)"]
-    np.testing.assert_allclose(panels["phi (deg)"].get_ydata(), np.degrees(solution["phi"]))
-    mpl.pyplot.close(figure)
+    np.testing.assert_allclose(np.asarray(panels["phi (deg)"].get_ydata()), np.degrees(solution["phi"]))
+    plt.close(figure)
 
 
 @pytest.mark.parametrize("name", ["rotary_crane", "passive_joint_arm", "cars"])
@@ -50,26 +59,28 @@ def test_frames_of_an_animation_show_the_points_of_the_solution(name: str) -> No
     scene = sc.scenes.REGISTRY[name]()
     solution = sc.solve(scene, step=scene.reference.duration / 20, checks=False)
     animation = solution.animate(frames=3)
-    figure = animation._fig
-    instants = list(animation.new_frame_seq())
+    figure = figure_of(animation)
+    instants = [of_kind(int, frame) for frame in animation.new_frame_seq()]
     assert instants == [0, 10, 20]
     for k in instants:
-        animation._draw_next_frame(k, blit=False)
+        animation._draw_next_frame(k, blit=False)  # type: ignore[attr-defined]  # private: matplotlib has no types for it
         axes = figure.axes[0]
         drawn = {line.get_label(): line for line in axes.lines}
         if name == "rotary_crane":
-            load, trolley = (np.ravel(drawn[each].get_data_3d()) for each in ("load", "trolley"))
+            load, trolley = (np.ravel(of_kind(Line3D, drawn[name]).get_data_3d()) for name in ("load", "trolley"))
             np.testing.assert_allclose(load, [solution[each][k] for each in "xyz"], atol=1e-12)
             s, phi = solution["s"][k], solution["phi"][k]
             np.testing.assert_allclose(trolley, [s * np.cos(phi), s * np.sin(phi), 0.0], atol=1e-12)
         elif name == "cars":
             for number in "12":
-                np.testing.assert_allclose(drawn[number].get_xdata(), solution[f"x_{number}"][k], atol=1e-12)
+                np.testing.assert_allclose(
+                    np.asarray(drawn[number].get_xdata()), solution[f"x_{number}"][k], atol=1e-12
+                )
         else:
             place = np.ravel(drawn["tracked point"].get_xydata())
             np.testing.assert_allclose(place, [solution[each][k] for each in ("point_x", "point_y")], atol=1e-12)
         assert f"t = {solution.t[k]:.2f} s" in figure.get_suptitle()
-    mpl.pyplot.close(figure)
+    plt.close(figure)
 
 
 def test_an_animation_is_written_as_gif_and_shown_by_a_notebook(tmp_path: Path) -> None:
@@ -77,7 +88,7 @@ def test_an_animation_is_written_as_gif_and_shown_by_a_notebook(tmp_path: Path) 
     animation.save(str(tmp_path / "cars.gif"), writer="pillow")
     assert (tmp_path / "cars.gif").read_bytes().startswith(b"GIF8")
     assert "data:image/png;base64" in animation._repr_html_()
-    mpl.pyplot.close(animation._fig)
+    plt.close(figure_of(animation))
 
 
 def test_an_animation_that_cannot_be_is_refused_with_a_sentence(solution: sc.Solution) -> None:

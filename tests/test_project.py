@@ -9,11 +9,12 @@ import re
 import subprocess
 import tokenize
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import pytest
+from present import present
 
 import servocore as sc
 
@@ -66,9 +67,9 @@ def test_functions_are_short() -> None:
 
 def lines_without_docstring(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
     first = node.body[0]
-    length = node.end_lineno - node.lineno + 1
+    length = present(node.end_lineno) - node.lineno + 1
     if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
-        length -= first.end_lineno - first.lineno + 1
+        length -= present(first.end_lineno) - first.lineno + 1
     return length
 
 
@@ -89,7 +90,7 @@ def is_comment(token: tokenize.TokenInfo) -> bool:
 
 def test_crane_fmu_uses_public_names_of_servocore_only() -> None:
     strangers = [
-        f"{short(path)}:{node.lineno} {name}"
+        f"{short(path)}:{vars(node)['lineno']} {name}"
         for path in (ROOT / "crane_fmu").rglob("*.py")
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         for name in used_names(node)
@@ -102,7 +103,7 @@ def used_names(node: ast.AST) -> list[str]:
     """Return what a node takes out of servocore, written ``sc`` where it is imported whole."""
     if isinstance(node, ast.ImportFrom) and node.module == "servocore":
         return [each.name for each in node.names]
-    if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("servocore."):
+    if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("servocore."):
         return [node.module]
     if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "sc":
         return [node.attr]
@@ -182,7 +183,7 @@ def test_a_formulation_or_method_is_explained(name: str) -> None:
 @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
 def test_a_scene_has_a_sketch_a_closed_form_and_a_place_among_the_pages(name: str) -> None:
     factory = sc.scenes.REGISTRY[name]
-    text = inspect.getmodule(factory).__doc__
+    text = present(present(inspect.getmodule(factory)).__doc__)
     drawn = [line for line in text.splitlines() if line.startswith("    ") and re.search(r"[|/\\=\[]", line)]
     assert len(drawn) >= 3, "the head of its file has no sketch"
     assert factory().closed_form is not None or "closed form" in text, "neither a closed form nor a reason"
@@ -198,7 +199,7 @@ def test_every_public_name_has_its_place_in_the_api_reference() -> None:
 
 def test_public_functions_that_take_a_path_take_it_as_text_too() -> None:
     public = [getattr(sc, name) for name in sc.__all__]
-    functions = [each for each in public if inspect.isfunction(each)]
+    functions: list[Callable[..., object]] = [each for each in public if inspect.isfunction(each)]
     functions += [value for each in public if inspect.isclass(each) for _, value in inspect.getmembers(each, callable)]
     given = []
     for function in functions:
@@ -224,7 +225,7 @@ def test_python_blocks_of_a_page_run_one_after_another(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    names = {"__name__": "page"}
+    names: dict[str, object] = {"__name__": "page"}
     text = page.read_text(encoding="utf-8")
     for block in CODE_BLOCK.finditer(text):
         run(block[1], page, text[: block.start(1)].count("\n"), names)
@@ -285,5 +286,5 @@ def test_all_say_the_same_version_and_the_changelog_has_an_entry_for_it() -> Non
 
 def test_every_target_of_the_makefile_explains_itself() -> None:
     text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    targets = re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE)[1].split()
+    targets = present(re.search(r"^\.PHONY: (.*)$", text, re.MULTILINE))[1].split()
     assert [each for each in targets if not re.search(rf"^{each}:.*## \w", text, re.MULTILINE)] == []

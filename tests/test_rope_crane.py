@@ -29,7 +29,7 @@ def inputs() -> sc.Solution:
 
 
 def simulated(scene: sc.Scene, inputs: sc.Solution, step: float = 0.002, end: float = 3.0) -> sc.Solution:
-    t = np.arange(round(end / 0.02) + 1) * 0.02
+    t = np.arange(round(end / 0.02) + 1.0) * 0.02
     return sc.simulate(scene, inputs, t=t, start=at_rest(scene), method=sc.EnergyMomentum(), step=step)
 
 
@@ -126,7 +126,7 @@ def test_ropes_of_lumps_approach_it(inputs: sc.Solution) -> None:
         for k in range(lumps):
             start |= {f"rope_{k + 1}_x": 5.0, f"rope_{k + 1}_z": -5.0 + 1.5 / lumps * (k + 0.5)}
         start |= dict.fromkeys((f"{name}_dot" for name in names), 0.0)
-        errors.append(np.abs(load(sc.simulate(scene, inputs, t=np.arange(31) * 0.02, start=start)) - rope).max())
+        errors.append(np.abs(load(sc.simulate(scene, inputs, t=np.arange(31.0) * 0.02, start=start)) - rope).max())
     assert errors[1] < 1e-3
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.3)
 

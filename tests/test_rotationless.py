@@ -24,6 +24,7 @@ from servocore.problem import without_constraints
 from servocore.rotationless import (
     GROUND,
     Assembly,
+    Frame,
     PointMass,
     RigidBody,
     angle,
@@ -239,7 +240,7 @@ def test_turned_directors_are_those_of_the_rotation_vector() -> None:
 
 
 def one_angle(
-    name: str, body: RigidBody, constraints_of: Callable[[RigidBody], dict[str, ca.SX]], extra: Any = ()
+    name: str, body: RigidBody, constraints_of: Callable[[Frame], dict[str, ca.SX]], extra: Any = ()
 ) -> MechanicalSystem:
     """System of one body on the ground whose angle phi about y is driven and prescribed."""
     assembly = Assembly((body, Quantity("phi", "rad"), *extra), NONE, (0, 0, -GRAVITY))
@@ -418,8 +419,9 @@ def test_a_four_bar_linkage_of_spatial_bodies_has_one_degree_of_freedom_and_inde
 def four_hinges() -> MechanicalSystem:
     page = howto()
     closing = revolute(page["rocker"].at((page["ROCKER"], 0, 0)), page["coupler"].at((page["COUPLER"], 0, 0)))
-    theta = page["linkage"].augmented("theta")
-    return page["linkage"].system(
+    linkage: Assembly = page["linkage"]
+    theta = linkage.augmented("theta")
+    return linkage.system(
         "four hinges",
         constraints={**page["constraints"], "C": closing},
         inputs={Quantity("torque", "N.m"): theta},
@@ -485,7 +487,7 @@ def test_the_torque_that_makes_a_coupler_point_follow_is_that_of_complex_numbers
         (RigidBody("b", 1.0, (1.0, 1.0, 1.0), (0.0, 1.0)), "a vector in space has 3 components, not 2"),
     ],
 )
-def test_impossible_bodies_are_refused_in_a_sentence(part: Callable[[], object], sentence: str) -> None:
+def test_impossible_bodies_are_refused_in_a_sentence(part: RigidBody | PointMass, sentence: str) -> None:
     with pytest.raises(InvalidModel, match=sentence):
         Assembly((part,), NONE, (0, 0, 0)).mass  # noqa: B018
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from problems import Problem, scene
+from problems import scene
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -29,7 +29,7 @@ class Rest:
 
     def run(
         self,
-        problem: Problem,
+        problem: sc.Problem,
         times: Array,
         progress: Callable[[int, int], None] | None = None,  # noqa: ARG002 - there is nothing to tell
     ) -> sc.Solution:
@@ -51,7 +51,7 @@ class Rest:
     ],
 )
 def test_the_form_and_the_control_of_steps_decide_about_the_route(
-    of: sc.Scene, formulation: sc.Formulation, method: sc.Method, step: sc.Adaptive | None, route: sc.Route | None
+    of: sc.Scene, formulation: sc.Formulation, method: sc.Method, step: sc.Adaptive | None, route: type
 ) -> None:
     chosen = chosen_route(sc.Problem.of(of), formulation, method, step, native=False, checks=True)
     assert isinstance(chosen, route)

@@ -68,7 +68,7 @@ def test_the_eigenvalues_are_those_of_the_mass_on_its_spring() -> None:
     inertia = p["mass"] * np.sin(p["inclination"]) ** 2
     expected = np.roots([inertia, p["damping"], p["stiffness"]])
     found = sc.analyse(scene_of("inclined")).eigenvalues
-    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-9)
+    np.testing.assert_allclose(np.sort_complex(np.array(found)), np.sort_complex(expected), rtol=1e-9)
     (level,) = sc.analyse(scene_of("level")).eigenvalues
     assert level == pytest.approx(-p["stiffness"] / p["damping"])
 

@@ -53,7 +53,7 @@ def test_the_eigenvalues_follow_from_the_coefficient_of_the_theory(distance: flo
     assert (inertia > 0.0) == (distance < PERCUSSION)
     found = sc.analyse(this).eigenvalues
     expected = np.roots([inertia, p["joint_damping"], p["joint_stiffness"]])
-    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-8)
+    np.testing.assert_allclose(np.sort_complex(np.array(found)), np.sort_complex(expected), rtol=1e-8)
 
 
 def test_the_mass_matrix_derived_from_directors_is_that_of_the_textbook() -> None:

@@ -157,7 +157,7 @@ def sane_cranes() -> SearchStrategy[dict[str, float]]:
     """Draw parameters within a factor of three of the default."""
     factor = st.floats(0.35, 3.0)
     values = scene("rotary_crane").parameter_values()
-    return st.fixed_dictionaries({name: factor.map(lambda f, v=value: f * v) for name, value in values.items()})
+    return st.fixed_dictionaries({name: factor.map(value.__mul__) for name, value in values.items()})
 
 
 def load_points() -> SearchStrategy[tuple[float, float, float]]:
@@ -172,7 +172,7 @@ def smallest_radius(start: tuple[float, float, float], end: tuple[float, float, 
     a, b = np.array(start[:2]), np.array(end[:2])
     way = b - a
     along = np.clip(-(a @ way) / max(way @ way, 1e-12), 0.0, 1.0)
-    return np.linalg.norm(a + along * way)
+    return float(np.linalg.norm(a + along * way))
 
 
 @settings(max_examples=12)
@@ -238,9 +238,12 @@ def test_inputs_of_the_closed_form_do_the_work_that_raises_the_load(scene_name: 
     p = crane.parameter_values()
     t = np.linspace(crane.reference.start_time, crane.reference.end_time, 4001)
     found = crane.exact(t)
-    power = sum(
-        found[name] * rate(t, found[velocity]) / (p["winch_radius"] if name == "M_w" else 1.0)
-        for name, velocity in powers.items()
+    power = np.sum(
+        [
+            found[name] * rate(t, found[velocity]) / (p["winch_radius"] if name == "M_w" else 1.0)
+            for name, velocity in powers.items()
+        ],
+        axis=0,
     )
     work = make_interp_spline(t, power, k=7).integrate(t[0], t[-1])
     gained = p["load_mass"] * p["gravity"] * (found["z"][-1] - found["z"][0])

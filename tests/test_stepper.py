@@ -160,7 +160,7 @@ def test_an_inconsistent_start_disturbs_backward_euler_for_two_steps_and_no_long
             state, _ = stepper.advance(state, jet)
             torques.append(stepper.values(state, jet)["torque"])
         errors.append(torques)
-    spike = np.abs(np.subtract(*errors))
+    spike = np.abs(np.subtract(errors[0], errors[1]))
     assert spike[0] == pytest.approx(4.5 * 1e-4 / 0.01, rel=1e-6)
     assert spike[1] == pytest.approx(4.5 * 1e-4 / 0.01, rel=1e-6)
     np.testing.assert_allclose(spike[2:], 0.0, atol=1e-9)

@@ -19,9 +19,11 @@ from command_lines import CommandLine
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from outside.systems import elbow_arm, vtol
+from present import of_kind, present
 
 import servocore as sc
 from servocore.cli.commands import app
+from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
 from servocore.planning.grid import Grid, drawn
 from servocore.planning.sweep_store import Zarr
@@ -47,7 +49,8 @@ def assert_case_is_its_solution(found: Any, scene: sc.Scene, path: sc.Reference,
 
 
 def default_path(duration: float) -> RestToRest:
-    return sc.rest_to_rest(CRANE.reference.start, CRANE.reference.end, duration)
+    path = of_kind(RestToRest, CRANE.reference)
+    return sc.rest_to_rest(path.start, path.end, duration)
 
 
 def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution() -> None:
@@ -64,7 +67,7 @@ def test_every_case_of_a_product_has_the_peaks_and_margins_of_its_solution() -> 
 
 def test_margins_are_those_of_a_solution_at_kinks_and_across_full_turns_too() -> None:
     around = sc.rest_to_rest((-4.0, 2.0, -5.0), (-3.0, -3.0, -4.0), 20.0)  # the bridge passes 180 degrees
-    limits = {"swing.rate": 1.0, "phi": (-np.pi, 1.5 * np.pi), "s": 6.0}
+    limits: dict[str, Bounds] = {"swing.rate": 1.0, "phi": (-np.pi, 1.5 * np.pi), "s": 6.0}
     found = sc.sweep(CRANE, {"load_mass": [80.0, 120.0]}, [around], limits=limits).isel(path=0)
     for k, mass in enumerate((80.0, 120.0)):
         scene = CRANE.with_reference(around).with_parameters(load_mass=mass).with_limits(**limits)
@@ -189,10 +192,10 @@ sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tel
 def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path: Path) -> None:
     driver = subprocess.Popen([sys.executable, "-c", DRIVER], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     for _ in range(2):
-        assert driver.stdout.readline() == "block\n"
+        assert present(driver.stdout).readline() == "block\n"
     driver.kill()
     driver.wait()
-    driver.stdout.close()
+    present(driver.stdout).close()
     seen = []
     found = sc.sweep(
         CRANE, VARIED, store=tmp_path / "s.zarr", chunk=3, resume=True, progress=lambda done, _: seen.append(done)
@@ -239,7 +242,7 @@ def client(cluster: Any) -> Iterator[Any]:
 
 
 def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster: Any, client: Any) -> None:
-    killed = []
+    killed: list[Any] = []
 
     def kill(done: int, _: object) -> None:
         if done >= 6 and not killed:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ q = sc.Coordinates(sc.Quantity("a", "m"), sc.Quantity("b", "m"))
 STRANGER = ca.SX.sym("stranger")
 
 
-def value(expression: ca.SX, *pairs: tuple[ca.SX, list[float]]) -> Array:
+def value(expression: ca.SX, *pairs: tuple[ca.SX, Sequence[float]]) -> Array:
     """Evaluate an expression; the pairs are (symbols, values)."""
     symbols, values = zip(*pairs, strict=True)
     return np.asarray(ca.Function("value", list(symbols), [expression])(*values))

@@ -11,12 +11,14 @@ import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 import pytest
 from browser import Page, require_browser
 from command_lines import CommandLine
+from present import present
 
 import servocore as sc
 from servocore.cli.commands import app
@@ -72,7 +74,7 @@ def own_crane() -> sc.Scene:
         potential=9.81 * parameters["load"] * z,
         constraints=(x - trolley) ** 2 + z**2 - rope**2,
         multipliers=lam,
-        input_matrix=-ca.vertcat(ca.horzcat(1, 0, 0, 0), ca.horzcat(0, 0, 0, 1)),
+        input_matrix=-ca.SX(ca.vertcat(ca.horzcat(1, 0, 0, 0), ca.horzcat(0, 0, 0, 1))),
         output=ca.vertcat(x, z),
         gamma=gamma,
         guess=ca.vertcat(above, gamma[0, 0], gamma[1, 0], length),
@@ -86,8 +88,10 @@ def own_crane() -> sc.Scene:
 OWN_QUANTITIES = [sc.Quantity(name, "m") for name in ("trolley.x", "load.x", "load.z", "rope")]
 
 
-def told(file: Path) -> dict:
-    return json.loads(re.search(r'id="live-data">(.*?)</script>', file.read_text(encoding="utf-8"), re.DOTALL)[1])
+def told(file: Path) -> dict[str, Any]:
+    data = present(re.search(r'id="live-data">(.*?)</script>', file.read_text(encoding="utf-8"), re.DOTALL))
+    values: dict[str, Any] = json.loads(data[1])
+    return values
 
 
 # What is written ------------------------------------------------------------------------------------------------------

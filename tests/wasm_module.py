@@ -6,15 +6,20 @@ import json
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 from fmu_host import only_one, scratch
 from native_fmu import scene_called
+from present import of_kind
 
 import servocore as sc
 from servocore.export.wasm import SECTION
 from servocore.numerics.compiled_calls import Array
+
+if TYPE_CHECKING:
+    import wasmtime
 
 
 @cache
@@ -41,6 +46,9 @@ def sections(content: bytes) -> list[tuple[int, bytes]]:
     return found
 
 
+Verdicts = npt.NDArray[np.int32]
+
+
 class Module:
     def __init__(self, name: str) -> None:
         import wasmtime
@@ -60,27 +68,37 @@ class Module:
 
     def invert(
         self, jets: np.ndarray, times: Array | None = None, **parameters: float
-    ) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    ) -> tuple[dict[str, Array], Verdicts]:
         """Return outputs by name and verdicts for jets of shape (N, orders, m)."""
         count = len(jets)
         times = np.zeros(count) if times is None else times
         return self._called(
             count, [times, _laid_out(jets), self.parameters(**parameters)],
-            lambda t, path, p, to, verdicts: self.exports["invert"](self.store, count, t, path, p, to, verdicts),
+            lambda t, path, p, to, verdicts: self._function("invert")(self.store, count, t, path, p, to, verdicts),
         )  # fmt: skip
 
-    def march(self, jets: np.ndarray, h: float, start: float = 0.0, **parameters: float) -> tuple[Array, Array]:
+    def march(
+        self, jets: np.ndarray, h: float, start: float = 0.0, **parameters: float
+    ) -> tuple[dict[str, Array], Verdicts]:
         """The same in steps; the first jets belong to the instants that a start needs."""
         count = len(jets)
         return self._called(
             count - len(self.about["instants"]) + 1, [_laid_out(jets), self.parameters(**parameters)],
-            lambda path, p, to, verdicts: self.exports["march"](self.store, count, start, h, path, p, to, verdicts),
+            lambda path, p, to, verdicts: self._function("march")(self.store, count, start, h, path, p, to, verdicts),
         )  # fmt: skip
+
+    def _function(self, name: str) -> wasmtime.Func:
+        import wasmtime
+
+        return of_kind(wasmtime.Func, self.exports[name])
 
     def _called(
         self, instants: int, numbers: Sequence[Array], call: Callable[..., int]
-    ) -> tuple[dict[str, Array], npt.NDArray[np.int32]]:
-        memory, base = self.exports["memory"], self.exports["__heap_base"].value(self.store)
+    ) -> tuple[dict[str, Array], Verdicts]:
+        import wasmtime
+
+        memory = of_kind(wasmtime.Memory, self.exports["memory"])
+        base = of_kind(wasmtime.Global, self.exports["__heap_base"]).value(self.store)
         sizes = [*(each.nbytes for each in numbers), 8 * len(self.outputs) * instants, 4 * instants]
         places = -(-base // 8) * 8 + np.concatenate([[0], np.cumsum(sizes)])
         missing = int(places[-1]) - memory.data_len(self.store)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,9 +39,9 @@ def digits(found: sc.Solution, published: dict[str, float]) -> dict[str, float]:
     return {name: -np.log10(max(abs(found[name][-1] / value - 1.0), 1e-17)) for name, value in published.items()}
 
 
-def free(name: str, coordinates: sc.Coordinates, driven: int, **fields: object) -> sc.MechanicalSystem:
+def free(name: str, coordinates: sc.Coordinates, driven: int, constraints: ca.SX, **fields: Any) -> sc.MechanicalSystem:
     """A system with a force on coordinate number `driven` as its only input; it reports rates and multipliers too."""
-    n, m_h = len(coordinates), ca.SX(fields["constraints"]).numel()
+    n, m_h = len(coordinates), constraints.numel()
     lam, pushed = ca.SX.sym("lam", m_h), ca.SX(1, n)
     pushed[driven] = -1.0
     reported = {sc.Quantity(f"{each}_dot", "1/s"): coordinates.v[k] for k, each in enumerate(coordinates.names)}
@@ -53,6 +54,7 @@ def free(name: str, coordinates: sc.Coordinates, driven: int, **fields: object) 
         outputs=(sc.Quantity("output", "m"),),
         output=coordinates.q[driven],
         input_matrix=pushed,
+        constraints=constraints,
         multipliers=lam,
         observables=reported,
         **fields,

@@ -143,8 +143,9 @@ def five_bars() -> sc.MechanicalSystem:
 def five_bars_pinned_twice() -> Case:
     def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
         path = jets.components(reference.jet(t, 2))
-        torques, found = [], {}
-        forces = [0.0, 0.0]
+        torques: list[Array] = []
+        found: dict[str, Array] = {}
+        forces = []
         rows = []
         for base, side in ((-0.2, 1.0), (0.2, -1.0)):
             dx, dy = path[0] - base, path[1]
@@ -165,7 +166,7 @@ def five_bars_pinned_twice() -> Case:
             moment = 0.02 * bar.derivatives()[2] + 0.25 * (cb.value * fy - sb.value * fx)
             A[:, k, 0], A[:, k, 1] = -sign * 0.5 * sb.value, sign * 0.5 * cb.value  # tip force about the elbow
             rhs[:, k] = moment
-            forces[k] = (fx, fy)
+            forces.append((fx, fy))
         tip = np.linalg.solve(A, rhs[..., None])[..., 0]
         for k, (crank, bar, _, _) in enumerate(rows):
             sign, (c, s) = 1.0 - 2.0 * k, cos_sin(crank)
@@ -229,7 +230,7 @@ def platform_on_three_legs() -> Case:
             cranks.append((crank, 0.45 * (cc.value * uy - sc_.value * ux)))
         wrench = np.stack([4 * x.derivatives()[2], 4 * y.derivatives()[2], 0.09 * phi.derivatives()[2]], axis=-1)
         push = np.linalg.solve(A, wrench[..., None])[..., 0]
-        found = {}
+        found: dict[str, Array] = {}
         for k, (crank, lever) in enumerate(cranks):
             found |= {f"a_{k + 1}": crank.value, f"T_{k + 1}": 0.05 * crank.derivatives()[2] + lever * push[:, k]}
         return found

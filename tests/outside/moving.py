@@ -11,12 +11,20 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from outside.writing import Case, constant, coordinates, g, implicit, lagrange, rate, square
+from present import present
 from scipy.integrate import solve_bvp, solve_ivp
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.scenes.jets import Jet
+
+
+def _rate(
+    slope: Callable[..., Array], reference: sc.Reference, order: int, last: float, time: float, state: Array
+) -> Array:
+    """Rate of the states, with the path as it is up to `last`."""
+    return slope(state, reference.jet(min(time, last), order))
 
 
 def followed(
@@ -29,10 +37,10 @@ def followed(
         inside = (t >= a) & (t <= b)
         last = np.nextafter(b, a)  # at the knot itself the next piece would answer
         run = solve_ivp(
-            lambda time, x, last=last: slope(x, reference.jet(min(time, last), order)),
+            partial(_rate, slope, reference, order, last),
             (a, b), state, "DOP853", rtol=1e-13, atol=1e-14, dense_output=True,
         )  # fmt: skip
-        found[:, inside], state = run.sol(t[inside]), run.y[:, -1]
+        found[:, inside], state = present(run.sol)(t[inside]), run.y[:, -1]
     return found
 
 
@@ -46,7 +54,7 @@ def chain(masses: tuple[float, ...], cubic: float, damper: float, nominal: float
     q = sc.Coordinates(*(sc.Quantity(f"x_{k}", "m", nominal=nominal) for k in range(1, n + 1)))
     stretches = [q.q[k] - q.q[k + 1] for k in range(n - 1)]
     return lagrange(
-        "chain of cars", q, sum(m * v**2 for m, v in zip(masses, ca.vertsplit(q.v), strict=True)) / 2,
+        "chain of cars", q, sum((m * v**2 for m, v in zip(masses, ca.vertsplit(q.v), strict=True)), ca.SX(0)) / 2,
         {"X": q.q[n - 1]}, {"F": q.q[0]}, potential=sum(d**2 / 2 + cubic * d**4 / 4 for d in stretches),
         damping=sum(damper * rate(d, q) ** 2 / 2 for d in stretches),
         guess=lambda at: [at[0]] * n, home=(0.3 * nominal,),
@@ -166,7 +174,7 @@ def cart_pole() -> Case:
         e = np.sqrt(g / 0.7)
         mesh = np.linspace(-5.0, 7.0, 1201)
 
-        def slope(time: float, s: Array) -> Array:
+        def slope(time: Array, s: Array) -> Array:
             x = reference.jet(time, 2)[:, 2, 0]
             return np.stack([s[1], (g * np.sin(s[0]) - x * np.cos(s[0])) / 0.7])
 
@@ -175,7 +183,8 @@ def cart_pole() -> Case:
             tol=1e-9, max_nodes=200_000,
         )  # fmt: skip
         assert found.success
-        return force_on_the_cart(reference.jet(t, 2)[:, :, 0].T, *found.sol(t), 1.0)
+        theta, omega = found.sol(t)
+        return force_on_the_cart(reference.jet(t, 2)[:, :, 0].T, theta, omega, 1.0)
 
     scene = sc.Scene("cart_pole", {"upright": partial(cart, True)}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
     return Case(scene, exact, index=3, internal=2, steps=400, tolerance=1e-8)
@@ -199,13 +208,17 @@ def rotary_pendulum() -> Case:
     """Upright while the arm swings for ever: the one motion of the rod that has its period."""
 
     def exact(t: Array, reference: sc.Reference) -> dict[str, Array]:
-        def slope(time: float, s: Array) -> Array:
+        def slope(time: Array, s: Array) -> Array:
             _, rate, acceleration = reference.jet(time, 2)[:, :3, 0].T
             sin, cos = np.sin(s[0]), np.cos(s[0])
             return np.stack([s[1], rate**2 * sin * cos + (g * sin - 0.3 * acceleration * cos) / 0.4])
 
         mesh = np.linspace(0.0, 2.0, 400)
-        found = solve_bvp(slope, lambda a, b: a - b, mesh, np.zeros((2, 400)), tol=1e-9, max_nodes=100_000)
+
+        def closed(a: Array, b: Array) -> Array:
+            return a - b
+
+        found = solve_bvp(slope, closed, mesh, np.zeros((2, 400)), tol=1e-9, max_nodes=100_000)
         assert found.success
         return {"theta": found.sol(np.mod(t, 2.0))[0]}
 
@@ -287,7 +300,7 @@ def quaternion() -> sc.MechanicalSystem:
     E = ca.vertcat(ca.horzcat(-e_1, e_0, e_3, -e_2), ca.horzcat(-e_2, -e_3, e_0, e_1), ca.horzcat(-e_3, e_2, -e_1, e_0))
     omega = 2 * E @ q.v
     system = lagrange(
-        "satellite", q, sum(J * w**2 for J, w in zip(INERTIA, ca.vertsplit(omega), strict=True)) / 2,
+        "satellite", q, sum((J * w**2 for J, w in zip(INERTIA, ca.vertsplit(omega), strict=True)), ca.SX(0)) / 2,
         {"P": e_1, "Q": e_2, "R": e_3}, {"T_1": e_1, "T_2": e_2, "T_3": e_3},
         constraints=(square(q.q) - 1) / 2, guess=lambda at: (ca.sqrt(1 - square(at)), *ca.vertsplit(at)),
         home=(0.1, -0.2, 0.3),

@@ -15,6 +15,12 @@ from outside.writing import g, lagrange, square
 import servocore as sc
 
 
+def _cross(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the moment about the normal of the plane."""
+    moment: np.ndarray = x[0] * y[1] - x[1] * y[0]
+    return moment
+
+
 @dataclass(frozen=True)
 class Body:
     """A body on its parent (-1 is the ground): a hinge, or a slide along a direction of the parent, and a spring."""
@@ -71,7 +77,7 @@ class Mechanism:
         centre = ca.SX.zeros(2)
         for k, body in enumerate(bodies):
             turn = _turn(angle[body.parent])
-            place = ca.DM(body.place)
+            place = ca.SX(ca.DM(body.place))
             if body.slides:
                 place = place + q.q[k] * ca.DM([np.cos(body.direction), np.sin(body.direction)])
             origin[k] = origin[body.parent] + turn @ place
@@ -94,7 +100,6 @@ class Mechanism:
 
     def balance(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What the motors of all joints would have to do for a motion (n, N), and the size of the forces there."""
-        cross = lambda x, y: x[0] * y[1] - x[1] * y[0]  # noqa: E731
         zero, count = np.zeros(q.shape[1]), len(self.bodies)
         ground = (zero, zero, zero, np.zeros((2, len(zero))), np.array([zero, zero + g]))
         frames = {-1: ground}  # angle, its rate and acceleration, origin, its acceleration less gravity
@@ -119,7 +124,7 @@ class Mechanism:
             for j, (centre, force, moment, _) in enumerate(loads):
                 if not self._carries(k, j):
                     continue
-                turning = cross(centre - frames[k][3], force) + moment
+                turning = _cross(centre - frames[k][3], force) + moment
                 part = (force * loads[k][3]).sum(axis=0) if body.slides else turning
                 efforts[k] += part
                 sizes.append(np.abs(part).max())

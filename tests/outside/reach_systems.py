@@ -81,7 +81,8 @@ def flyer(mass: float, inertia: float, side: float, chart: str) -> sc.Mechanical
     if chart == "directors":
         coordinates = sc.Coordinates(*named("x z d_x d_z"))
         centre, up = coordinates.q[:2], coordinates.q[2:]
-        turning, constraints, guess = up, ca.dot(up, up) - 1.0, (x, z, 0.0, 1.0)
+        turning, constraints = up, ca.dot(up, up) - 1.0
+        guess: tuple[ca.SX | ca.DM | float, ...] = (x, z, 0.0, 1.0)
     else:
         coordinates = sc.Coordinates(*named("x z"), sc.Quantity("theta", "rad"))
         place, turning = coordinates.q[:2], coordinates.q[2]
@@ -173,10 +174,9 @@ def rods(count: int, chart: str, dimension: int = 2) -> sc.MechanicalSystem:
     coordinates = sc.Coordinates(*named(" ".join([*axes, *bodies])), *turning)
     place = coordinates.q[:dimension]
     own = coordinates.q[dimension : dimension * (1 + len(bodies) // dimension)]
-    directions, constraints = (
-        ca.substitute(each, symbol, coordinates.q[-len(turning) :]) for each in (ca.horzcat(*directions), constraints)
-    )
-    directions = ca.horzsplit(directions)
+    axis = coordinates.q[-len(turning) :]
+    directions = ca.horzsplit(ca.substitute(ca.horzcat(*directions), symbol, axis))
+    constraints = ca.substitute(constraints, symbol, axis)
     whole = sum((rod.oscillation * e for rod, e in zip(chain, directions, strict=True)), ca.SX.zeros(dimension))
     hanging = {"centre": chain[0].centre * directions[0], "tip": chain[0].oscillation * directions[0]}
     pivot = place - {**hanging, "directors": whole}.get(chart, ca.SX.zeros(dimension))
@@ -192,7 +192,7 @@ def rods(count: int, chart: str, dimension: int = 2) -> sc.MechanicalSystem:
     above = ca.Function("above", [coordinates.q], [joint - place])
     rest = ca.SX.zeros(len(coordinates.names) - len(turning) - len(bodies))
     offset = above(ca.vertcat(rest, ca.SX.zeros(len(bodies)), still)) if not bodies else None
-    guess = [tip - offset, still] if offset is not None else _hanging(tip, chain, still)
+    guess: list[ca.SX | ca.DM] = [tip - offset, still] if offset is not None else _hanging(tip, chain, still)
     return Mechanism(
         coordinates, [(CART, pivot), *((rod.mass, c) for rod, c in zip(chain, centres, strict=True))],
         [(rod.inertia, e) for rod, e in zip(chain, directions, strict=True)],
@@ -201,7 +201,7 @@ def rods(count: int, chart: str, dimension: int = 2) -> sc.MechanicalSystem:
     ).system(f"{count} rods on a cart, {chart}")  # fmt: skip
 
 
-def _hanging(tip: ca.SX, chain: Sequence[Rod], still: ca.DM) -> list[ca.SX]:
+def _hanging(tip: ca.SX, chain: Sequence[Rod], still: ca.DM) -> list[ca.SX | ca.DM]:
     """Return places of the cart and of the rods' centres where all hang straight down."""
     length = sum(rod.oscillation for rod in chain)
     up = ca.DM([0.0] * (tip.numel() - 1) + [1.0])

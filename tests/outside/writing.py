@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -43,7 +44,7 @@ class Case:
     internal: int = 0
     steps: int = 100
     tolerance: float = 1e-10
-    options: Mapping[str, object] | None = None
+    options: Mapping[str, Any] | None = None
     warned: str = ""
 
     def solution(self) -> sc.Solution:
@@ -73,7 +74,7 @@ def lagrange(
     guess: Callable[[ca.SX], Sequence[ca.SX | float]],
     home: tuple[float, ...],
     damping: ca.SX | float = 0.0,
-    **others: object,
+    **others: Any,
 ) -> sc.MechanicalSystem:
     """Write Lagrange's equations of a kinetic energy in v.
 
