@@ -61,7 +61,7 @@ platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs zig
 
 check: $(INSTALLED)  ## lint, format, types, direction of the imports, public docstrings: all of them, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
-	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(RUN) mypy --strict tests; \
+	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(RUN) mypy --strict tests examples docs build_fmu.py; \
 	run $(BIN)/lint-imports; \
 	run $(BIN)/python tests/docstrings.py; \
 	exit $$status

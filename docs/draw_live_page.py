@@ -18,7 +18,8 @@ def main() -> None:
         sys.exit("chromium is missing: the picture of the live page stays as it is")
     scene = sc.scenes.rotary_crane().with_limits(M_b=150, F=22, M_w=120)
     path = scene.reference
-    faster = scene.with_reference(sc.rest_to_rest(path.start, path.end, 19.0))
+    start, end = path.jet([path.start_time, path.end_time], 0)[:, 0]
+    faster = scene.with_reference(sc.rest_to_rest(start, end, 19.0))
     with tempfile.TemporaryDirectory() as folder:
         page = sc.view(sc.solve(faster, step=0.095, checks=False), Path(folder) / "crane.html")
         look = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--window-size=1280,1000"]

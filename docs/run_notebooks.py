@@ -25,7 +25,7 @@ def main() -> int:
     for notebook in notebooks:
         begun = time.perf_counter()
         client = NotebookClient(
-            nbformat.read(notebook, as_version=4),
+            nbformat.read(notebook, as_version=4),  # type: ignore[no-untyped-call]  # nbformat has no types for it
             timeout=_LONGEST,
             resources={"metadata": {"path": str(STORIES)}},
             extra_arguments=["--log-level=ERROR"],

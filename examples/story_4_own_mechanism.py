@@ -41,7 +41,7 @@ def elastic_hoist() -> sc.MechanicalSystem:
         outputs=(load,),
         mass=ca.diag(ca.vertcat(p["hoist_mass"], p["load_mass"])),
         potential=weight + p["stiffness"] * (w - y - p["slack_length"]) ** 2 / 2,
-        input_matrix=ca.DM([[-1, 0]]),
+        input_matrix=ca.SX([[-1, 0]]),
         output=y,
         gamma=gamma,
         guess=ca.vertcat(gamma[0, 0] + p["slack_length"], gamma[0, 0]),

@@ -31,10 +31,11 @@ for name, feedback in (("feedforward alone", 0.0), ("with feedback", 1.0)):
 # How far is the load from where it should be?
 
 
-def distance(run):
+def distance(run: dict[str, np.ndarray]) -> np.ndarray:
     """Return the distance in m of the load from its path, at the ends of all steps."""
     off = [run[f"plant.load.position[{k}]"] - run[f"trajectory.load.position[{k}]"] for k in (1, 2, 3)]
-    return np.linalg.norm(off, axis=0)
+    away: np.ndarray = np.linalg.norm(off, axis=0)
+    return away
 
 
 figure, axis = plt.subplots(figsize=(7, 3.6), constrained_layout=True)

@@ -12,7 +12,7 @@ import numpy as np
 import servocore as sc
 
 crane = sc.scenes.rotary_crane()
-limits = {"M_b": 1000, "F": 60, "swing": "5 deg"}
+limits: dict[str, float | str] = {"M_b": 1000, "F": 60, "swing": "5 deg"}
 start, end = (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0)
 
 # %%
