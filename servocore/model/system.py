@@ -12,7 +12,7 @@ hold the time, it is one more row of gamma, whose derivatives are 1, 0, 0, ...: 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,13 +20,14 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
-from servocore.model.model_validation import Written, require_sound
+from servocore.model.model_validation import require_sound, written
 from servocore.model.quantity import Quantity
-from servocore.model.symbols import Coordinates, Parameter, Parameters, numbers, quantities_of, symbols
+from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
+from servocore.model.system_fields import clock, home_names, require_freedom, require_independent_rows, require_shapes
 from servocore.model.velocity_dependence import require_positions
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
-from servocore.numerics.expressions import as_expression, gyroscopic_forces
+from servocore.numerics.expressions import as_expression, expressions_of, gyroscopic_forces
 from servocore.numerics.pivoting import last_good_columns
 
 MAX_REFERENCE_ORDER = 24
@@ -39,7 +40,6 @@ _EXPRESSIONS = (
     "mass", "output", "input_matrix", "potential", "force", "constraints", "gyroscopic", "multipliers", "gamma",
     "guess", "u",
 )  # fmt: skip
-_SYMBOLS = ("multipliers", "gamma", "u")
 
 
 def reference_symbols(components: int) -> ca.SX:
@@ -157,12 +157,15 @@ class MechanicalSystem:
         self._fill("gamma", reference_symbols(m))
         self._fill("guess", ca.SX.zeros(n))
         self._fill("time", ca.SX(0, 1))
-        self._set_clock(m)
+        self._set(clock(self.name, self.time, self.gamma, self.home, m))
         self._fill("u", symbols(quantity.name for quantity in self.inputs))
         self._require_shapes(n, m, m_h)
         self._derive()
-        require_sound(self._written())
-        self._require_freedom(n, m, m_h)
+        seen = [(quantity.name, expression) for quantity, expression in self.observables.items()]
+        require_sound(written(self, seen, {each: getattr(self, each) for each in _EXPRESSIONS}))
+        if m > n - m_h:  # otherwise there is freedom enough even if all constraints are independent
+            ranks = self._rank_at_home
+            require_freedom(self.name, n, m, m_h, ranks.rank, assembled=ranks.assembled)
 
     def _take(self) -> None:
         """Check the kinds of what was given; turn arrays and numbers into expressions, sequences into tuples."""
@@ -174,54 +177,31 @@ class MechanicalSystem:
         if len(inputs) != len(outputs):
             raise InvalidModel(f"{self.name}: {len(inputs)} inputs cannot prescribe {len(outputs)} outputs")
         taken: dict[str, object] = {"inputs": inputs, "outputs": outputs}
-        for name in _EXPRESSIONS:
-            value = getattr(self, name)
-            if value is not DERIVED:
-                matrix = as_expression(value, f"{self.name}: {name}")
-                column = matrix is not value and matrix.shape == (len(self.coordinates), 1)
-                if name in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
-                    matrix = ca.sparsify(matrix)
-                taken[name] = matrix.T if column and name == "input_matrix" else matrix
+        given = {each: getattr(self, each) for each in _EXPRESSIONS if getattr(self, each) is not DERIVED}
+        taken |= expressions_of(self.name, given, len(self.coordinates))
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
             each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
         }
-        named = tuple(quantity.name for quantity in outputs)
-        taken["home"] = numbers(self.home, self._at_home(named), f"{self.name}: home") or (1.0,) * len(named)
-        at_home = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
-        taken["home_parameters"] = at_home or tuple(self.parameters.values().tolist())
-        for attribute, value in taken.items():
-            object.__setattr__(self, attribute, value)
+        at_home = home_names([each.name for each in outputs], self.time, self.home)
+        taken["home"] = numbers(self.home, at_home, f"{self.name}: home") or (1.0,) * len(outputs)
+        values = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
+        taken["home_parameters"] = values or tuple(self.parameters.values().tolist())
+        self._set(taken)
 
     def _derive(self) -> None:
         derived = {"G": ca.jacobian(self.constraints, self.q), "C": ca.jacobian(self.output, self.q)}
         derived["bias"] = ca.gradient(self.potential, self.q) - self.force + self.gyroscopic
         derived["constraint_forces"] = ca.mtimes(derived["G"].T, self.lam) + ca.mtimes(self.input_matrix.T, self.u)
-        for attribute, expression in derived.items():
-            object.__setattr__(self, attribute, expression)
+        self._set(derived)
+
+    def _set(self, values: Mapping[str, object]) -> None:
+        for attribute, value in values.items():
+            object.__setattr__(self, attribute, value)
 
     def _fill(self, attribute: str, default: ca.SX) -> None:
         if getattr(self, attribute) is DERIVED:
-            object.__setattr__(self, attribute, default)
-
-    def _at_home(self, outputs: tuple[str, ...]) -> tuple[str, ...]:
-        """Names of the entries of home: the time is the last one in a system that is made from another."""
-        timed = self.time is not DERIVED and ca.SX(self.time).numel() == 1
-        again = timed and isinstance(self.home, tuple) and len(self.home) == len(outputs) + 1
-        return (*outputs, "time") if again else outputs
-
-    def _set_clock(self, m: int) -> None:
-        """Make the time, if there is one, the last row of gamma and the last entry of home."""
-        if isinstance(self.time, ca.SX) and not self.time.numel():
-            return
-        require_kind(self.time, ca.SX, f"{self.name}: the time", "a symbol of casadi.SX.sym", InvalidModel)
-        if not self.time.is_symbolic():
-            raise InvalidModel(f"{self.name}: the time must be one symbol, not {self.time}")
-        if self.gamma.size1() == m:  # a system made from another has that row already
-            rates = ca.SX.sym("time", 1, MAX_REFERENCE_ORDER)
-            object.__setattr__(self, "gamma", ca.vertcat(self.gamma, ca.horzcat(self.time, rates)))
-        if len(self.home) == m:
-            object.__setattr__(self, "home", (*self.home, 0.0))
+            self._set({attribute: default})
 
     def _require_shapes(self, n: int, m: int, m_h: int) -> None:
         """Check sizes; derive the gyroscopic forces in between."""
@@ -230,57 +210,17 @@ class MechanicalSystem:
         shapes = {
             "mass": (n, n), "output": (m, 1), "input_matrix": (m, n), "potential": (1, 1), "force": (n, 1),
             "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
-            "gamma": (m + self.time.numel(), MAX_REFERENCE_ORDER + 1), "gyroscopic": (n, 1),
+            "gamma": (m + self.time.numel(), MAX_REFERENCE_ORDER + 1),
         }  # fmt: skip
-        for attribute, shape in shapes.items():
-            if attribute == "gyroscopic":
-                self._fill(attribute, gyroscopic_forces(self.mass, self.q, self.v))
-            actual = getattr(self, attribute).shape
-            if actual != shape:
-                raise InvalidModel(f"{self.name}: {attribute} has shape {actual}, expected {shape}")
-            if attribute in _SYMBOLS and not getattr(self, attribute).is_valid_input():
-                raise InvalidModel(f"{self.name}: {attribute} must be symbols of casadi.SX.sym, not expressions")
+        require_shapes(self.name, {each: getattr(self, each) for each in shapes}, shapes)
+        self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
+        require_shapes(self.name, {"gyroscopic": self.gyroscopic}, {"gyroscopic": (n, 1)})
         rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))
         names = [channel.name for channel in self.outputs]
         require_positions(self.name, self.v, (names, self.output), (rows, self.constraints))
         for quantity, expression in self.observables.items():
             if expression.shape != (1, 1):
                 raise InvalidModel(f"{self.name}: observable {quantity.name} has shape {expression.shape}, not (1, 1)")
-
-    def _written(self) -> Written:
-        def named(quantities: Iterable[Quantity | Parameter], values: ca.SX) -> list[tuple[str, ca.SX]]:
-            return list(zip((channel.name for channel in quantities), ca.vertsplit(values), strict=True))
-
-        return Written(
-            name=self.name,
-            inputs=named(self.inputs, self.u),
-            observables=[(quantity.name, expression) for quantity, expression in self.observables.items()],
-            outputs=named(self.outputs, self.output),
-            coordinates=named(self.coordinates.quantities, self.q),
-            parameters=named(self.parameters.declared, self.p),
-            constraint_names=self.constraint_names or tuple(map(str, range(1, self.constraints.numel() + 1))),
-            fields={each: getattr(self, each) for each in _EXPRESSIONS},
-            v=self.v,
-            time=self.time,
-            nominal=self.coordinates.nominal,
-            home=self.home,
-            home_parameters=np.array(self.home_parameters),
-        )
-
-    def _require_freedom(self, n: int, m: int, m_h: int) -> None:
-        if m <= n - m_h:
-            return  # even if all constraints were independent
-        ranks = self._rank_at_home
-        if not ranks.assembled:
-            raise InvalidModel(
-                f"{self.name}: {m} inputs are too many for {n} coordinates with {m_h} holonomic constraints, unless"
-                " these are redundant in part; no configuration that satisfies them was found from the guess at home"
-            )
-        if m > n - ranks.rank:
-            raise InvalidModel(
-                f"{self.name}: {m} inputs exceed the {n - ranks.rank} degrees of freedom"
-                f" ({n} coordinates, {ranks.rank} independent ones of {m_h} holonomic constraints)"
-            )
 
     @property
     def q(self) -> ca.SX:
@@ -314,8 +254,15 @@ class MechanicalSystem:
     def constraint_rank(self, p: Array | None = None) -> ConstraintRank:
         """Find how many holonomic constraints are independent, and which are redundant.
 
-        Told at configurations that satisfy them near the guess at `home`, with the parameter values `p` or those of
-        home.
+        Parameters
+        ----------
+        p : ndarray, shape (n_p,), optional
+            Parameter values in the units of the model; `home_parameters` when not given.
+
+        Returns
+        -------
+        ConstraintRank
+            Told at configurations that satisfy the constraints near the guess at `home`.
         """
         home, values = self.home_configuration()
         starts = [home]
@@ -325,11 +272,28 @@ class MechanicalSystem:
         return constraint_rank(constraints, self.q, self.p, starts, values, self.coordinates.nominal)
 
     def listed_constraints(self, rows: Sequence[int]) -> str:
-        """Return what messages call some rows of the holonomic constraints."""
+        """Return what messages call some rows of the holonomic constraints.
+
+        Parameters
+        ----------
+        rows : sequence of int
+            Their numbers from zero.
+
+        Returns
+        -------
+        str
+            The names, with commas between them.
+        """
         return ", ".join(self.constraint_names[k] if self.constraint_names else f"g_{k + 1}" for k in rows)
 
     def require_independent_constraints(self) -> None:
-        """Raise `InvalidModel`, naming rows that follow from others, if some holonomic constraints are redundant."""
+        """Refuse holonomic constraints of which some are redundant.
+
+        Raises
+        ------
+        InvalidModel
+            If they are; the sentence names the rows that follow from others.
+        """
         ranks = self._rank_at_home
         if ranks.redundant:
             raise InvalidModel(
@@ -356,11 +320,33 @@ class MechanicalSystem:
         return ca.mtimes(self.G, self.v) + ca.jtimes(self.constraints, self.gamma[:, 0], self.gamma_dot[:, 0])
 
     def momentum_balance(self, acceleration: ca.SX) -> ca.SX:
-        """Left-hand side minus right-hand side of (1)_2 for given v_dot, shape (n,)."""
+        """Return the left-hand side of equation (1)_2 less its right-hand side.
+
+        Parameters
+        ----------
+        acceleration : casadi.SX
+            v_dot in the units of v per second, shape (n,).
+
+        Returns
+        -------
+        casadi.SX
+            What vanishes along a motion, in the units of the forces, shape (n,).
+        """
         return ca.mtimes(self.mass, acceleration) + self.bias + self.constraint_forces
 
     def home_configuration(self, p: Array | None = None) -> tuple[Array, Array]:
-        """Return (q, p): the guess at `home` with the parameter values `p`, or with `home_parameters`."""
+        """Return the guess at `home`.
+
+        Parameters
+        ----------
+        p : ndarray, shape (n_p,), optional
+            Parameter values; `home_parameters` when not given.
+
+        Returns
+        -------
+        q, p : ndarray
+            The configuration, shape (n,), and the parameter values, shape (n_p,), in the units of the model.
+        """
         p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
         gamma = np.zeros(self.gamma.shape)
         gamma[:, 0] = self.home
@@ -368,7 +354,12 @@ class MechanicalSystem:
         return np.asarray(guess(gamma, p)).ravel(), p
 
     def dependent_coordinates(self) -> list[int]:
-        """Return the coordinates that the servo constraints are solved for: of C the columns of a minor far from zero.
+        """Return the coordinates that the servo constraints are solved for.
+
+        Returns
+        -------
+        list of int
+            Numbers of m columns of C whose minor is far from zero.
 
         Raises
         ------
@@ -385,15 +376,18 @@ class MechanicalSystem:
         return columns
 
     def require_full_rank(self, q: Array, p: Array) -> None:
-        """Raise `InvalidModel` unless G and [G; C] have full row rank at the configuration `q`."""
+        """Refuse a configuration where rows of G, or of G and C together, are dependent.
+
+        Parameters
+        ----------
+        q, p : ndarray
+            Configuration, shape (n,), and parameter values, shape (n_p,), in the units of the model.
+
+        Raises
+        ------
+        InvalidModel
+            If they are; the sentence has their rank.
+        """
         at_home = ca.substitute(self.G, self.time, ca.SX.zeros(self.time.shape))
         jacobians = ca.Function("jacobians", [self.q, self.p], [at_home, self.C])
-        G, C = (np.asarray(matrix) for matrix in jacobians(q, p))
-        m_h, m = len(G), len(C)
-        for matrix, rows, what in (
-            (G, m_h, f"the {m_h} holonomic constraints are"),
-            (np.vstack([G, C]), m_h + m, f"the {m} servo outputs and {m_h} holonomic constraints are"),
-        ):
-            rank = int(np.linalg.matrix_rank(matrix)) if rows else 0
-            if rank < rows:
-                raise InvalidModel(f"{self.name}: {what} dependent here (rank {rank} of {rows})")
+        require_independent_rows(self.name, *(np.asarray(matrix) for matrix in jacobians(q, p)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -94,3 +94,15 @@ def gyroscopic_forces(mass: ca.SX, q: ca.SX, v: ca.SX) -> ca.SX:
 def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
     """Return the matrix with these entries on its diagonal, sparse."""
     return ca.sparsify(ca.diag(ca.vertcat(*entries)))
+
+
+def expressions_of(name: str, fields: Mapping[str, object], n: int) -> dict[str, ca.SX]:
+    """Return the fields of a system with n coordinates, given as numbers, arrays or lists, as expressions."""
+    taken = {}
+    for field, value in fields.items():
+        matrix = as_expression(value, f"{name}: {field}")
+        column = matrix is not value and matrix.shape == (n, 1)
+        if field in ("mass", "input_matrix"):  # zeros of an array are no entries: entries tell the structure
+            matrix = ca.sparsify(matrix)
+        taken[field] = matrix.T if column and field == "input_matrix" else matrix
+    return taken
