@@ -15,7 +15,7 @@ from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.serialization import from_json, to_json
 
 _FUNCTIONS = ("step", "held_step", "observe", "held_observe", "linearise")
-_FORMAT = "servocore plant 2"
+_FORMAT = "servocore plant 2"  # rises when a field changes: a file of another kind is refused, not misread
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,7 @@ class Plant:
     _calls: dict[str, Call] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        # A call owns the memory of one set of arguments: made here once, it need not be found again at every step.
         object.__setattr__(self, "_calls", {name: Call(getattr(self, name)) for name in _FUNCTIONS})
 
     def advance(self, state: Array, u: Array, u_dot: Array, d: Array, p: Array, h: float) -> Array:
@@ -78,6 +79,8 @@ class Plant:
         ndarray, shape (2 n,)
             (q, v) after the step.
         """
+        # The inputs run along their slope between the stages of the Runge-Kutta step. Held at u they would act half a
+        # step late on average, and a closed loop would be of first order in h.
         return self._calls["step"](state, u, u_dot, d, p, h)[0]
 
     def advance_held(self, state: Array, d: Array, p: Array, h: float) -> Array:
@@ -99,6 +102,8 @@ class Plant:
         ndarray, shape (2 n,)
             (q, v) after the step.
         """
+        # Brakes keep B v, the velocities along the inputs, at what they are: d(B v)/dt = 0 replaces known inputs, and u
+        # comes out as the multipliers of these rows. A plant that moves when they close keeps moving.
         return self._calls["held_step"](state, d, p, h)[0]
 
     def values(self, state: Array, u: Array | None, d: Array, p: Array) -> dict[str, float]:
@@ -120,6 +125,8 @@ class Plant:
         dict of str to float
             In the units of `channels`.
         """
+        # Accelerations and multipliers follow from the state and the inputs of this instant, so nothing of the step
+        # before is kept: after an input jumps, its channels jump as well.
         observed = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
         return dict(zip((channel.name for channel in self.channels), map(float, observed[0]), strict=True))
 
@@ -141,6 +148,7 @@ class Plant:
             Of shapes (2 n, 2 n), (2 n, m), (2 n, m) and (m, 2 n).
         """
         n = len(state)
+        # A matrix of one column comes back as a vector: with a single input or output the products would have no shape.
         by_state, by_input, by_disturbance, output = self._calls["linearise"](state, u, p)
         return by_state.reshape(n, n), by_input.reshape(n, -1), by_disturbance.reshape(n, -1), output.reshape(-1, n)
 
