@@ -87,7 +87,7 @@ class Inversion:
             results = self.sought(gamma, p)
         else:
             quick = self.expression(gamma, p)
-            symbols = [ca.MX.sym("given", *each.shape) for each in (*quick, gamma, p)]
+            symbols = [ca.MX.sym("given", *argument.shape) for argument in (*quick, gamma, p)]
             accept = ca.Function("sc_accept", symbols, symbols[:3])
             reject = ca.Function("sc_reject", symbols, list(self.sought(*symbols[3:])))
             choose = ca.Function.if_else("sc_choose", accept, reject)
@@ -180,7 +180,7 @@ def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Funct
     system = array.system
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
     results = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
-    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(each) for each in results], {"cse": True})
+    function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
 
 
@@ -232,7 +232,7 @@ def _equations(array: DerivativeArray) -> _Equations:
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))
     guessed = dict(zip(array.unknowns, ca.vertsplit(guess_symbols), strict=True))
     scale = np.array([nominal(system, j) for j, _ in array.determined])
-    forces = tuple(each for each in array.determined if each[0] >= len(system.coordinates))
+    forces = tuple(force for force in array.determined if force[0] >= len(system.coordinates))
     # States keep the value of their guess: what follows from step to step is not to be solved for.
     pinned = ca.vertcat(ca.SX(0, 1), *[guessed[state] for state in array.states])
     equations = SquareSystem(
@@ -242,7 +242,7 @@ def _equations(array: DerivativeArray) -> _Equations:
         guess=ca.vertcat(*[guessed[unknown] for unknown in array.determined]),
         unknown_scale=ca.SX(scale),
         residual_scale=ca.SX.ones(len(array.rows)),
-        rough=frozenset(each.name() for each in ca.vertsplit(array.column(forces))),
+        rough=frozenset(entry.name() for entry in ca.vertsplit(array.column(forces))),
     )
     return equations, [ca.substitute(array.column(array.unknowns), array.column(array.states), pinned)]
 
@@ -256,7 +256,7 @@ def _compile_guess(array: DerivativeArray) -> ca.Function:
     system = array.system
     n, gamma = len(system.coordinates), system.gamma[:, : array.reference_order + 1]
     # At rest momentum reads G^T lam + B^T u = -bias: linear in the forces, with at least as many rows.
-    at_rest = [ca.substitute(each, system.v, ca.SX.zeros(n)) for each in (
+    at_rest = [ca.substitute(expression, system.v, ca.SX.zeros(n)) for expression in (
         ca.horzcat(system.G.T, system.input_matrix.T), -system.bias)]  # fmt: skip
     configuration = ca.SX.sym("q", n)
     matrix, load = ca.substitute(at_rest, [system.q], [configuration])

@@ -180,7 +180,7 @@ def _traced_jacobian(structure: Signature, rows: list[int], home: Point) -> dict
     """Return rows of the system Jacobian, with their numbers at the probes and at home."""
     J, function = structure.jacobian[rows, :], jacobian_function(structure)
     points = [*probe_points(structure.equations, function), home]
-    values, errors = (each[:, rows] for each in evaluate(function, points))
+    values, errors = (of_matrix[:, rows] for of_matrix in evaluate(function, points))
     one = _Traced(ca.SX(1), np.ones(len(points)), np.zeros(len(points)))
     entries: list[dict[int, _Traced]] = [{} for _ in rows]
     for k, j in zip(*J.sparsity().get_triplet(), strict=True):
@@ -247,8 +247,8 @@ def _sum(*parts: tuple[_Traced | None, _Row]) -> _Row:
     entries: dict[int, _Traced] = {}
     for factor, row in parts:
         for total, share in ((factors, row.factors), (entries, row.entries)):
-            for k, each in share.items():
-                product = each if factor is None else factor * each
+            for k, term in share.items():
+                product = term if factor is None else factor * term
                 total[k] = total[k] + product if k in total else product
     return _Row(factors, _present(entries))
 
@@ -257,7 +257,7 @@ def _scaled(row: _Row) -> _Row:
     """Divide by a power of two, so that products of products do not grow."""
     size = max((float(np.abs(factor.values[0])) for factor in row.factors.values()), default=1.0)
     power = 0.5 ** round(math.log2(size)) if math.isfinite(size) and size > 0.0 else 1.0
-    factors, entries = ({k: each.times(power) for k, each in terms.items()} for terms in (row.factors, row.entries))
+    factors, entries = ({k: term.times(power) for k, term in terms.items()} for terms in (row.factors, row.entries))
     return _Row(factors, entries)
 
 
@@ -265,7 +265,9 @@ def _obstacle(structure: Signature, combination: _Combination) -> str:
     """Say which of the derivatives that should cancel the factors themselves depend on; empty if on none."""
     y, names = structure.equations.y, structure.equations.names
     least = structure.equation_offsets[combination.null]
-    factors = ca.vertcat(*[each.expression for row in combination.rows.values() for each in row.factors.values()])
+    factors = ca.vertcat(
+        *[coefficient.expression for row in combination.rows.values() for coefficient in row.factors.values()]
+    )
     for order in range(y.size2()):
         for j in ca.jacobian_sparsity(factors, y[:, order]).get_col():
             if order >= structure.variable_offsets[j] - least:

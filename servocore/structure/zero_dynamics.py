@@ -75,7 +75,7 @@ def linearization(resolved: Analysed, inverse: Inversion) -> Linearization:
     reference = array.system.gamma[:, : array.reference_order + 1]
     arguments = [array.column(array.unknowns), reference, array.system.p]
     wanted = array.column(array.determined), array.column(array.states)
-    matrices = [ca.densify(ca.jacobian(array.residual, each)) for each in wanted]
+    matrices = [ca.densify(ca.jacobian(array.residual, unknowns)) for unknowns in wanted]
     return Linearization(array, inverse, Call(ca.Function("sc_terms", arguments, matrices)))
 
 
@@ -100,10 +100,12 @@ def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equi
         return Equilibrium(
             unknown, tuple(map(complex, unknown)), np.zeros((0, len(states))), np.zeros((0, len(states)))
         )
-    eigenvalues = tuple(complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda each: -each.real))
+    eigenvalues = tuple(
+        complex(value) for value in sorted(np.linalg.eigvals(A), key=lambda eigenvalue: -eigenvalue.real)
+    )
     # Round-off moves undamped modes off the imaginary axis by its own size: they must not count as unstable.
     growing = sum(value.real > DAMPED * abs(value) for value in eigenvalues)
-    stable, unstable = (_left_space(A, growing, stable=each) for each in (True, False))
+    stable, unstable = (_left_space(A, growing, stable=decays) for decays in (True, False))
     return Equilibrium(guess[states], eigenvalues, stable, unstable)
 
 
