@@ -183,7 +183,7 @@ def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:
     history = ca.SX(start.values[:, : len(alpha)])
     if dae.index <= 1:
         return history
-    places = {(each.variable, each.order): place for place, each in enumerate(dae.unknowns)}
+    places = {(unknown.variable, unknown.order): place for place, unknown in enumerate(dae.unknowns)}
     for place, unknown in enumerate(dae.unknowns[: dae.x.numel()]):
         position = places.get((unknown.variable, unknown.order - 1))
         if position is None:

@@ -169,7 +169,7 @@ def _discretize(dae: Dae, method: Tableau) -> Discretisation:
     for i, gamma in enumerate(at_nodes):
         rate = ca.mtimes(unknowns[:size_x, :] - ca.repmat(old[:size_x], 1, s), ca.DM(W[i])) / h
         x, z = unknowns[:size_x, i], unknowns[size_x:, i]
-        H, f, algebraic = (dae.at(each, x, z, gamma) for each in (dae.H, dae.f, dae.h))
+        H, f, algebraic = (dae.at(expression, x, z, gamma) for expression in (dae.H, dae.f, dae.h))
         residual.append(ca.vertcat(ca.mtimes(H, rate) - f, algebraic))
     unknown_scale, residual_scale = dae.scales(h)
     equations = SquareSystem(

@@ -41,7 +41,8 @@ class Trapezoidal:
         reference, (gamma0, gamma1) = dae.reference_symbols(2)
         old_x, old_z = history[:size_x, 0], history[size_x:, 0]
         H, f = (
-            (dae.at(each, old_x, old_z, gamma0) + dae.at(each, dae.x, dae.z, gamma1)) / 2 for each in (dae.H, dae.f)
+            (dae.at(expression, old_x, old_z, gamma0) + dae.at(expression, dae.x, dae.z, gamma1)) / 2
+            for expression in (dae.H, dae.f)
         )
         # Algebraic equations hold at the new instant: averaged, what the start leaves of them would alternate.
         residual = ca.vertcat(ca.mtimes(H, (dae.x - old_x) / h) - f, dae.at(dae.h, dae.x, dae.z, gamma1))
