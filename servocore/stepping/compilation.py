@@ -109,7 +109,7 @@ def compile_program(
         start_order=start_order,
         nodes=discretization.nodes,
         start_instants=start_instants(array, discretization),
-        channels=tuple(each for each, _ in known),
+        channels=tuple(quantity for quantity, _ in known),
         parameters=system.parameters.names,
         equations=discretization.labels,
         limits=limit_texts(limits),

@@ -119,8 +119,8 @@ def _require_conservable(system: MechanicalSystem) -> None:
             f"{name}: its potential is more than quadratic; energy-momentum needs it as a Potential of a quadratic part"
             " and of energies of quadratic invariants"
         )
-    for k, each in enumerate(stored):
-        if not _at_most_quadratic(each.invariant, q):
+    for k, energy in enumerate(stored):
+        if not _at_most_quadratic(energy.invariant, q):
             raise InvalidModel(f"{name}: the invariant of its stored energy {k + 1} is more than quadratic")
 
 
@@ -144,7 +144,7 @@ def vectors(coordinates: Coordinates) -> tuple[tuple[int | None, ...], ...]:
         if axis in _AXES and stem[-1:] in ("", "_", "."):
             places.setdefault(stem, {})[axis] = k
     triples = [tuple(place.get(axis) for axis in _AXES) for place in places.values()]
-    return tuple(each for each in triples if each[0] is not None and each[1] is not None)
+    return tuple(triple for triple in triples if triple[0] is not None and triple[1] is not None)
 
 
 def angular_momentum(system: MechanicalSystem) -> ca.SX:
@@ -152,7 +152,7 @@ def angular_momentum(system: MechanicalSystem) -> ca.SX:
     momentum, total = ca.mtimes(system.mass, system.v), ca.SX.zeros(3)
     for places in vectors(system.coordinates):
         arm, share = (
-            ca.vertcat(*[ca.SX(0) if k is None else each[k] for k in places]) for each in (system.q, momentum)
+            ca.vertcat(*[ca.SX(0) if k is None else vector[k] for k in places]) for vector in (system.q, momentum)
         )
         total += ca.cross(arm, share)
     return total
@@ -190,7 +190,7 @@ def require_invariant_constraints(system: MechanicalSystem, q: Array, p: Array) 
         return
     flat = any(None in vector for vector in vectors(system.coordinates))
     for axis in (2,) if flat else range(3):
-        ends = [_moments(look, system.coordinates, axis, each, p) for each in (q, other)]
+        ends = [_moments(look, system.coordinates, axis, place, p) for place in (q, other)]
         if any(end.any() for end in ends):
             continue  # rotations about this axis are no symmetry
         guilty = np.flatnonzero(_moments(look, system.coordinates, axis, (q + other) / 2, p)[:-1])

@@ -77,8 +77,8 @@ def _conservative(system: MechanicalSystem, q0: ca.SX, q1: ca.SX) -> ca.SX:
     quadratic, stored = summands(system.potential)
     # Of a quadratic function the gradient in the middle is a discrete gradient already.
     force = ca.substitute(ca.gradient(quadratic, q), q, middle)
-    for each in stored:
-        before, after = (ca.substitute(each.invariant, q, place) for place in (q0, q1))
+    for energy in stored:
+        before, after = (ca.substitute(energy.invariant, q, place) for place in (q0, q1))
         # Gonzalez: the difference quotient of W along its invariant makes the balance of energy exact for any step.
-        force += each.slope(before, after) * ca.substitute(ca.gradient(each.invariant, q), q, middle)
+        force += energy.slope(before, after) * ca.substitute(ca.gradient(energy.invariant, q), q, middle)
     return force

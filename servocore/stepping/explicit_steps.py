@@ -80,8 +80,8 @@ class Between:
         if count * len(place) > _DENSE:
             return cls(beside, values, rates, None)
         dense = np.zeros((2, count + 1, len(place)))
-        for each, weights in zip(dense, (values, rates), strict=True):
-            each[beside, np.arange(len(place))] = weights
+        for table, weights in zip(dense, (values, rates), strict=True):
+            table[beside, np.arange(len(place))] = weights
         return cls(beside, values, rates, (dense[0], dense[1]))
 
     def states(self, values: Array, rates: Array, h: float) -> Array:
@@ -121,7 +121,7 @@ class Along(NamedTuple):
 
     def of_one(self) -> Along:
         """Return the same without the axis of cases, for a single one."""
-        steps, instants = (each[0] if each.ndim > 2 else each for each in (self.steps, self.instants))
+        steps, instants = (array[0] if array.ndim > 2 else array for array in (self.steps, self.instants))
         return self._replace(numbers=self.numbers[0], steps=steps, instants=instants)
 
 
@@ -160,13 +160,13 @@ class ExplicitSteps:
         h = reference.duration / count
         starts: Array = reference.start_time + h * np.arange(count + 1.0)
         between = Between.of((t - reference.start_time) / h, count)
-        formulas = [each.formula for each in references if each.formula is not None]
+        formulas = [reference.formula for reference in references if reference.formula is not None]
         if self.formula is not None and formulas:
             numbers = np.array([formula.numbers(self.order) for formula in formulas])
             return Along(h, numbers, starts[None], t[None], between)
         nodes = (starts[:, None] + h * self.nodes).ravel()
         tables = [
-            np.stack([each.jet(times, self.order).reshape(size, -1).T for each in references])
+            np.stack([reference.jet(times, self.order).reshape(size, -1).T for reference in references])
             for times, size in ((nodes, count + 1), (t, len(t)))
         ]
         return Along(h, np.zeros((len(references), 1)), tables[0], tables[1], between)
@@ -246,7 +246,7 @@ def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX,
         ca.vertcat(*(dae.physical[name] for name in ("q", "v", "lam", "u"))),
     )
     symbols = ca.vertcat(dae.x, dae.z, ca.vec(system.gamma[:, : gamma.size2()]), system.p)
-    values = [unknowns[array.places(each)] for each in (array.states, array.determined)]
+    values = [unknowns[array.places(chosen)] for chosen in (array.states, array.determined)]
     return ca.substitute(wanted, symbols, ca.vertcat(*values, ca.vec(gamma), p))
 
 

@@ -48,7 +48,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         raise InvalidModel(f"{system.name}: its equations hold the time, which a plant does not know; simulate does")
     rate, held_rate = forward_rate(system, held=False), forward_rate(system, held=True)
     n, m, n_p = len(system.coordinates), len(system.inputs), system.p.numel()
-    state, u, slope, d, p = (ca.MX.sym(*each) for each in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
+    state, u, slope, d, p = (ca.MX.sym(*argument) for argument in zip("xuwdp", (2 * n, m, m, m, n_p), strict=True))
     h = ca.MX.sym("h")
     # Four stages with the input linear over the step: explicit, so that a plant in an FMU costs the same each step.
     free = _runge_kutta(lambda x, time: rate(x, u + time * slope, d, p)[0], state, h)
@@ -58,7 +58,7 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     x_dot, lam, _ = rate(state, u, d, p)
     held_dot, held_lam, held_u = held_rate(state, d, p)
     output = ca.Function("sc_plant_output", [ca.vertcat(system.q, system.v), system.p], [system.output])
-    jacobians = [ca.densify(ca.jacobian(x_dot, each)) for each in (state, u, d)]
+    jacobians = [ca.densify(ca.jacobian(x_dot, argument)) for argument in (state, u, d)]
     by_state = ca.densify(ca.jacobian(output(state, p), state))
     linear = ca.Function("sc_plant_jacobians", [state, u, d, p], [*jacobians, by_state])
     return Plant(
@@ -131,10 +131,15 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     def add(quantities: Sequence[Quantity], values: ca.SX, suffix: str = "", unit: str = "") -> None:
         rows.extend(
             (
-                Quantity(f"{each.name}{suffix}", each.unit + unit, each.description, wraps=not suffix and each.wraps),
+                Quantity(
+                    f"{quantity.name}{suffix}",
+                    quantity.unit + unit,
+                    quantity.description,
+                    wraps=not suffix and quantity.wraps,
+                ),
                 values[k],
             )
-            for k, each in enumerate(quantities)
+            for k, quantity in enumerate(quantities)
         )
 
     add(system.outputs, system.output)

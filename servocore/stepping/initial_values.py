@@ -55,7 +55,7 @@ def compile_restart(
     else:
         columns += [inversion.function(jet, p)[0] for jet in jets[1:]]
     places = [array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
-    values = ca.horzcat(*[each[places] for each in columns])
+    values = ca.horzcat(*[column[places] for column in columns])
     rates = ca.vertcat(
         ca.MX(0, 1),
         *[_rate(array, unknown.variable, unknown.order + 1, first) for unknown in dae.unknowns[: dae.x.numel()]],

@@ -74,8 +74,8 @@ class PathFunction:
         p = p if p.ndim == 2 or len(references) > 1 else p[None]
         count = len(t) * max(len(references), len(p) if p.ndim == 2 else 1)
         chosen, formula = self._on_path(references[0], count, called=True)
-        if formula is not None and all(each == formula for each in formulas) and chosen.ready(count, called=True):
-            numbers = [each.numbers(self.order) for each in formulas if each is not None]
+        if formula is not None and all(other == formula for other in formulas) and chosen.ready(count, called=True):
+            numbers = [formula.numbers(self.order) for formula in formulas if formula is not None]
             return chosen(t[None], np.array(numbers if len(numbers) > 1 else numbers[0]), p)
         jets = np.stack([reference.jet(t, self.order).reshape(len(t), -1).T for reference in references])
         of_jets = self.resolved.once(_of_jets, self)

@@ -91,7 +91,7 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
     """Return variable and order of every state that a start names."""
     _require_numbers(start, name)
     known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
-    wrong = [each for each in start if each not in known]
+    wrong = [name for name in start if name not in known]
     if wrong or len(start) != len(array.states):
         names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
@@ -100,7 +100,7 @@ def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, 
             if array.states
             else f"{name} has no internal dynamics: its motion follows from the path, and takes no start"
         )
-    return [known[each] for each in start]
+    return [known[name] for name in start]
 
 
 def _require_numbers(start: Start, name: str) -> None:
@@ -135,7 +135,7 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     system = problem.system
     _require_numbers(start, system.name)
     names = (*system.coordinates.names, *(name + _RATE for name in system.coordinates.names))
-    wrong = [each for each in start if each not in names]
+    wrong = [name for name in start if name not in names]
     if wrong:
         raise InvalidSetting(f"{system.name}: a start gives coordinates and their rates, not {', '.join(wrong)}")
     free, consistent = np.array([name not in start for name in names]), state.copy()

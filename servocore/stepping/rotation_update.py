@@ -211,13 +211,13 @@ def _projected(unknowns: _Unknowns, terms: StepTerms, x: ca.MX, givens: ca.MX, s
     r = ca.mtimes(basis.T, momentum) * unit / ca.sqrt(heaviest)
     rows = unknowns.rows
     A, A0 = (ca.mtimes(m[rows, :], P) for m, P in ((G, basis), (terms.G_before, first)))
-    A, A0 = (ca.mtimes(each, ca.diag(unit)) for each in (A, A0))
+    A, A0 = (ca.mtimes(matrix, ca.diag(unit)) for matrix in (A, A0))
     size = ca.sqrt(ca.sum2(A0**2))
-    A, A0 = (each / ca.repmat(size, 1, unknowns.count) for each in (A, A0))
+    A, A0 = (matrix / ca.repmat(size, 1, unknowns.count) for matrix in (A, A0))
     g = ca.substitute(terms.constraints_after[rows], terms.change, change) / size / ca.sqrt(heaviest)
     lam = ca.SX.sym("lam", len(rows))
     arguments = [step, ca.vertcat(terms.givens, weights)]
-    dense = [ca.densify(each) for each in (r, A, A0, g, ca.jacobian(g, step))]
+    dense = [ca.densify(expression) for expression in (r, A, A0, g, ca.jacobian(g, step))]
     look = ca.Function("sc_pieces", arguments, dense, {"cse": True})
     bend = ca.Function(
         "sc_bend", [*arguments, lam], [ca.densify(ca.jacobian(r + ca.mtimes(A.T, lam), step))], {"cse": True}
