@@ -88,10 +88,10 @@ class Effects:
     left_out: frozenset[str] = frozenset()
 
     def __getitem__(self, name: str) -> Effect:
-        for each in self.declared:
-            if each.name == name:
-                return each
-        known = ", ".join(each.name for each in self.declared) or "none"
+        for effect in self.declared:
+            if effect.name == name:
+                return effect
+        known = ", ".join(effect.name for effect in self.declared) or "none"
         raise InvalidModel(f"no effect is called {described(name) if not isinstance(name, str) else name}; there are"
                            f" {known}")  # fmt: skip
 
@@ -115,15 +115,15 @@ class Effects:
         InvalidModel
             If there is no such effect.
         """
-        wanted, unwanted = {self[name] for name in names}, {self[each] for each in without}
-        both = sorted(each.name for each in wanted & unwanted)
+        wanted, unwanted = {self[name] for name in names}, {self[name] for name in without}
+        both = sorted(effect.name for effect in wanted & unwanted)
         if both:
             raise InvalidModel(f"a model cannot be both with and without {', '.join(both)}")
-        lacking = self.left_out - {each.name for each in wanted}
+        lacking = self.left_out - {effect.name for effect in wanted}
         having = self.added - {name.name for name in unwanted}
         return replace(
             self,
-            added=having | {each.name for each in wanted if not each.left_out},
+            added=having | {effect.name for effect in wanted if not effect.left_out},
             left_out=lacking | {name.name for name in unwanted if name.left_out},
         )
 
@@ -143,7 +143,7 @@ class Effects:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters of all declared effects by name."""
-        return {parameter.name: parameter for each in self.declared for parameter in each.parameters}
+        return {parameter.name: parameter for effect in self.declared for parameter in effect.parameters}
 
 
 NO_EFFECTS = Effects()
@@ -152,7 +152,7 @@ NO_EFFECTS = Effects()
 
 def parameters_with(base: Parameters, effects: Iterable[Effect]) -> Parameters:
     """Return the parameters of a model with some effects; what several of them need is there once."""
-    by_name = {each.name: each for each in base.declared}
+    by_name = {parameter.name: parameter for parameter in base.declared}
     for effect in effects:
         by_name |= {parameter.name: parameter for parameter in effect.parameters if parameter.name not in by_name}
     return Parameters(*by_name.values())

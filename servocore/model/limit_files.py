@@ -25,8 +25,8 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     """
     by_name: dict[str, Bounds] = {}
     for text in texts:
-        name, equals, bounds = (each.strip() for each in text.partition("="))
-        lower, pair, upper = (each.strip() for each in bounds.partition(".." if ".." in bounds else ":"))
+        name, equals, bounds = (part.strip() for part in text.partition("="))
+        lower, pair, upper = (side.strip() for side in bounds.partition(".." if ".." in bounds else ":"))
         if not (name and equals and bounds) or name in by_name:
             raise InvalidSetting(
                 f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, each name once, such as F=60, M_w=-104..-92,"
@@ -79,7 +79,7 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     """
     factors: dict[str, tuple[float, float]] = {}
     for text in texts:
-        name, _, both = (each.strip() for each in text.partition("="))
+        name, _, both = (part.strip() for part in text.partition("="))
         low, _, high = both.partition("..")
         try:
             factors[name] = (float(low), float(high))
@@ -114,14 +114,17 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     limits: dict[str, Bounds] = {}
     for name, value in table.items():
         if isinstance(value, Mapping):  # TOML takes s.rate for a table s
-            limits |= {f"{name}.{each}": _bounds(path, f"{name}.{each}", inside) for each, inside in value.items()}
+            limits |= {
+                f"{name}.{derivative}": _bounds(path, f"{name}.{derivative}", inside)
+                for derivative, inside in value.items()
+            }
         else:
             limits[name] = _bounds(path, name, value)
     return limits
 
 
 def _bounds(path: Path, name: str, value: object) -> Bounds:
-    if isinstance(value, list) and len(value) == 2 and all(_is_bound(each) for each in value):
+    if isinstance(value, list) and len(value) == 2 and all(_is_bound(bound) for bound in value):
         return (value[0], value[1])
     if isinstance(value, float | int | str) and _is_bound(value):
         return value

@@ -138,7 +138,7 @@ def _groups(system: MechanicalSystem) -> list[tuple[Sequence[Quantity], ca.SX | 
 
 def reported_quantities(system: MechanicalSystem) -> Mapping[str, Quantity]:
     """Return what a solution reports, by name: inputs, observables, servo outputs, coordinates."""
-    return {each.name: each for quantities, _ in _groups(system) for each in quantities}
+    return {quantity.name: quantity for quantities, _ in _groups(system) for quantity in quantities}
 
 
 def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:

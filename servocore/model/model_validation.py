@@ -159,13 +159,13 @@ def require_sound(system: Written) -> None:
     """
     _require_names(system)
     q, v, p = system.symbols("coordinates"), system.v, system.symbols("parameters")
-    lam, u, gamma = (system.fields[each] for each in ("multipliers", "u", "gamma"))
-    groups = ca.vertcat(*(ca.vec(each) for each in (q, v, p, lam, u, gamma)))
+    lam, u, gamma = (system.fields[field] for field in ("multipliers", "u", "gamma"))
+    groups = ca.vertcat(*(ca.vec(symbols) for symbols in (q, v, p, lam, u, gamma)))
     if len(ca.symvar(groups)) < groups.numel():
         raise InvalidModel(
             f"{system.name}: a symbol stands for two among coordinates, parameters, multipliers, inputs and reference"
         )
-    at_rest, moving = ({each: system.fields[each] for each in listed} for listed in (_AT_REST, _MOVING))
+    at_rest, moving = ({field: system.fields[field] for field in listed} for listed in (_AT_REST, _MOVING))
     seen = {f"observable {name}": expression for name, expression in system.observables}
     guess = {"guess": system.fields["guess"]}
     _require_timeless(system)
@@ -174,12 +174,12 @@ def require_sound(system: Written) -> None:
     observe, clock = _compiled(system, seen, (q, v, p, lam, u, gamma)), np.full(system.time.numel(), _TIME)
     home = _home(system, guess, start)
     points, rates = probes(home, system.nominal, system.home_parameters), np.cos(np.arange(len(home)))
-    rest = [np.sin(2.0 + np.arange(each.numel())).reshape(each.shape) for each in (lam, u, gamma)]
+    rest = [np.sin(2.0 + np.arange(symbols.numel())).reshape(symbols.shape) for symbols in (lam, u, gamma)]
     evaluated = [_arrays(still.call([*point, clock])) for point in points]
     _require_finite(system, at_rest, evaluated)
-    _require_finite(system, moving, [_arrays(forces.call([each, rates, values, clock])) for each, values in points])
-    _require_finite(system, seen, [_arrays(observe.call([each, rates, values, *rest])) for each, values in points[-2:]])
-    masses = [each[0] for each in evaluated]
+    _require_finite(system, moving, [_arrays(forces.call([at, rates, values, clock])) for at, values in points])
+    _require_finite(system, seen, [_arrays(observe.call([at, rates, values, *rest])) for at, values in points[-2:]])
+    masses = [terms[0] for terms in evaluated]
     _require_symmetric(system.name, masses)
     require_mass(system.name, masses[:3], system.names("coordinates"))
 
@@ -376,11 +376,11 @@ def require_driving(whose: str, rows: Sequence[Array], names: Sequence[str], kin
     finite = [row for row in rows if np.isfinite(row).all()]
     if not finite or not names:
         return
-    dead = np.flatnonzero(np.all([~each.any(axis=1) for each in finite], axis=0))
+    dead = np.flatnonzero(np.all([~matrix.any(axis=1) for matrix in finite], axis=0))
     if len(dead):
         why = "drives no coordinate" if kind == "input" else "depends on no coordinate"
         raise InvalidModel(f"{whose}: structurally singular, the {kind} {names[dead[0]]} {why}")
-    dependent = [_dependent(each) for each in finite]
+    dependent = [_dependent(matrix) for matrix in finite]
     if all(dependent):
         listed = ", ".join(names[k] for k in dependent[-1])
         why = "drive the same" if kind == "input" else "follow the same coordinates"

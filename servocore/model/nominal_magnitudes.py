@@ -69,7 +69,7 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     gamma[:, : len(extent), 0] += np.outer((1.0, -1.0), extent)  # the time, if there is one, stands still
     evaluate = ca.Function("guess_and_rows", [system.gamma, system.q, system.p], [
         system.guess, ca.densify(ca.vertcat(system.G, system.C))])  # fmt: skip
-    changes = [np.abs(np.asarray(evaluate(each, home, p)[0]).ravel() - home) for each in gamma]
+    changes = [np.abs(np.asarray(evaluate(function, home, p)[0]).ravel() - home) for function in gamma]
     rows = np.asarray(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
         outputs = np.eye(len(rows))[:, len(rows) - len(extent) :] * extent

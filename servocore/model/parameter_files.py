@@ -34,7 +34,7 @@ def read_parameters(path: str | Path, scene: Scene, more: Iterable[Parameter] = 
         the sentence names the file and the key.
     """
     path = Path(path)
-    declared = {each.name: each for each in (*scene.model().parameters.declared, *more)}
+    declared = {parameter.name: parameter for parameter in (*scene.model().parameters.declared, *more)}
     values: dict[str, float] = {}
     for key, value in read_table(path).items():
         if key not in declared:

@@ -75,20 +75,22 @@ def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: 
     InvalidModel
         If a drawing names what is not reported, or returns something else than parts.
     """
-    symbols = {each.name: ca.SX.sym(each.name) for each in reported}
+    symbols = {quantity.name: ca.SX.sym(quantity.name) for quantity in reported}
     given = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
     try:
         parts = list(drawing(given)) if drawing is not None else _found(system, symbols)
     except KeyError as error:
         raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(given)}") from None
-    if not all(isinstance(each, Part) for each in parts):
+    if not all(isinstance(part, Part) for part in parts):
         raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
     names, listed = list(symbols), []
     places: dict[str, int] = {}
     points: list[ca.SX] = []
     for part in parts:
         for point in part.points:
-            expression = ca.vertcat(*[as_expression(each, f"{system.name}: a point of its drawing") for each in point])
+            expression = ca.vertcat(
+                *[as_expression(entry, f"{system.name}: a point of its drawing") for entry in point]
+            )
             if str(expression) not in places:
                 places[str(expression)] = len(points)
                 points.append(expression)
@@ -96,13 +98,13 @@ def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: 
             raise InvalidModel(f"{system.name}: its drawing is coloured by {part.colour}, which is not reported")
         listed.append(_described(part, places, names))
     values, coordinates = ca.vertcat(ca.SX(0, 1), *symbols.values()), ca.vertcat(ca.SX(0, 1), *points)
-    depth = ca.vertcat(ca.SX(0, 1), *[each[1] for each in points])
+    depth = ca.vertcat(ca.SX(0, 1), *[corner[1] for corner in points])
     flat = all(entry.is_zero() for entry in ca.vertsplit(depth)) if points else True
     return Picture(listed, len(points), values, coordinates, _tracked(listed), flat)
 
 
 def _described(part: Part, places: Mapping[str, int], names: Sequence[str]) -> dict[str, Any]:
-    expressions = [ca.vertcat(*[ca.SX(each) for each in point]) for point in part.points]
+    expressions = [ca.vertcat(*[ca.SX(entry) for entry in point]) for point in part.points]
     return {
         "kind": part.kind,
         "name": part.name,

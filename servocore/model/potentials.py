@@ -80,10 +80,10 @@ class Potential(ca.SX):
 
     def __init__(self, quadratic: ca.SX | float, stored: Sequence[tuple[Energy, ca.SX]] = ()) -> None:
         self.quadratic = as_expression(quadratic, "the quadratic part of a potential")
-        for each in stored:
-            if not (isinstance(each, tuple) and len(each) == 2 and callable(each[0])):
+        for energy in stored:
+            if not (isinstance(energy, tuple) and len(energy) == 2 and callable(energy[0])):
                 raise InvalidModel(
-                    f"a stored energy is a pair (W, pi) of a function and an expression, not {described(each)}"
+                    f"a stored energy is a pair (W, pi) of a function and an expression, not {described(energy)}"
                 )
         self.stored = tuple(Stored(W, as_expression(pi, "an invariant")) for W, pi in stored)
         total = self.quadratic

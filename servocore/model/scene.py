@@ -95,9 +95,11 @@ class Scene:
         if not listed:
             raise InvalidModel(f"{self.name}: limits must be a tuple of Limit, not {described(self.limits)}")
 
-        for each in ("closed_form", "independent_solution", "drawing"):
-            if not (getattr(self, each) is None or callable(getattr(self, each))):
-                raise InvalidModel(f"{self.name}: {each} must be a function, not {described(getattr(self, each))}")
+        for attribute in ("closed_form", "independent_solution", "drawing"):
+            if not (getattr(self, attribute) is None or callable(getattr(self, attribute))):
+                raise InvalidModel(
+                    f"{self.name}: {attribute} must be a function, not {described(getattr(self, attribute))}"
+                )
 
     @property
     def default_model(self) -> str:

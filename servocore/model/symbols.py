@@ -129,7 +129,7 @@ def numbers(values: Any, names: Sequence[str], what: str) -> tuple[float, ...]:
         number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
         if not (number and math.isfinite(value)):
             raise InvalidModel(f"{what} must hold a finite number for {name}, not {described(value)}")
-    return tuple(float(each) for each in listed)
+    return tuple(float(entry) for entry in listed)
 
 
 def symbols(names: Iterable[str]) -> ca.SX:
@@ -187,7 +187,9 @@ class Coordinates:
         """
         copied = copy.copy(self)
         pairs = zip(self.quantities, magnitudes, strict=True)
-        object.__setattr__(copied, "quantities", tuple(replace(each, nominal=float(size)) for each, size in pairs))
+        object.__setattr__(
+            copied, "quantities", tuple(replace(quantity, nominal=float(size)) for quantity, size in pairs)
+        )
         return copied
 
     def __len__(self) -> int:
@@ -248,8 +250,8 @@ class Parameters:
     p: ca.SX = field(init=False, repr=False)
 
     def __init__(self, *declared: Parameter) -> None:
-        for each in declared:
-            require_kind(each, Parameter, "Parameters(...)", "made of Parameter, one by one", InvalidModel)
+        for parameter in declared:
+            require_kind(parameter, Parameter, "Parameters(...)", "made of Parameter, one by one", InvalidModel)
         object.__setattr__(self, "declared", declared)
         require_unique(self.names, "parameter")
         object.__setattr__(self, "p", symbols(self.names))
@@ -287,7 +289,9 @@ class Parameters:
         changed = {} if changed is None else changed
         require_kind(changed, Mapping, "parameter values", "a mapping of names to numbers", InvalidModel)
         self._require_known(tuple(changed))
-        return np.array([each.check(changed.get(each.name, each.default)) for each in self.declared])
+        return np.array(
+            [parameter.check(changed.get(parameter.name, parameter.default)) for parameter in self.declared]
+        )
 
     def _require_known(self, names: tuple[str, ...]) -> None:
         unknown = [name for name in names if name not in self.names]

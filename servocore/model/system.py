@@ -162,7 +162,7 @@ class MechanicalSystem:
         self._require_shapes(n, m, m_h)
         self._derive()
         seen = [(quantity.name, expression) for quantity, expression in self.observables.items()]
-        require_sound(written(self, seen, {each: getattr(self, each) for each in _EXPRESSIONS}))
+        require_sound(written(self, seen, {attribute: getattr(self, attribute) for attribute in _EXPRESSIONS}))
         if m > n - m_h:  # otherwise there is freedom enough even if all constraints are independent
             ranks = self._rank_at_home
             require_freedom(self.name, n, m, m_h, ranks.rank, assembled=ranks.assembled)
@@ -177,13 +177,16 @@ class MechanicalSystem:
         if len(inputs) != len(outputs):
             raise InvalidModel(f"{self.name}: {len(inputs)} inputs cannot prescribe {len(outputs)} outputs")
         taken: dict[str, object] = {"inputs": inputs, "outputs": outputs}
-        given = {each: getattr(self, each) for each in _EXPRESSIONS if getattr(self, each) is not DERIVED}
+        given = {
+            attribute: getattr(self, attribute) for attribute in _EXPRESSIONS if getattr(self, attribute) is not DERIVED
+        }
         taken |= expressions_of(self.name, given, len(self.coordinates))
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
-            each: as_expression(self.observables[each], f"{self.name}: observable {each.name}") for each in seen
+            quantity: as_expression(self.observables[quantity], f"{self.name}: observable {quantity.name}")
+            for quantity in seen
         }
-        at_home = home_names([each.name for each in outputs], self.time, self.home)
+        at_home = home_names([quantity.name for quantity in outputs], self.time, self.home)
         taken["home"] = numbers(self.home, at_home, f"{self.name}: home") or (1.0,) * len(outputs)
         values = numbers(self.home_parameters, self.parameters.names, f"{self.name}: home_parameters")
         taken["home_parameters"] = values or tuple(self.parameters.values().tolist())
@@ -212,7 +215,7 @@ class MechanicalSystem:
             "constraints": (m_h, 1), "multipliers": (m_h, 1), "guess": (n, 1), "u": (m, 1),
             "gamma": (m + self.time.numel(), MAX_REFERENCE_ORDER + 1),
         }  # fmt: skip
-        require_shapes(self.name, {each: getattr(self, each) for each in shapes}, shapes)
+        require_shapes(self.name, {attribute: getattr(self, attribute) for attribute in shapes}, shapes)
         self._fill("gyroscopic", gyroscopic_forces(self.mass, self.q, self.v))
         require_shapes(self.name, {"gyroscopic": self.gyroscopic}, {"gyroscopic": (n, 1)})
         rows = self.constraint_names or tuple(f"g_{k + 1}" for k in range(m_h))

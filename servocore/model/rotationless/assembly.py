@@ -78,7 +78,7 @@ class Assembly:
             if not isinstance(part, Quantity):
                 part.check(self.parameters)
         object.__setattr__(
-            self, "coordinates", Coordinates(*(each for part in self.parts for each in _quantities(part)))
+            self, "coordinates", Coordinates(*(quantity for part in self.parts for quantity in _quantities(part)))
         )
         blocks = [ca.SX(1, 1) if isinstance(part, Quantity) else part.mass_matrix for part in self.parts]
         object.__setattr__(self, "mass", ca.sparsify(ca.diagcat(*blocks)))
@@ -113,7 +113,7 @@ class Assembly:
             If there is no such beam or rope, or no such node.
         """
         q = self._coordinates_of(name, Flexible, "beam or rope")
-        (part,) = (each for each in self.parts if each.name == name)
+        (part,) = (part for part in self.parts if part.name == name)
         if not isinstance(part, Flexible) or not -part.elements - 1 <= node <= part.elements:
             raise InvalidModel(f"{name} has no node {node}")
         return part.frame(q, node) if isinstance(part, Beam) else Frame(part.points(q)[node], GROUND.directors)
@@ -230,7 +230,7 @@ class Assembly:
             if not (isinstance(row, Distance) and row.is_rope(self.coordinates.q)):
                 continue
             tension = row.tension(lam[name])
-            same = [each for each, value in with_tensions.items() if self._equal(value, tension, lam)]
+            same = [quantity for quantity, value in with_tensions.items() if self._equal(value, tension, lam)]
             for each in same:
                 with_tensions = {
                     replace(k, positive=True) if k == each else k: value for k, value in with_tensions.items()
@@ -246,7 +246,7 @@ class Assembly:
         if compare.get_free():
             return False
         point = [np.sin(1.0 + 7 * k + np.arange(symbol.numel())) for k, symbol in enumerate(symbols[:2])]
-        first, second = (float(each) for each in compare(*point, self.parameters.values()))
+        first, second = (float(value) for value in compare(*point, self.parameters.values()))
         return abs(first - second) <= 1e-9 * max(abs(first), abs(second))
 
     def _row_names(self, constraints: Mapping[str, ca.SX]) -> tuple[str, ...]:

@@ -97,7 +97,7 @@ class Beam:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All coordinates, node by node."""
-        return tuple(each for node in self.nodes for each in frame_quantities(node))
+        return tuple(quantity for node in self.nodes for quantity in frame_quantities(node))
 
     @property
     def mass(self) -> Scalar:
@@ -205,7 +205,7 @@ class ElasticRope:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """All coordinates, point by point."""
-        return tuple(each for k in range(self.elements + 1) for each in position_quantities(f"{self.name}.{k}"))
+        return tuple(quantity for k in range(self.elements + 1) for quantity in position_quantities(f"{self.name}.{k}"))
 
     @property
     def mass(self) -> Scalar:

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 def spherical(a: Place, b: Place) -> ca.SX:
     """Return the rows of a ball joint: one common point, shape (3,), m."""
-    for each in (a, b):
-        if not hasattr(each, "position"):
-            hint = "; frame.at(...) is one" if hasattr(each, "at") else ""
-            raise InvalidModel(f"a joint is between two places, not {described(each)}{hint}")
+    for place in (a, b):
+        if not hasattr(place, "position"):
+            hint = "; frame.at(...) is one" if hasattr(place, "at") else ""
+            raise InvalidModel(f"a joint is between two places, not {described(place)}{hint}")
     return b.position - a.position
 
 

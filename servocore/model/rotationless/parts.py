@@ -99,9 +99,11 @@ class RigidBody:
         what = f"body {self.name}"
         _check_mass(what, self.mass, parameters)
         inertia, centre = number(self.inertia_tensor, parameters), number(_vector(self.centre), parameters)
-        for each, name in ((inertia, "inertia"), (centre, "centre of mass")):
-            if not np.isfinite(each).all():
-                raise InvalidModel(f"{what}: its {name} holds {each[~np.isfinite(each)][0]}, which is no finite number")
+        for values, name in ((inertia, "inertia"), (centre, "centre of mass")):
+            if not np.isfinite(values).all():
+                raise InvalidModel(
+                    f"{what}: its {name} holds {values[~np.isfinite(values)][0]}, which is no finite number"
+                )
         scale = max(float(np.abs(inertia).max()), 1e-300)
         if not np.abs(inertia - inertia.T).max() <= _ROUND_OFF * scale:
             raise InvalidModel(f"{what}: the inertia tensor is not symmetric")
@@ -254,7 +256,7 @@ def _triad(axis: Sequence[float], normal: Sequence[float] | None) -> tuple[Array
 
 def _unit(direction: Sequence[float], what: str) -> Array:
     try:
-        values = np.array([float(each) for each in direction])
+        values = np.array([float(entry) for entry in direction])
     except (TypeError, ValueError, RuntimeError):
         raise InvalidModel(f"the {what} must be three numbers, not {described(direction)}") from None
     length = float(np.linalg.norm(values)) if values.shape == (3,) else 0.0
