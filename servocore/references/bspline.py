@@ -248,7 +248,7 @@ def joined(legs: Sequence[PiecewisePolynomial]) -> PiecewisePolynomial:
     return replace(
         legs[0],
         end_time=legs[-1].end_time,
-        knots=np.concatenate([legs[0].knots, *(each.knots[1:] for each in legs[1:])]),
-        coefficients=np.concatenate([each.coefficients for each in legs]),
+        knots=np.concatenate([legs[0].knots, *(leg.knots[1:] for leg in legs[1:])]),
+        coefficients=np.concatenate([leg.coefficients for leg in legs]),
         ends=np.array([legs[0].ends[0], legs[-1].ends[1]]),
     )

@@ -177,9 +177,9 @@ def _layout(
         header, first, line = data[first:end].decode(errors="replace").strip(), end + 1, line + 1
     if not header:
         raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
-    delimiter = next((each for each in ";\t" if each in header), ",")
-    cells = [each.strip() for each in next(csv.reader([header], delimiter=delimiter))]
-    found = [_WITH_UNIT.fullmatch(each) for each in cells]
+    delimiter = next((mark for mark in ";\t" if mark in header), ",")
+    cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
+    found = [_WITH_UNIT.fullmatch(cell) for cell in cells]
     written = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
     names = _without_capitals(written, [*wanted[-1], *([STOP] if waypoints else [])])
     units = {name: unit[2] for name, unit in zip(names, found, strict=True) if unit}
@@ -220,7 +220,7 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
     factor = _TIMES.get(unit) if column == 0 else kinds.get(base) if power == order else None
     if factor is None:
         per = {0: "", 1: "/s"}.get(order, f"/s^{order}")
-        known = _TIMES if column == 0 else [f"{each}{per}" for each in kinds]
+        known = _TIMES if column == 0 else [f"{kind}{per}" for kind in kinds]
         raise InvalidReference(
             f"{file}, line {line}, column {name}: its unit must be one of {', '.join(known)}, not {unit!r}"
         )

@@ -275,7 +275,7 @@ class ThreePhaseProfile(Profile):
             cruising = [1.0 / cruise_time] + [0.0] * (order - 1)
             s += [where(ramping, a / cruise_time, b) for a, b in zip(rising, cruising, strict=True)]
         late = elapsed > remaining  # s(t) = 1 - s(duration - t)
-        mirrored = [1.0 - s[0], *(each if m % 2 else -each for m, each in enumerate(s[1:], 1))]
+        mirrored = [1.0 - s[0], *(derivative if m % 2 else -derivative for m, derivative in enumerate(s[1:], 1))]
         return [where(late, a, b) for a, b in zip(mirrored, s, strict=True)]
 
 

@@ -69,7 +69,7 @@ class RestToRest(Reference):
             first, last, way = (ca.vertcat(*arguments[k * size : (k + 1) * size]) for k in range(3))
             s, outside = _law(profile, t, arguments[3 * size :], order)
             place = ca.if_else(s[0] > 0.5, last - (1.0 - s[0]) * way, s[0] * way + first)
-            return [place, *(ca.if_else(outside, 0.0, each) * way for each in s[1:])]
+            return [place, *(ca.if_else(outside, 0.0, derivative) * way for derivative in s[1:])]
 
         return Formula((type(self), profile, size), numbers, jet)
 
@@ -78,7 +78,7 @@ def _law(profile: Profile, t: Values, numbers: list[Values], order: int) -> tupl
     """Return s and its derivatives, and where the path rests; `numbers` are start, end and those of the profile."""
     start, end, *law_numbers = numbers
     duration = end - start
-    elapsed, remaining = (least(most(each, 0.0), duration) for each in (t - start, end - t))
+    elapsed, remaining = (least(most(elapsed, 0.0), duration) for elapsed in (t - start, end - t))
     return profile.law(elapsed, remaining, law_numbers, order), either(t < start, t >= end)
 
 

@@ -116,7 +116,7 @@ def _inner_stops(stops: npt.ArrayLike | None, count: int) -> list[int]:
     wanted = np.asarray(stops)
     if wanted.shape != (count,) or wanted.dtype != bool:
         raise InvalidReference(f"the stops of {count} waypoints are {count} times True or False")
-    return [int(each) for each in np.flatnonzero(wanted[1:-1]) + 1]
+    return [int(place) for place in np.flatnonzero(wanted[1:-1]) + 1]
 
 
 def _speeds(
@@ -134,9 +134,9 @@ def _speeds(
     partly = np.flatnonzero(np.isfinite(given).any(axis=1) & np.isnan(given).any(axis=1))
     if partly.size:
         raise InvalidReference(f"{called(partly[0])} has a velocity in some directions only: give all or none")
-    for each in rests:
-        if np.nan_to_num(given[each]).any():
-            raise InvalidReference(f"{called(each)} has a velocity, but the path rests there")
+    for waypoint in rests:
+        if np.nan_to_num(given[waypoint]).any():
+            raise InvalidReference(f"{called(waypoint)} has a velocity, but the path rests there")
     return given
 
 
@@ -311,7 +311,7 @@ def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) ->
     """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
     order, near = found.ends.order, found.ends.degree + 1
     judged, halves = found.spline(t, nu=order), list(_half_fits(t, positions, found.ends, found.inner_knots))
-    error = max(_distance(each(t), positions).max() for each in (found.spline, *halves))
+    error = max(_distance(curve(t), positions).max() for curve in (found.spline, *halves))
     doubt = np.max([_distance(half(t, nu=order), judged) for half in halves], axis=0)
     peak = np.linalg.norm(judged, axis=1).max()
     slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** order  # of a path worth the name
