@@ -31,7 +31,7 @@ TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11)
 _GCC = quote(str(Path(__file__).with_name("gcc_once.sh")))
 COMPILED_OPTIONS = {
     "jit": True, "compiler": "shell", "jit_name": "peer", "jit_temp_suffix": False, "jit_cleanup": False,
-    "jit_options": {"compiler": f"sh {_GCC}", "flags": "-O2 -fPIC -ffp-contract=off -fno-math-errno",
+    "jit_options": {"compiler": f"sh {_GCC}", "flags": "-O2 -fPIC -ffp-contract=off -fno-math-errno -march=native",
                     "cleanup": False, "verbose": False},
 }  # fmt: skip
 """Equations and Jacobian made ready by a compiler, with the flags that ours are; once for all tolerances."""
