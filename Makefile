@@ -88,7 +88,7 @@ chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, 
 atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)
 	$(RUN) benchmarks.atlas
 
-planning: $(INSTALLED)  ## plan ten manoeuvres within limits, into docs/planning (a minute)
+planning: $(INSTALLED)  ## plan fourteen manoeuvres within limits, into docs/planning (two minutes)
 	$(RUN) benchmarks.planning
 
 jobs: $(INSTALLED)  ## plan a hundred random manoeuvres, into docs/planning (some ten minutes)

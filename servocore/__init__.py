@@ -71,12 +71,13 @@ if TYPE_CHECKING:
     from servocore.export.wasm import export_wasm
     from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
     from servocore.model.parameter_files import read_parameters
+    from servocore.planning.bodies import Box, Sphere
     from servocore.planning.durations import shortest_duration
     from servocore.planning.fastest import fastest
     from servocore.planning.flat_system import to_control
     from servocore.planning.report import PlanReport
     from servocore.planning.sensitivities import Sensitivities, sensitivities
-    from servocore.planning.space import Box, Space, Sphere
+    from servocore.planning.space import Space
     from servocore.planning.sweep import sweep
     from servocore.references.csv_file import csv_of, from_csv, waypoints_from_csv
     from servocore.references.periodic import figure_of_eight, periodic
@@ -214,7 +215,7 @@ __all__ += [
 # These are half of what there is to import, and most programs analyse and solve.
 _LATER = {
     "Batch": "servocore.solvers.batch",
-    "Box": "servocore.planning.space",
+    "Box": "servocore.planning.bodies",
     "Drives": "servocore.effects.drives",
     "DynamicInversion": "servocore.solvers.dynamic_inversion",
     "EffectRow": "servocore.effects.report",
@@ -229,7 +230,7 @@ _LATER = {
     "SampledFeedback": "servocore.export.feedback",
     "Sensitivities": "servocore.planning.sensitivities",
     "Space": "servocore.planning.space",
-    "Sphere": "servocore.planning.space",
+    "Sphere": "servocore.planning.bodies",
     "Stepper": "servocore.stepping.stepper",
     "Sundials": "servocore.solvers.sundials",
     "TrajectoryWishes": "servocore.export.trajectory_model",

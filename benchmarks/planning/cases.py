@@ -1,4 +1,4 @@
-"""The ten cases: a crane, a way, limits, and the best duration known of a plan on 80 intervals."""
+"""The cases: a crane, a way, limits, and the best duration known of a plan on 80 intervals."""
 
 from __future__ import annotations
 
@@ -34,6 +34,8 @@ class Case:
         As `Scene.with_limits` takes them.
     known : float
         Best duration known on 80 intervals with continuous inputs, s.
+    free : Space, optional
+        Where only the ends of the way are given: what load and rope keep clear of.
     """
 
     name: str
@@ -41,10 +43,11 @@ class Case:
     way: Any
     limits: Mapping[str, Any]
     known: float
+    free: sc.Space | None = None
 
     def plan(self, intervals: int = 80) -> tuple[sc.Reference, sc.PlanReport]:
         """Return the plan and what is known about it."""
-        return sc.fastest(sc.scenes.REGISTRY[self.scene](), self.way, self.limits, intervals=intervals)
+        return sc.fastest(sc.scenes.REGISTRY[self.scene](), self.way, self.limits, free=self.free, intervals=intervals)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,20 +77,26 @@ class Hop(sc.Reference):
         return found
 
 
+_WIDE = {
+    "M_b": 400,
+    "F": 200,
+    "M_w": (WEIGHT - 6, WEIGHT + 6),
+    "swing": "8 deg",
+    "tension": (900, 1060),
+    "s.rate": 1.2,
+}
+_ROOM = {"s": (1, None), "z": (-6, -1)}
+_LEVEL = ((5, 0, -5), (-2, 2, -5))
+_DRIVES = {"M_b": 1000, "F": 100, "M_w": (WEIGHT - 10, WEIGHT + 10), "swing": "8 deg", **_ROOM}
+_WALL, _BALL = sc.Box((1.5, 1, -5), (0.4, 3, 1.2)), sc.Sphere((1.5, 1, -5), 1.5)
+
 CASES = (
     Case("1 default", "rotary_crane", LINE, DEFAULT, 7.126),
     Case(
         "2 wide set",
         "rotary_crane",
         LINE,
-        {
-            "M_b": 400,
-            "F": 200,
-            "M_w": (WEIGHT - 6, WEIGHT + 6),
-            "swing": "8 deg",
-            "tension": (900, 1060),
-            "s.rate": 1.2,
-        },
+        _WIDE,
         6.478,
     ),
     Case("3 slewing torque", "rotary_crane", LINE, {"M_b": 200, "F": 300, "swing": "15 deg"}, 6.893),
@@ -116,5 +125,16 @@ CASES = (
         3.638,
     ),
     Case("10 overhead, level", "overhead_crane", ((0, -4), (5, -4)), {"F": 200}, 3.463),
+    Case(
+        "11 free, limits of 1",
+        "rotary_crane",
+        LINE,
+        {**DEFAULT, "M_w": (WEIGHT - 20, WEIGHT + 20), **_ROOM},
+        6.634,
+        sc.Space(),
+    ),
+    Case("12 free, limits of 2", "rotary_crane", LINE, {**_WIDE, **_ROOM}, 5.706, sc.Space()),
+    Case("13 free, over a wall", "rotary_crane", _LEVEL, _DRIVES, 5.372, sc.Space((_WALL,))),
+    Case("14 free, past a sphere", "rotary_crane", _LEVEL, _DRIVES, 5.370, sc.Space((_BALL,))),
 )
 """All of them; those of the rotary crane with its own data."""

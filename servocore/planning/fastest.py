@@ -18,6 +18,7 @@ from servocore.planning.tasks import (
     Way,
     corner_problems,
     curve_of,
+    rope_is_depth,
     starts_along,
     starts_free,
     task_along,
@@ -33,7 +34,7 @@ from servocore.references.profiles import three_phase
 from servocore.references.timed_path import TimedPath
 from servocore.stepping.argument_checks import require_callable
 
-_LOOKED_AT = 20_001
+_THIN = 0.4  # of the way, by the intervals: a thinner body may lie between two places at which the solver looks
 
 
 def fastest(
@@ -139,26 +140,26 @@ def _free(
     corners, certified = both
     if len(curve.knots) > 2:
         raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
-    space.require(corners[0].system, scene.tracked)
     limited = {limit.quantity for limit in scene.limits}
     for quantity in corners[0].system.inputs:
         if quantity.name not in limited:
             raise InvalidSetting(f"a plan whose way is free needs a limit of every input, and {quantity.name} has none")
     start, end = curve.ends
+    space.require(corners[0].system, hangs=scene.tracked == "load" and rope_is_depth(corners[0], curve.ends))
+    thick = space.thickened(_THIN * float(np.linalg.norm(end - start)) / intervals)
     for place in (start, end):
-        space.require_rest(scene.name, place)
-    task = task_free(start, end, corners, length, space)
+        thick.require_rest(scene.name, place)
+    task = task_free(start, end, corners, length, thick)
     if progress is not None:
         progress("looking for ways to start from")
-    begun, scale = starts_free(task, corners, space, intervals // 2)
+    begun, scale = starts_free(task, corners, thick, intervals // 2)
     found = planned(task, begun, 1.02 * scale, intervals, progress)
     reference = found.outcome.law.path()
     gravity = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True)).get("gravity", 0.0)
-    jets = reference.jet(np.linspace(0.0, reference.duration, _LOOKED_AT), 2)
-    clearance = space.clearance(jets, gravity)
+    clearance = space.clearance(reference, gravity)
     if clearance < 0.0:
         raise PlanningFailed(
-            f"{scene.name}: the way that was found comes {-clearance:.2g} m into a body to keep out of"
+            f"{scene.name}: on the way that was found not all of {', '.join(space.parts)} keeps clear of the bodies"
         )
     try:
         line = task_along(curve, corners, length)

@@ -18,6 +18,7 @@ _ROUNDS = 8
 _FINER, _FINEST = 10, 4800  # between two points of the grid, and at least in all
 _CHECKS = 3
 _REFINEMENTS = 2
+_NARROWEST = 0.9  # of half the range
 _BETWEEN = "limits broken between the points of the grid"
 
 
@@ -111,6 +112,7 @@ def _tightened(program: Transcription, start: Law, progress: Callable[[str], Non
         after = spans.reshape(len(task.upper), -1)
         before = np.concatenate([np.zeros((len(task.upper), 1)), after[:, :-1]], axis=1)
         worst = np.maximum(after, before)
-        narrowed += np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0)
+        # More would leave nothing between two bounds.
+        narrowed = np.minimum(narrowed + np.where(worst > 0.0, 1.05 * worst + 1e-6, 0.0), _NARROWEST)
         start = outcome.law
     return replace(outcome, status=_BETWEEN), iterations, _ROUNDS

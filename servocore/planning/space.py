@@ -1,10 +1,11 @@
-"""Where a load, its rope and the bridge above may not be: spheres and boxes."""
+"""What load, rope and bridge keep clear of, and how near they come."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -13,119 +14,11 @@ from servocore.errors import InvalidReference, InvalidSetting
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.planning.bodies import Body, Box, Sphere
+from servocore.planning.clearance import least_distance
+from servocore.references.base import Reference
 
-_POWER = 8
-_TIP = 1e-6
 _NEAR = 2e-4  # of a body's size: so near at an end leaves a plan no room
-_PLANNED, _CHECKED = 6, 41  # points on a rope, or on a bridge
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """All places nearer to a centre than a radius.
-
-    Parameters
-    ----------
-    centre : tuple of float
-        As many coordinates as the scene has outputs, m.
-    radius : float
-        In m.
-    """
-
-    centre: tuple[float, ...]
-    radius: float
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.radius < np.inf:
-            raise InvalidSetting(f"the radius of a sphere must be positive, not {self.radius:g} m")
-        _require_finite(self.centre)
-
-    def row(self, place: ca.SX) -> ca.SX:
-        """Return an expression that is below one outside.
-
-        Parameters
-        ----------
-        place : casadi.SX, shape (m,)
-            A place, in m.
-
-        Returns
-        -------
-        casadi.SX
-            A number without unit.
-        """
-        away = (place - ca.DM(self.centre)) / self.radius
-        return 2.0 - ca.sqrt(ca.sumsqr(away) + _TIP**2)
-
-    def distance(self, places: Array) -> Array:
-        """Return how far places (..., m) are outside, in m; negative within.
-
-        Parameters
-        ----------
-        places : ndarray, shape (..., m)
-            In m.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            In m.
-        """
-        return np.asarray(np.linalg.norm(places - np.array(self.centre), axis=-1) - self.radius)
-
-
-@dataclass(frozen=True)
-class Box:
-    """All places that differ from a centre by less than half sizes, along every axis.
-
-    Parameters
-    ----------
-    centre, half : tuple of float
-        As many numbers as the scene has outputs, m.
-    """
-
-    centre: tuple[float, ...]
-    half: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        if len(self.half) != len(self.centre) or not min(self.half) > 0.0:
-            raise InvalidSetting(f"a box needs a positive half size along each axis, not {self.half}")
-        _require_finite((*self.centre, *self.half))
-
-    def row(self, place: ca.SX) -> ca.SX:
-        """Return an expression that is below one outside a smooth body around the box, which is a little larger.
-
-        Parameters
-        ----------
-        place : casadi.SX, shape (m,)
-            A place, in m.
-
-        Returns
-        -------
-        casadi.SX
-            A number without unit.
-        """
-        sizes = np.array(self.half) * len(self.half) ** (1.0 / _POWER)
-        away = (place - ca.DM(self.centre)) / ca.DM(sizes)
-        return 2.0 - (ca.sum1(away**_POWER) + _TIP**_POWER) ** (1.0 / _POWER)
-
-    def distance(self, places: Array) -> Array:
-        """Return how far places (..., m) are outside, in m; negative within.
-
-        Parameters
-        ----------
-        places : ndarray, shape (..., m)
-            In m.
-
-        Returns
-        -------
-        ndarray, shape (...)
-            In m.
-        """
-        over = np.abs(places - np.array(self.centre)) - np.array(self.half)
-        outside = np.linalg.norm(np.maximum(over, 0.0), axis=-1)
-        return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
-
-
-Body: TypeAlias = Sphere | Box
 _PARTS = ("load", "rope", "bridge")
 
 
@@ -175,23 +68,40 @@ class Space:
         """
         return cls(tuple(_body(text, dimension) for text in texts))
 
-    def require(self, system: MechanicalSystem, tracked: str) -> None:
+    def require(self, system: MechanicalSystem, *, hangs: bool) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
 
         Parameters
         ----------
         system : MechanicalSystem
             Whose parts are to stay clear.
-        tracked : str
-            The part that follows the path, such as ``load``.
+        hangs : bool
+            Whether what follows the path hangs from a trolley at height zero.
         """
         dimension = len(system.outputs)
         for body in self.keep_out:
             if len(body.centre) != dimension:
                 raise InvalidSetting(f"{body} has not the {dimension} dimensions of {system.name}")
-        hangs = tracked == "load" and "gravity" in system.parameters.names
         if self.keep_out and not hangs and set(self.parts) - {"load"}:
-            raise InvalidSetting(f"{system.name} has no rope or bridge that is known: plan with parts=('load',)")
+            raise InvalidSetting(
+                f"{system.name} has no rope that is known to hang from a trolley at height zero, nor a bridge: plan"
+                " with parts=('load',)"
+            )
+
+    def thickened(self, size: float) -> Space:
+        """Return the space with bodies that are at least a size thick to every side of their centres.
+
+        Parameters
+        ----------
+        size : float
+            In m.
+
+        Returns
+        -------
+        Space
+            Otherwise the same.
+        """
+        return replace(self, keep_out=tuple(body.thickened(size) for body in self.keep_out))
 
     def require_rest(self, name: str, place: Array) -> None:
         """Raise `InvalidReference` unless everything is clear at rest at a place.
@@ -203,17 +113,19 @@ class Space:
         place : ndarray, shape (m,)
             Of what follows the path, m.
         """
+        here, still = ca.SX(ca.DM(place)), ca.SX.zeros(len(place))
         for body in self.keep_out:
-            for point in self._places(place, np.zeros(len(place)), 1.0, _CHECKED):
-                if float(body.row(ca.SX(ca.DM(point)))) < 1.0 - _NEAR:
+            for begin, end in self._segments(here, still, 1.0):
+                near = body.nearest(begin, end)
+                if float(body.row(near)) < 1.0 - _NEAR:
                     continue
-                away = float(body.distance(np.array(point)))
+                away = float(body.distance(np.asarray(ca.DM(near)).ravel()))
                 where = f"{-away:.3g} m inside {body}"
                 if away > 0.0:
                     where = f"{away:.3g} m from {body}, within the rounded body that plans keep out of"
-                here = ", ".join(f"{each:.4g}" for each in place)
+                at = ", ".join(f"{each:.4g}" for each in place)
                 raise InvalidReference(
-                    f"{name}: no way keeps clear: at rest at ({here}) a point of {', '.join(self.parts)} is {where}"
+                    f"{name}: no way keeps clear: at rest at ({at}) a point of {', '.join(self.parts)} is {where}"
                 )
 
     def rows(self, gamma: ca.SX, parameters: Parameters) -> ca.SX:
@@ -231,54 +143,63 @@ class Space:
         casadi.SX, shape (rows,)
             Numbers without unit.
         """
-        if not self.keep_out:
+        if not self.keep_out or not self.parts:
             return ca.SX(0, 1)
         gravity = parameters["gravity"] if "gravity" in parameters.names else ca.SX(0)
-        jets = [gamma[:, 0], gamma[:, 2]]
-        places = self._places(jets[0], jets[1], gravity, _PLANNED)
-        return ca.vertcat(*[body.row(ca.vertcat(*place)) for body in self.keep_out for place in places])
+        segments = self._segments(gamma[:, 0], gamma[:, 2], gravity)
+        return ca.vertcat(*[body.row(body.nearest(*each)) for body in self.keep_out for each in segments])
 
-    def clearance(self, jets: Array, gravity: float) -> float:
-        """Return the least distance of anything from a body along jets (N, orders, m), in m; infinite without any.
+    def clearance(self, path: Reference, gravity: float) -> float:
+        """Return the least distance of anything from a body along a path, in m; infinite without any.
+
+        Between two instants nothing moves farther than its ends do. Wherever that might lead into a body, more instants
+        are looked at, so that nothing is too small to be seen.
 
         Parameters
         ----------
-        jets : ndarray, shape (N, orders, m)
-            The path and its derivatives.
+        path : Reference
+            Of what follows it.
         gravity : float
             In m/s2.
 
         Returns
         -------
         float
-            In m.
+            In m; negative within a body, and where no instant could tell that there is a way past it.
         """
-        columns = jets[:, 0].T, jets[:, 2].T
-        places = self._places(*columns, gravity, _CHECKED)
-        distances = [float(body.distance(np.stack(place, axis=-1)).min()) for body in self.keep_out for place in places]
-        return min(distances, default=np.inf)
 
-    def _places(self, load: Any, force: Any, gravity: Any, count: int) -> list[list[Any]]:
-        """Return the points looked at, by coordinates: expressions, or arrays for many instants."""
-        dimension = load.shape[0]
-        here = [load[k] for k in range(dimension)]
-        places = [here] if "load" in self.parts else []
+        def ends(t: Array) -> list[tuple[Array, Array]]:
+            jets = path.jet(t, 2)
+            load, force = jets[:, 0].T, jets[:, 2].T
+            return [(begin.T, end.T) for begin, end in self._segments(load, force, gravity)]
+
+        found = [
+            least_distance(partial(_part, ends, k), body.distance, path.start_time, path.end_time)
+            for body in self.keep_out
+            for k in range(len(ends(np.zeros(1))))
+        ]
+        return min(found, default=np.inf)
+
+    def _segments(self, load: Any, force: Any, gravity: Any) -> list[tuple[Any, Any]]:
+        """Return the ends of the parts, by coordinates: expressions, or arrays (m, N) for many instants."""
+        last = load.shape[0] - 1
+        here = [load[k] for k in range(last + 1)]
         if not set(self.parts) - {"load"}:
-            return places
-        reach = -here[-1] / (gravity + force[dimension - 1])
-        above = [*(here[k] + reach * force[k] for k in range(dimension - 1)), 0.0 * here[-1]]
-        parts = np.linspace(0.0, 1.0, count)
-        if "rope" in self.parts:
-            places += [[(1 - f) * a + f * b for a, b in zip(here, above, strict=True)] for f in parts[1:].tolist()]
-        if "bridge" in self.parts:
-            places += [[f * each for each in above] for f in parts.tolist()]
-        return places
+            return [(_column(here), _column(here))] if self.parts else []
+        reach = -here[last] / (gravity + force[last])
+        above = _column([*(here[k] + reach * force[k] for k in range(last)), 0.0 * here[last]])
+        segments = [(_column([0.0 * each for each in here]), above)] if "bridge" in self.parts else []
+        if "rope" in self.parts:  # it ends at the load
+            return [(_column(here), above), *segments]
+        return [(_column(here), _column(here)), *segments] if "load" in self.parts else segments
 
 
-def _require_finite(numbers: Iterable[float]) -> None:
-    for each in numbers:
-        if not np.isfinite(each):
-            raise InvalidSetting(f"a body to keep out of needs finite numbers, not {each}")
+def _column(rows: list[Any]) -> Any:
+    return ca.vertcat(*rows) if isinstance(rows[0], ca.SX) else np.stack(rows)
+
+
+def _part(ends: Callable[[Array], list[tuple[Array, Array]]], k: int, t: Array) -> tuple[Array, Array]:
+    return ends(t)[k]
 
 
 def _body(text: str, dimension: int) -> Body:

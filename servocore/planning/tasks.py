@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, LimitBroken, ServocoreError
+from servocore.model.limits import limit_named, reported_quantities
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.curves import along, slopes_at, through_points
@@ -32,7 +33,8 @@ Way: TypeAlias = Reference | npt.ArrayLike | Sequence[Sequence[float]]
 _ROOM = 2e-4  # of the half range, kept free: what is planned then keeps its limits with no excess at all
 _REST_POINTS = 401
 _COMPARED, _ALIKE = 21, 1e-5  # instants at which rows of two models are compared, and how well they agree
-_HOPS = (0.15, 0.3)  # of the way's length: how far aside the ways go that a free plan starts from
+_HOPS = ((0.15, 0.3), (0.5, 0.7))  # of the way's length: how far aside free plans start; the second if all are blocked
+_STARTS = 4  # at most: where bodies leave hardly any room each takes long
 
 
 def curve_of(path: Way, outputs: int, name: str) -> PiecewisePolynomial:
@@ -192,6 +194,16 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     )
 
 
+def rope_is_depth(problem: Problem, places: Array) -> bool:
+    """Whether at rest at some places (n, m) the rope is as long as the load is low: the trolley is at height zero."""
+    if not {"l", "gravity"} <= {*reported_quantities(problem.system), *problem.system.parameters.names}:
+        return False
+    rows = limit_rows(replace(problem, limits=(limit_named(problem.system, "l", (None, 1.0)),)), places[0])
+    still = np.zeros((len(places), rows.order + 1, places.shape[1]))
+    still[:, 0] = places
+    return np.allclose(at_instants(rows.values, jets=still, p=problem.p)[0], -places[:, -1])
+
+
 def starts_along(task: Task, polynomial: float, intervals: int) -> list[tuple[str, Law]]:
     """Return laws to start from, the best first."""
     own, far = smooth_polynomial(task.length), smooth_polynomial(task.length + 2)
@@ -208,17 +220,36 @@ def starts_free(
     task: Task, corners: Sequence[Problem], space: Space, intervals: int
 ) -> tuple[list[tuple[str, Law]], float]:
     """Return laws to start a free plan from, those that clear all bodies first, and a typical duration."""
-    start, end, found = task.start, task.end, []
-    way = end - start
+    way = task.end - task.start
     length = float(np.linalg.norm(way))
-    aside = [("the line", np.zeros(len(start)))]
-    for share in _HOPS:
-        for name, direction in _directions(way / length):
-            aside.append((f"a way {share:g} of its length {name}", share * length * direction))
-    for name, offset in aside:
-        middle = (start + end) / 2.0 + offset
-        waypoints = np.array([start, end]) if not offset.any() else np.array([start, middle, end])
-        curve = through_points(waypoints)
+    found = _begun(task, corners, space, intervals, {"the line": np.zeros(len(way))})
+    for shares in _HOPS:
+        aside = {
+            f"a way {share:g} of its length {name}": share * length * direction
+            for share in shares
+            for name, direction in _directions(way / length)
+        }
+        found += _begun(task, corners, space, intervals, aside)
+        if not all(blocked for blocked, *_ in found):
+            break
+    if not found:
+        raise LimitBroken(
+            f"{corners[0].name}: no way was found from which to start: at rest on the line between the ends, and beside"
+            f" it, a limit is broken"
+        )
+    found.sort(key=lambda each: each[:2])
+    return [(name, law) for _, _, name, law in found[:_STARTS]], found[0][1]
+
+
+def _begun(
+    task: Task, corners: Sequence[Problem], space: Space, intervals: int, offsets: Mapping[str, Array]
+) -> list[tuple[bool, float, str, Law]]:
+    """Return ways that pass beside the middle, if limits can be kept on them: blocked or not, duration, name, law."""
+    gravity = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True)).get("gravity", 0.0)
+    found = []
+    for name, offset in offsets.items():
+        middle = [(task.start + task.end) / 2.0 + offset] if offset.any() else []
+        curve = through_points(np.array([task.start, *middle, task.end]))
         try:
             duration = shortest(task_along(curve, corners, task.length), shape_of(smooth_polynomial(task.length)))
         except LimitBroken:
@@ -228,16 +259,9 @@ def starts_free(
         begun = TimedPath.of(curve, _unit_law(task.length))
         path = polynomial_path(begun, 1.02 * duration, task.length)
         jets = path.jet(np.linspace(0.0, path.duration, intervals + 1), task.length).transpose(1, 0, 2)
-        p = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True))
-        clear = space.clearance(path.jet(np.linspace(0.0, path.duration, 201), 2), p.get("gravity", 0.0))
-        found.append((clear <= 0.0, duration, f"law along {name}", sampled_law(jets, path.duration, task.length)))
-    if not found:
-        raise LimitBroken(
-            f"{corners[0].name}: no way was found from which to start: at rest on the line between the ends, and beside"
-            f" it, a limit is broken"
-        )
-    found.sort(key=lambda each: each[:2])
-    return [(name, law) for _, _, name, law in found], found[0][1]
+        law = sampled_law(jets, path.duration, task.length)
+        found.append((space.clearance(path, gravity) <= 0.0, duration, f"law along {name}", law))
+    return found
 
 
 def _directions(way: Array) -> list[tuple[str, Array]]:
