@@ -110,14 +110,42 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
 
 
 def build_system(folder: Path, announce: Announce) -> Path:
-    """Build the FMUs and the system; the inverse model lies beside the report too."""
+    """Build the FMUs and the system that connects them; the inverse model lies beside the report too.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of the demo.
+    announce : callable
+        Called with what is being done.
+
+    Returns
+    -------
+    Path
+        The file of the system.
+    """
     files = build_ssp(folder / SYSTEM, lambda stage: announce(f"building the FMUs: {stage}"))
     put(folder, {ROTARY_CRANE.file_name: (folder / SYSTEM / ROTARY_CRANE.file_name).read_bytes()})
     return files[-1]
 
 
 def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[LoadRun]:
-    """Run the connected FMUs along the default manoeuvre, undisturbed and disturbed."""
+    """Run the connected FMUs along the default manoeuvre, undisturbed and disturbed.
+
+    Parameters
+    ----------
+    scene : Scene
+        The rotary crane.
+    system : Path
+        What `build_system` returned.
+    announce : callable
+        Called with what is being done.
+
+    Returns
+    -------
+    list of LoadRun
+        Times in s, and positions of the load in m as prescribed and as the plant had them.
+    """
     runs = []
     for label, parameters in LOOPS.items():
         announce(f"running the connected FMUs, {label}")
@@ -131,7 +159,17 @@ def closed_loops(scene: sc.Scene, system: Path, announce: Announce) -> list[Load
 
 
 def write_report(folder: Path, found: Study, sections: Mapping[str, Sequence[Part]]) -> None:
-    """Write the page and, in a folder of their own, its pictures."""
+    """Write the page and, in a folder of their own, its pictures.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of the demo.
+    found : Study
+        All results.
+    sections : mapping of str to sequence
+        Tables, figures and facts by the heading above them.
+    """
     drawings: dict[str, bytes] = {}
     for part in chain(*sections.values()):
         if isinstance(part, Illustration):
@@ -142,7 +180,13 @@ def write_report(folder: Path, found: Study, sections: Mapping[str, Sequence[Par
 
 
 def examples_folder() -> Path | None:
-    """Return where the example paths are: in the installed package or beside it in a clone; None if neither."""
+    """Return where the example paths are.
+
+    Returns
+    -------
+    Path or None
+        A folder in the installed package, or beside it in a clone; nothing if there is neither.
+    """
     here = Path(__file__).resolve().parent
     for folder in (here / "examples", here.parent / "examples"):
         if (folder / "working_cycle_waypoints.csv").is_file():
@@ -151,7 +195,20 @@ def examples_folder() -> Path | None:
 
 
 def example_cycle(scene: sc.Scene, folder: Path | None) -> Cycle | None:
-    """Compute the working cycle of the examples, or return None if there are none."""
+    """Compute the working cycle of the examples.
+
+    Parameters
+    ----------
+    scene : Scene
+        The rotary crane.
+    folder : Path or None
+        What `examples_folder` returned.
+
+    Returns
+    -------
+    Cycle or None
+        Nothing without a folder.
+    """
     if folder is None:
         return None
     file = folder / "working_cycle_waypoints.csv"

@@ -49,7 +49,13 @@ class Driven:
         return distances
 
     def sentences(self) -> tuple[str, ...]:
-        """Say how far the load left its path."""
+        """Say how far the load left its path.
+
+        Returns
+        -------
+        tuple of str
+            One sentence; a second one where the load starts beside the path.
+        """
         off, worst = self.distances, int(self.distances.argmax())
         said: tuple[str, ...] = (
             f"The load leaves its path by {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s;"
@@ -63,7 +69,13 @@ class Driven:
         return said
 
     def table(self) -> str:
-        """Return a table as CSV."""
+        """Return positions, found and wanted, and distances as the text of a CSV file.
+
+        Returns
+        -------
+        str
+            A header and a row for each instant, in s and m.
+        """
         names = ["time", *(each for name in SEEN for each in (name, f"{name}_wanted")), "distance"]
         both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
         return csv_text(names, [self.t, both, self.distances])
@@ -76,6 +88,11 @@ def signals(pairs: Sequence[str]) -> dict[str, str]:
     ----------
     pairs : sequence of str
         ``OURS=THEIRS``, or files in TOML that say the same.
+
+    Returns
+    -------
+    dict of str to str
+        Later pairs replace earlier ones of the same name.
 
     Raises
     ------
@@ -109,7 +126,23 @@ def _from_file(file: Path) -> dict[str, str]:
 
 
 def settings(pairs: Sequence[str]) -> dict[str, float]:
-    """Return start values of the plant by name; raises `InvalidSetting` for what is no ``NAME=NUMBER``."""
+    """Return start values of the plant by name.
+
+    Parameters
+    ----------
+    pairs : sequence of str
+        ``NAME=NUMBER``, in the units of the plant.
+
+    Returns
+    -------
+    dict of str to float
+        Values by name of the variable.
+
+    Raises
+    ------
+    InvalidSetting
+        If a text is no such pair.
+    """
     found = {}
     for pair in pairs:
         name, _, value = pair.rpartition("=")
@@ -149,6 +182,11 @@ def drive(
         Communication step in s; must divide the duration.
     limits : mapping, optional
         What the motion must keep, as `servocore.Scene.with_limits` takes it.
+
+    Returns
+    -------
+    Driven
+        Where the load should have been and where it was.
 
     Raises
     ------

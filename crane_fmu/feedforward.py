@@ -43,6 +43,11 @@ def line(
     ramp : float, optional
         Time to accelerate in s, for the profile three-phase only.
 
+    Returns
+    -------
+    Reference
+        The path, from zero to `duration`.
+
     Raises
     ------
     InvalidReference, InvalidSetting
@@ -82,7 +87,18 @@ class Route:
     output_step: float | None = None
 
     def accuracy(self) -> float | sc.Adaptive | None:
-        """Return what `servocore.solve` takes as its step; raises `InvalidSetting` if the options contradict."""
+        """Return what `servocore.solve` takes as its step.
+
+        Returns
+        -------
+        float, Adaptive or None
+            A step in s, tolerances, or nothing where neither is given.
+
+        Raises
+        ------
+        InvalidSetting
+            If the options contradict each other.
+        """
         if self.rtol is None and self.atol is None:
             if self.output_step is not None:
                 raise sc.InvalidSetting("--output-step belongs to --rtol or --atol; without them every step is a row")
@@ -166,8 +182,17 @@ def far_off(
     ----------
     solution : Solution
         What `feedforward` returned for the other arguments.
-    path, parameters, route
-        As there.
+    path : callable
+        Makes the path.
+    parameters : mapping of str to float
+        The crane's in SI units, where they differ from the defaults.
+    route : Route
+        How the inputs were computed.
+
+    Returns
+    -------
+    str or None
+        One sentence.
     """
     default = next(iter(FORMULATIONS))
     if route.formulation == default:
@@ -189,10 +214,36 @@ def far_off(
 
 
 def table(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> str:
-    """Return columns of a solution as the text of a CSV file, in full double precision."""
+    """Return columns of a solution as the text of a CSV file.
+
+    Parameters
+    ----------
+    solution : Solution
+        What to write.
+    columns : sequence of str
+        Names of its trajectories, which follow the time.
+
+    Returns
+    -------
+    str
+        A header and a row for each instant, in SI units and full double precision.
+    """
     return "".join(table_pieces(solution, columns))
 
 
 def table_pieces(solution: sc.Solution, columns: Sequence[str] = COLUMNS) -> Iterator[str]:
-    """Give the same piece by piece: millions of rows would fill the memory."""
+    """Give the same piece by piece: millions of rows would fill the memory.
+
+    Parameters
+    ----------
+    solution : Solution
+        What to write.
+    columns : sequence of str
+        Names of its trajectories, which follow the time.
+
+    Returns
+    -------
+    iterator of str
+        Pieces of the text, in order.
+    """
     return csv_pieces(["time", *columns], [solution.t, *[solution[name] for name in columns]])

@@ -74,6 +74,11 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
     wanted : Path
         What a refusal says cannot be made.
 
+    Yields
+    ------
+    None
+        While the folder is there to be written.
+
     Raises
     ------
     InvalidSetting

@@ -77,6 +77,18 @@ def run_fmu(fmu: Path, reference: sc.Reference, step: float, **start_values: flo
 def numbered(fmu: Path, values: Mapping[str, float | str]) -> dict[str, float | int]:
     """Return start values with the names of enumerations' items replaced by their numbers.
 
+    Parameters
+    ----------
+    fmu : Path
+        The FMU that declares the enumerations.
+    values : mapping of str to float or str
+        Start values in the units of its variables, choices by the name of their item.
+
+    Returns
+    -------
+    dict of str to float or int
+        The same values as numbers.
+
     Raises
     ------
     InvalidSetting
@@ -137,6 +149,11 @@ def nothing_left() -> Iterator[None]:
 
     FMPy deletes those folders after good runs only. In a Python process an FMU of ours imports from its folder: what
     stays would be taken for that of the next FMU of the same name, also while this process builds one.
+
+    Yields
+    ------
+    None
+        While FMUs may be run.
     """
     before, search_path, scratch = set(sys.modules), list(sys.path), tempfile.tempdir
     try:
@@ -155,6 +172,18 @@ def input_rows(reference: sc.Reference, step: float) -> npt.NDArray[np.void]:
     """Return the path and its derivatives on a grid as FMPy reads inputs: one column a variable.
 
     Measured values are zero, which means that there is no feedback.
+
+    Parameters
+    ----------
+    reference : Reference
+        The path of the load.
+    step : float
+        Time between rows in s.
+
+    Returns
+    -------
+    structured ndarray, shape (n,)
+        Columns by the names of the variables, in SI units, ``time`` first.
     """
     t = np.linspace(reference.start_time, reference.end_time, round(reference.duration / step) + 1)
     path = reference.jet(t, len(ORDERS) - 1).reshape(len(t), -1).T

@@ -1,8 +1,9 @@
 """Validate the docstrings of all public names by numpydoc: `python tests/docstrings.py`, a part of `make check`.
 
-Public is what the faces of both packages list in `__all__`, with the methods of its classes. The checks are those that
-`[tool.numpydoc_validation]` in pyproject.toml names. Two things differ from numpydoc: the fields of a class may stand
-under *Attributes*, and a method that a protocol or a base class describes needs no second description.
+Public is what the faces of both packages list in `__all__`, and what some modules without a face define; methods of
+their classes too. The checks are those that `[tool.numpydoc_validation]` in pyproject.toml names. Two things differ
+from numpydoc: the fields of a class may stand under *Attributes*, and a method that a protocol or a base class
+describes needs no second description.
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ import textwrap
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 
 from numpydoc.docscrape import get_doc_object
 from numpydoc.validate import Validator, validate
 
 ROOT = Path(__file__).resolve().parent.parent
 FACES = ("servocore", "servocore.scenes", "crane_fmu.build", "crane_fmu.catalogue")
+OPEN = ("crane_fmu.demo", "crane_fmu.drive", "crane_fmu.feedforward", "crane_fmu.files", "crane_fmu.run")
+"""Modules without a face of their own: what they define without an underscore is public."""
 DESCRIBED_ELSEWHERE = {"PR01", "RT01", "YD01"}
 
 
@@ -55,11 +59,19 @@ def methods(kind: type) -> Iterator[tuple[str, object]]:
             yield name, plain
 
 
+def listed_names(module: ModuleType) -> list[str]:
+    """Return the public names of a module: those of its face, or those that it defines."""
+    if hasattr(module, "__all__"):
+        return list(module.__all__)
+    defined = {name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__}
+    return sorted(name for name in defined if not name.startswith("_"))
+
+
 def public() -> Iterator[tuple[str, object, set[str]]]:
     """Yield every public name once, with its object and the checks that it is spared."""
     seen: set[int] = set()
-    faces = [importlib.import_module(name) for name in FACES]
-    listed = [(face.__name__, name, getattr(face, name)) for face in faces for name in face.__all__]
+    faces = [importlib.import_module(name) for name in (*FACES, *OPEN)]
+    listed = [(face.__name__, name, getattr(face, name)) for face in faces for name in listed_names(face)]
     protocols = {member for _, _, kind in listed if getattr(kind, "_is_protocol", False) for member, _ in methods(kind)}
     for face, name, found in listed:
         if id(found) in seen or not (inspect.isfunction(found) or inspect.isclass(found)):
