@@ -262,6 +262,21 @@ def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")
+def test_inversions_on_other_paths_of_one_system_keep_their_own() -> None:
+    crane = sc.scenes.overhead_crane()
+    other = crane.with_reference(sc.rest_to_rest((5.0, -1.0), (0.0, -4.0), 4.0))
+    scenes = [crane, other, crane.with_parameters(load_mass=1.5)]
+    known = [sc.ExactInversion(scene, native=False) for scene in scenes]
+    made = [sc.ExactInversion(scene, native=True) for scene in scenes]
+    t = np.linspace(0.0, 3.0, 37)
+    for k in (0, 1, 0, 2, 1, 1, 2, 0):
+        np.testing.assert_array_equal(made[k](t), known[k](t))
+    assert np.abs(made[0](t) - made[1](t)).max() > 0.1
+    with pytest.raises(sc.ServocoreError, match="nan"):
+        made[0]([0.1, np.nan])
+
+
+@pytest.mark.usefixtures("compiler", "own_cache")
 def test_steps_become_machine_code_from_the_second_solve_on_and_keep_their_bits() -> None:
     crane = one_of_its_own(sc.scenes.overhead_crane())
     problem = Problem.of(crane)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
@@ -35,6 +35,8 @@ class PathFunction:
     resolved: ResolvedSystem
     function: ca.Function
     native: bool | None = None
+    _last: list[tuple[Reference, Vectorized, Array]] = field(default_factory=list, repr=False)
+    """The path that machine code was last called with, at most one: to choose again takes longer than to evaluate."""
 
     @property
     def order(self) -> int:
@@ -55,14 +57,18 @@ class PathFunction:
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at the instants `t` (N,), shape (rows, N) each."""
         reference = problem.reference
+        finite = bool(np.isfinite(t).all())  # other times go the other way, where the path refuses them by name
+        for path, machine_code, numbers in self._last:
+            if finite and path is reference:
+                return machine_code(t[None], numbers, problem.p)
         chosen, formula = self._on_path(reference, len(t), called=True)
-        # Times that are not finite go the other way, where the path refuses them by name.
-        if formula is not None and np.isfinite(t).all():
-            arguments = t[None], np.array(formula.numbers(self.order)), problem.p
+        if formula is not None and finite:
+            numbers = np.array(formula.numbers(self.order))
             if chosen.ready(len(t), called=True):
-                return chosen(*arguments)
+                self._last[:] = [(reference, chosen, numbers)]
+                return chosen(t[None], numbers, problem.p)
             if len(t) <= _FEW:
-                return chosen.interpreted(*arguments)
+                return chosen.interpreted(t[None], numbers, problem.p)
         return self.at_jets(reference.jet(t, self.order), problem.p, reference.formula is None)
 
     def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
