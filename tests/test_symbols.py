@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import cast
 
 import casadi as ca
 import numpy as np
@@ -73,6 +74,8 @@ def test_unknown_parameters_are_refused_and_the_known_ones_listed() -> None:
         parameters.values({"colour": 1.0, "weight": 2.0})
     with pytest.raises(sc.InvalidModel, match="no parameter is called weight"):
         parameters["weight"]
+    with pytest.raises(sc.InvalidModel, match="no parameter is called 0; there are mass, length"):
+        parameters[cast(str, 0)]
     with pytest.raises(sc.InvalidModel, match="there are none"):
         sc.Parameters().values({"weight": 1.0})
 

@@ -297,5 +297,5 @@ class Parameters:
         unknown = [name for name in names if name not in self.names]
         if unknown:
             raise InvalidModel(
-                f"no parameter is called {', '.join(unknown)}; there are {', '.join(self.names) or 'none'}"
+                f"no parameter is called {', '.join(map(str, unknown))}; there are {', '.join(self.names) or 'none'}"
             )
