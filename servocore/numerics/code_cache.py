@@ -138,17 +138,17 @@ class CodeCache:
     def _libraries(self, pattern: str) -> list[Path]:
         """Return files, and no links to files, in no order."""
         libraries = self.folder.glob(f"{pattern}{_SUFFIX}") if self.folder.is_dir() else ()
-        return [each for each in libraries if each.is_file() and not each.is_symlink()]
+        return [path for path in libraries if path.is_file() and not path.is_symlink()]
 
     def _trim(self, more: int) -> None:
         """Remove what was not used longest until `more` bytes have room."""
-        known = sorted(((path.stat(), path) for path in self._libraries("*")), key=lambda each: each[0].st_mtime)
-        size = sum(each.st_size for each, _ in known) + more
-        for each, path in known:
+        known = sorted(((path.stat(), path) for path in self._libraries("*")), key=lambda entry: entry[0].st_mtime)
+        size = sum(status.st_size for status, _ in known) + more
+        for status, path in known:
             if size <= MOST_BYTES:
                 return
             path.unlink(missing_ok=True)
-            size -= each.st_size
+            size -= status.st_size
 
 
 def _hash(contents: bytes) -> str:

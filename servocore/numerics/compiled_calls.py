@@ -124,7 +124,7 @@ def at_instants(function: ca.Function, *columns: Array, jets: Array, p: Array) -
     """
     count = len(jets)
     results = mapped(function, count)(*columns, side_by_side(jets), np.tile(p[:, None], count))
-    return tuple(each.reshape(function.size1_out(k), -1, order="F") for k, each in enumerate(results))
+    return tuple(result.reshape(function.size1_out(k), -1, order="F") for k, result in enumerate(results))
 
 
 def mapped(function: ca.Function, count: int) -> Call:

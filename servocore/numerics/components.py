@@ -49,7 +49,7 @@ def parts_of(pattern: ca.Sparsity) -> tuple[Part, ...]:
     rows, columns = (np.array(indices, dtype=np.intp) for indices in pattern.get_triplet())
     # Rows and columns as nodes of one graph with edges both ways: its strong components are the parts.
     both = np.concatenate([rows, columns + height]), np.concatenate([columns + height, rows])
-    graph = ca.Sparsity.triplet(height + width, height + width, *(each.tolist() for each in both))
+    graph = ca.Sparsity.triplet(height + width, height + width, *(nodes.tolist() for nodes in both))
     _, order, ends = graph.scc()
     number, place = np.empty(height + width, dtype=np.intp), np.empty(height + width, dtype=np.intp)
     members = []
@@ -84,10 +84,10 @@ def filled(matrix: ca.DM) -> Array:
 
 def singular_values(matrix: Array) -> Array:
     """Return the singular values of a matrix, largest first, from those of its independent parts."""
-    places = (each.tolist() for each in np.nonzero(matrix))
+    places = (indices.tolist() for indices in np.nonzero(matrix))
     parts = [part for part in parts_of(ca.Sparsity.triplet(*matrix.shape, *places)) if len(part.entries)]
     of_parts = [
-        np.linalg.svd(np.stack([matrix[np.ix_(each.rows, each.columns)] for each in same]), compute_uv=False).ravel()
+        np.linalg.svd(np.stack([matrix[np.ix_(part.rows, part.columns)] for part in same]), compute_uv=False).ravel()
         for same in of_one_shape(parts)
     ]
     # Empty rows and columns are singular values of zero, which no part brings.

@@ -193,4 +193,4 @@ def _implied(rows: Rows, kept: list[int], x: Array) -> bool:
 
     lengths = np.maximum(np.linalg.norm(rows(x)[1], axis=1), 1.0)
     configurations = _neighbours(fewer, x, _APART / 5)
-    return all(float(np.abs(rows(each)[0] / lengths).max()) <= _IMPLIED for each in configurations)
+    return all(float(np.abs(rows(configuration)[0] / lengths).max()) <= _IMPLIED for configuration in configurations)

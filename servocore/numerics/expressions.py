@@ -68,10 +68,10 @@ def _stacked(rows: Sequence[object], what: str) -> ca.SX:
     for k, row in enumerate(rows):
         listed = row.tolist() if isinstance(row, np.ndarray) else row
         if isinstance(listed, list | tuple):
-            columns.append(ca.horzcat(*[_scalar(each, f"{what}[{k}, {j}]") for j, each in enumerate(listed)]))
+            columns.append(ca.horzcat(*[_scalar(entry, f"{what}[{k}, {j}]") for j, entry in enumerate(listed)]))
         else:
             columns.append(as_expression(listed, f"{what}[{k}]"))
-    lengths = [each.size2() for each in columns]
+    lengths = [column.size2() for column in columns]
     if len(set(lengths)) > 1:
         raise InvalidModel(f"the rows of {what} have different lengths: {', '.join(map(str, lengths))}")
     return ca.vertcat(ca.SX(0, lengths[0] if lengths else 1), *columns)

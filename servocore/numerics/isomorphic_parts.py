@@ -52,14 +52,14 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
     groups: dict[str, IsomorphicParts] = {}
     for part in candidates:
         rows, columns = part.rows.tolist(), part.columns.tolist()
-        expressions = [residual[rows], *(each[columns] for each in beside[:-1]), beside[-1][rows]]
+        expressions = [residual[rows], *(vector[columns] for vector in beside[:-1]), beside[-1][rows]]
         hashes = (symbol.element_hash() for symbol in ca.symvar(ca.vertcat(*expressions)))
         known = sorted(places[key] for key in hashes if key in places)
         # CasADi's own text of a function tells whether two parts are alike, names of symbols aside.
         group = groups.setdefault(_text(expressions, [unknowns[columns], givens[known]]), IsomorphicParts([], []))
         group.parts.append(part)
         group.givens.append(known)
-    return [each for each in groups.values() if len(each.parts) > 1]
+    return [group for group in groups.values() if len(group.parts) > 1]
 
 
 def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:

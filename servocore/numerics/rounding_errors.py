@@ -46,7 +46,7 @@ def evaluate(function: ca.Function, points: Sequence[Sequence[Array]]) -> tuple[
     rows, columns = function.sparsity_out(0).get_triplet()
     dense = np.zeros((2, len(points), *function.size_out(0)))
     for place, point in enumerate(points):
-        arguments = [np.ravel(each, order="F").tolist() for each in point]
+        arguments = [np.ravel(argument, order="F").tolist() for argument in point]
         dense[:, place, rows, columns] = np.array(_run(program, arguments, function.sz_w())).reshape(-1, 2).T
     return dense[0], dense[1]
 
@@ -63,7 +63,7 @@ def _run(program: Program, arguments: list[list[float]], size: int) -> list[Boun
         elif operation == ca.OP_OUTPUT:
             results[to[1]] = work[operands[0]]
         else:
-            work[to[0]] = _result(operation, [work[each] for each in operands])
+            work[to[0]] = _result(operation, [work[operand] for operand in operands])
     return [results[k] for k in sorted(results)]
 
 

@@ -27,13 +27,13 @@ def to_json(value: Any, form: str) -> str:
     functions = ca.StringSerializer()
     document: dict[str, object] = {"format": form, "casadi": ca.__version__}
     known: dict[str, object] = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
-    functions.pack([each for each in known.values() if isinstance(each, ca.Function)])
+    functions.pack([entry for entry in known.values() if isinstance(entry, ca.Function)])
     document["functions"] = functions.encode()
-    for name, each in known.items():
-        if isinstance(each, tuple):
-            document[name] = [asdict(item) if is_dataclass(item) else item for item in each]  # type: ignore[arg-type]  # no class
-        elif not isinstance(each, ca.Function):
-            document[name] = each
+    for name, content in known.items():
+        if isinstance(content, tuple):
+            document[name] = [asdict(item) if is_dataclass(item) else item for item in content]  # type: ignore[arg-type]  # no class
+        elif not isinstance(content, ca.Function):
+            document[name] = content
     return json.dumps(document)
 
 
@@ -68,7 +68,7 @@ def from_json(kind: type[Saved], text: str, form: str, parts: Mapping[str, type]
                 document[name] = next(functions)
             elif isinstance(document[name], list):
                 made = parts.get(name)
-                document[name] = tuple(made(**each) if made else each for each in document[name])
+                document[name] = tuple(made(**item) if made else item for item in document[name])
         return kind(**document)
     except (KeyError, TypeError, ValueError, RuntimeError, AttributeError, StopIteration) as error:
         raise ServocoreError(f"{what} cannot be read: {error}") from error

@@ -128,7 +128,7 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
         return None
     if known.iterations or known.alike:
         return None
-    wanted = [ca.densify(each) for each in known.resolved(*outputs)]
+    wanted = [ca.densify(output) for output in known.resolved(*outputs)]
     return ca.Function(name, [givens], known.evaluated("sc_finish", *wanted)).expand()
 
 
@@ -160,7 +160,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     givens = ca.MX.sym("givens", system.givens.numel())
     known = _solved(system, givens, flat)
     worst = largest(system.residual / system.residual_scale)
-    wanted = [ca.densify(each) for each in known.resolved(*outputs, worst)]
+    wanted = [ca.densify(output) for output in known.resolved(*outputs, worst)]
     *results, residual = known.evaluated("sc_finish", *wanted, common=not flat)
     return ca.Function(name, [givens], [*results, known.counts(), residual])
 
@@ -200,7 +200,7 @@ def _solve_isomorphic(
     values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
     solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts()]).map(count)
     solved, counts = solve(ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count))
-    columns = [column for each in group.parts for column in each.columns.tolist()]
+    columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
     known.learn(system.unknowns[columns], ca.vec(solved))
     known.alike.append(counts)
 

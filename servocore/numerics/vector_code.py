@@ -129,7 +129,7 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         "   most[i] = all(-INFINITY), least[i] = all(INFINITY), total[i] = all(0.0);",
         "  for (long next = 0; next < count; next += LANES) {",
         "   const long k = next + LANES <= count ? next : count - LANES; (void)k;",
-        *[f"   {each}" for each in statements.block],
+        *[f"   {statement}" for statement in statements.block],
         *[
             f"   {{ const vec x = {value}; const int i = {first[which] + i}; total[i] += x;"
             " most[i] = raised(most[i], x); least[i] = lowered(least[i], x); }"
@@ -164,7 +164,7 @@ def chain_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         f"  double state[{sizes[0]}];",
         f"  for (long i = 0; i < {sizes[0]}; ++i) state[i] = in0[i];",
         "  for (long k = 0; k < count; ++k) {",
-        *[f"   {each}" for each in statements.block],
+        *[f"   {statement}" for statement in statements.block],
         *[f"   state[{i}] = {value};" for which, i, value in statements.results if which == 0],
         *[
             f"   out[{which}][(c*{sizes[which]} + {i})*columns + k] = {value if which else f'state[{i}]'};"
@@ -218,8 +218,8 @@ class _Statements:
                 return name, False
             self.once.append(f"const double {name} = in{argument}[{i}];")
             return name, True
-        operands = [values[each] for each in arguments]
-        single = all(each for _, each in operands)
+        operands = [values[argument] for argument in arguments]
+        single = all(alone for _, alone in operands)
         taken = [f"all({value})" if one and not single else value for value, one in operands]
         if operation in _LIBRARY:
             self._call(name, _LIBRARY[operation], taken, single)
@@ -233,14 +233,14 @@ class _Statements:
         if single:
             self.once.append(f"const double {name} = {function}({', '.join(taken)});")
             return
-        self.block.append(f"each{len(taken)}({function}, {name}, {', '.join(f'({each})' for each in taken)});")
+        self.block.append(f"each{len(taken)}({function}, {name}, {', '.join(f'({word})' for word in taken)});")
 
     def _calculate(self, name: str, operation: str, taken: list[str], single: bool) -> None:
         """One for all instants takes a lane of a vector too, where vectors have words of their own."""
         if not single:
             self.block.append(f"const vec {name} = {_VECTOR[operation].format(*taken)};")
         elif "(" in _VECTOR[operation]:
-            lanes = [f"all({each})" for each in taken]
+            lanes = [f"all({word})" for word in taken]
             self.once.append(f"const double {name} = first_of({_VECTOR[operation].format(*lanes)});")
         else:
             self.once.append(f"const double {name} = {_VECTOR[operation].format(*taken)};")
@@ -261,7 +261,7 @@ def _begin(statements: _Statements, along: Sequence[bool]) -> list[str]:
         "            double *const *out, long columns) {",
         " for (long c = 0; c < cases; ++c) {",
         *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(along))],
-        *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, each in enumerate(along) if each],
+        *[f"  const long row{k} = row[{k}]; (void)row{k};" for k, moves in enumerate(along) if moves],
         *[f"  {statement}" for statement in statements.once],
     ]
 
@@ -280,7 +280,7 @@ def _lines(statements: _Statements, along: Sequence[bool], sizes: list[int]) -> 
         f"   double tile[{sum(sizes)}*TILE] __attribute__((aligned(64)));",
         "   for (long next = 0; next < size; next += LANES) {",
         "    const long place = next + LANES <= size ? next : size - LANES, k = first + place; (void)k;",
-        *[f"    {each}" for each in statements.block],
+        *[f"    {statement}" for statement in statements.block],
         *[f"    *(mem*)(tile + {first[which] + i}*TILE + place) = {value};" for which, i, value in statements.results],
         "   }",
         *[

@@ -139,11 +139,11 @@ class Vectorized:
                 cases, batch = len(argument), True
         if self.ready(count * cases, called=True) and count:
             results = self._in_machine_code(arguments, cases, count)
-            return results if batch else [each[0] for each in results]
+            return results if batch else [result[0] for result in results]
         if not batch:
             return self.interpreted(*arguments)
         parts = [self.interpreted(*self._of_case(arguments, case)) for case in range(cases)]
-        return [np.stack(each) for each in zip(*parts, strict=True)]
+        return [np.stack(of_cases) for of_cases in zip(*parts, strict=True)]
 
     def interpreted(self, *arguments: Array) -> list[Array]:
         """Evaluate one case by CasADi's interpreter."""
@@ -156,17 +156,19 @@ class Vectorized:
             a if along or (self._in_a_row and not k) else np.tile(a, count) for k, (a, along) in enumerate(pairs)
         ]
         results = evaluate(*columns)
-        return [each.reshape(-1, count, order="F") for each in results]
+        return [result.reshape(-1, count, order="F") for result in results]
 
     def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
 
     def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         if count < LANES and not self._in_a_row:
-            return [each[..., :count] for each in self._in_machine_code(self._widened(arguments, count), cases, LANES)]
+            return [
+                result[..., :count] for result in self._in_machine_code(self._widened(arguments, count), cases, LANES)
+            ]
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, size, count)) for size in self._sizes]
-        sources, targets = (_addresses(each) for each in (held, results))
+        sources, targets = (_addresses(arrays) for arrays in (held, results))
         threads = 1 if cases * count < 2 * _PER_THREAD else min(_processors(), cases * count // _PER_THREAD)
         threads = min(threads, cases) if self._in_a_row else threads
         if threads < 2:
@@ -191,8 +193,8 @@ class Vectorized:
         parts = np.linspace(0, cases if by_case else count, threads + 1).astype(int).tolist()
         shares = [(a, b, 0, count) if by_case else (0, cases, a, b) for a, b in pairwise(parts)]
         with ThreadPoolExecutor(threads) as pool:
-            for each in [pool.submit(run, *share) for share in shares]:
-                each.result()
+            for task in [pool.submit(run, *share) for share in shares]:
+                task.result()
         return results
 
     def _widened(self, arguments: tuple[Array, ...], count: int) -> tuple[Array, ...]:
@@ -216,7 +218,7 @@ class Extremes(Vectorized):
 
     def interpreted(self, *arguments: Array) -> list[Array]:
         """Evaluate one case by CasADi's interpreter."""
-        return [extremes_of(each) for each in super().interpreted(*arguments)]
+        return [extremes_of(values) for values in super().interpreted(*arguments)]
 
     def _source(self) -> str | None:
         return extremes_source(self.function, self._along)
