@@ -215,7 +215,7 @@ class StepControl:
     def error(self, now: Reached, time: float, fine: Array, coarse: Array) -> tuple[float, Array]:
         """Return the error of a step to `time` as a fraction of what is allowed, and the new peaks."""
         jet, inputs = self.problem.reference.jet(time, self.program.start_order), len(self.problem.system.inputs)
-        fine, coarse = (self.program.values(each, jet, self.problem.p)[:inputs] for each in (fine, coarse))
+        fine, coarse = (self.program.values(state, jet, self.problem.p)[:inputs] for state in (fine, coarse))
         peaks = np.maximum(now.peaks, np.abs(fine))
         # Error per unit of time: so that what all steps leave behind together meets the tolerance.
         weight = self.control.allowed(np.maximum(peaks, 1e-3)) * (time - now.time) / self.problem.reference.duration

@@ -196,8 +196,8 @@ class Batch:
     ) -> tuple[Array, list[Reference]]:
         """Return the values of all parameters, as `_parameters` does, and the paths."""
         p, references = self._parameters(parameters or {}), [*(paths or ())]
-        for each in references:
-            require_kind(each, Reference, "each path of a batch", "a Reference", InvalidReference)
+        for reference in references:
+            require_kind(reference, Reference, "each path of a batch", "a Reference", InvalidReference)
         if p.ndim == 2 and references and len(references) != len(p):
             raise InvalidSetting(f"a batch of {len(p)} sets of parameters has one path a set, not {len(references)}")
         return p, references
@@ -253,6 +253,6 @@ def _compile_cases(
     known = observed(resolved.system)
     by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
     quick, seeking = compile_inverted_quantities(
-        resolved, [*(by_name[name] for name in names), *(each for each in known if each[0].positive)]
+        resolved, [*(by_name[name] for name in names), *(pair for pair in known if pair[0].positive)]
     )
     return PathFunction(resolved, quick or seeking, native), seeking

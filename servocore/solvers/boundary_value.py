@@ -192,9 +192,7 @@ def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
         return np.linspace(path.start_time, path.end_time, max(1, round(path.duration / step)) + 1)
     # A mode of rate r has decayed to exp(-r T) = tolerance / e^2 after T = needed / r; the slowest one decides.
     needed, reference = np.log(1.0 / route.tolerance) + 2.0, bounded.problem.reference
-    before_it, after_it = (
-        np.array([value.real for value in each.eigenvalues]) for each in (bounded.left, bounded.right)
-    )
+    before_it, after_it = (np.array([value.real for value in end.eigenvalues]) for end in (bounded.left, bounded.right))
     growing, decaying = before_it[before_it > 0.0], -after_it[after_it < 0.0]
     pre = route.pre if route.pre is not None else (needed / growing.min() if growing.size else 0.0)
     post = route.post if route.post is not None else (needed / decaying.min() if decaying.size else 0.0)

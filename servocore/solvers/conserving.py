@@ -125,7 +125,7 @@ def conserved_motion(
     require_invariant_constraints(system, start[:n], problem.p)
     state = np.concatenate([start, np.zeros(system.lam.numel())])
     run = _stepped(problem, scheme, state, inputs, t, step, np.union1d(at, np.minimum(at + 1, count)))
-    now, after = (np.searchsorted(run.places, each) for each in (at, np.minimum(at + 1, count)))
+    now, after = (np.searchsorted(run.places, instants) for instants in (at, np.minimum(at + 1, count)))
     # The multipliers of a state are those of the step before it: the first has none, the last no step after it.
     scaled = run.states[2 * n :] / step**2
     scaled[:, 0] = scaled[:, min(1, len(run.places) - 1)]

@@ -171,7 +171,7 @@ def _all_results(
             stepped = mapped(program.step, size)(
                 np.zeros((program.state_size, size)), jets, np.zeros(size), np.tile(p, size)
             )
-            columns = [each.reshape(-1, size, order="F") for each in stepped]
+            columns = [array.reshape(-1, size, order="F") for array in stepped]
         # Each row lies in one piece, for what follows goes through results row by row.
         results = results or [np.empty((len(column), count)) for column in columns]
         for result, part in zip(results, columns, strict=True):
@@ -319,7 +319,7 @@ class ExactInversion:
         """Raise `IntegrationFailed` if a value has a sign that it must not have."""
         signs = inputs[:, len(self.inputs) :]
         if not (signs > 0.0).all():
-            at, which = (int(each) for each in np.argwhere(~(signs > 0.0))[0])
+            at, which = (int(index) for index in np.argwhere(~(signs > 0.0))[0])
             quantity = self._signs[which]
             raise IntegrationFailed(
                 f"{self._problem.system.name}: at t = {t[at]:.6g} s {quantity.name} is {signs[at, which]:.4g}"

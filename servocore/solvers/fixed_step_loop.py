@@ -136,7 +136,7 @@ def advance_chunk(
         np.full((1, length), step),
         np.tile(problem.p[:, None], length),
     )
-    states_after, counts = (each.reshape(-1, length, order="F")[:, :used] for each in (states_after, counts))
+    states_after, counts = (array.reshape(-1, length, order="F")[:, :used] for array in (states_after, counts))
     worst = worst.ravel()[:used]
     # CasADi reports no failure from within a loop: a step that is not solved answers NaN.
     failed = ~np.isfinite(states_after).all(axis=0) | ~np.isfinite(worst)

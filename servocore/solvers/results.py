@@ -70,7 +70,7 @@ def solution_of(
     if len(segments) == 1:  # as it is: of many instants copies take as long as many a check
         t, values, violation = segments[0].t, tables[0], violations[0]
     else:
-        t = np.concatenate([*(each.t[:-1] for each in segments[:-1]), segments[-1].t])
+        t = np.concatenate([*(part.t[:-1] for part in segments[:-1]), segments[-1].t])
         values, violation = np.vstack(tables), np.hstack(violations)
         for k, channel in enumerate(program.channels):
             if channel.wraps:
@@ -115,7 +115,7 @@ def _require_numbers(problem: Problem, program: Program, t: Array, table: Array)
 
 
 def _summed_up(segments: list[Segment], inputs: Array, violations: Array) -> Statistics:
-    servo, servo_rate, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
+    servo, servo_rate, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     return Statistics(
         steps=len(inputs) - 1,
         newton_iterations=sum(segment.run.newton_iterations for segment in segments),

@@ -210,7 +210,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
         if quantity.wraps:
             # Angles are told by atan2, which jumps; a motion goes on.
             row[:] = np.unwrap(row)
-    _, _, constraint, constraint_rate = (float(each) for each in violations.max(axis=1))
+    _, _, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     deviation, rate_deviation = deviations
     unit = problem.system.outputs[0].unit
     tracking = Quantity("tracking_error", unit, "distance of the servo output from the reference")
@@ -241,10 +241,10 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
         if not ca.depends_on(expression, ca.vec(system.path))
     ]
     known.sort(
-        key=lambda each: each[0] not in system.observables
+        key=lambda pair: pair[0] not in system.observables
     )  # observables first, then inputs, outputs, coordinates
     distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
-    results = ca.vertcat(*(each for _, each in known)), violations_of(system), ca.vertcat(*distances)
+    results = ca.vertcat(*(expression for _, expression in known)), violations_of(system), ca.vertcat(*distances)
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]
     function = ca.Function("sc_report", arguments, [ca.densify(result) for result in results])
     return tuple(quantity for quantity, _ in known), function

@@ -115,7 +115,7 @@ def solve(
         require_feasible(problem, None if is_route else times, _native(route, times))
     run = run_within_limits if checked else _run
     with causes_explained(problem):
-        solution = run(problem, lambda each: route.run(each, times, progress))
+        solution = run(problem, lambda posed: route.run(posed, times, progress))
     if checked:
         solution = _looked_at(problem, route, solution)
     estimator = solution.estimator or partial(_estimated, problem, route)

@@ -61,8 +61,8 @@ class Taylor:
         q0, q1 = first[self.q], last[self.q]
         n, wraps = len(self.q), self.wraps.any()
         miss = _summed(self.of_q, first, h, n) - q1, _summed(self.of_q, last, -h, n) - q0
-        for each in miss if wraps else ():
-            each[self.wraps] = wrapped_angle(each[self.wraps])
+        for difference in miss if wraps else ():
+            difference[self.wraps] = wrapped_angle(difference[self.wraps])
         travel = np.abs(h) * (np.abs(first[self.rates]) + np.abs(last[self.rates]))
         travel += np.where(self.wraps[:, None], 0.0, np.abs(q1 - q0))
         worst = np.maximum(*np.abs(miss))
@@ -96,7 +96,7 @@ def _powers(array: DerivativeArray, entries: tuple[tuple[int, int], ...]) -> Pow
     powers = []
     for power in range(max(order for _, order in array.unknowns) + 1):
         known = [(k, place[j, order + power]) for k, (j, order) in enumerate(entries) if (j, order + power) in place]
-        to, of = (np.array(each, dtype=np.intp) for each in zip(*known, strict=True)) if known else (_NONE, _NONE)
+        to, of = (np.array(indices, dtype=np.intp) for indices in zip(*known, strict=True)) if known else (_NONE, _NONE)
         powers.append((to, of))
     return tuple(powers)
 

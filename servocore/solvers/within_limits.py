@@ -173,7 +173,7 @@ def _looked_into(problem: Problem, solution: Solution, suspected: list[tuple[int
     """Return the channels of suspects, and coordinates: where one turns back, inputs are suspected."""
     channels = list(dict.fromkeys(channel for channel, _ in suspected))
     coordinates = problem.system.coordinates.quantities
-    return channels + [k for k, each in enumerate(solution.channels) if each in coordinates and k not in channels]
+    return channels + [k for k, channel in enumerate(solution.channels) if channel in coordinates and k not in channels]
 
 
 def _compile_named(resolved: ResolvedSystem, names: tuple[str, ...]) -> Watched:
