@@ -76,11 +76,11 @@ def picture_of(system: MechanicalSystem, reported: Sequence[Quantity], drawing: 
         If a drawing names what is not reported, or returns something else than parts.
     """
     symbols = {quantity.name: ca.SX.sym(quantity.name) for quantity in reported}
-    given = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
+    known = {**dict(zip(system.parameters.names, ca.vertsplit(system.p), strict=True)), **symbols}
     try:
-        parts = list(drawing(given)) if drawing is not None else _found(system, symbols)
+        parts = list(drawing(known)) if drawing is not None else _found(system, symbols)
     except KeyError as error:
-        raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(given)}") from None
+        raise InvalidModel(f"{system.name}: its drawing asks for {error}; there are {', '.join(known)}") from None
     if not all(isinstance(part, Part) for part in parts):
         raise InvalidModel(f"{system.name}: its drawing must be a sequence of Part")
     names, listed = list(symbols), []
@@ -154,14 +154,14 @@ def _joined(system: MechanicalSystem, owners: Mapping[str, str]) -> list[tuple[s
     """Return pairs of points that one holonomic constraint holds (bars), or one term of the potential (springs)."""
     q, names = system.q, system.coordinates.names
     held = filled(ca.DM(ca.jacobian_sparsity(system.constraints, q), 1.0))
-    found: dict[tuple[str, str], str] = {}
+    joined: dict[tuple[str, str], str] = {}
     for row in held:
         bodies = list(dict.fromkeys(owners[name] for name, on in zip(names, row, strict=True) if on and name in owners))
         if len(bodies) == 2:
-            found.setdefault((bodies[0], bodies[1]), "bar")
+            joined.setdefault((bodies[0], bodies[1]), "bar")
     stiffness = filled(ca.DM(ca.hessian(system.potential, q)[0].sparsity(), 1.0))
     for i, one in enumerate(names):
         for j, other in enumerate(names[:i]):
             if stiffness[i][j] and one in owners and other in owners and owners[one] != owners[other]:
-                found.setdefault((owners[other], owners[one]), "spring")
-    return [(kind, one, other) for (one, other), kind in found.items()]
+                joined.setdefault((owners[other], owners[one]), "spring")
+    return [(kind, one, other) for (one, other), kind in joined.items()]

@@ -177,10 +177,10 @@ class MechanicalSystem:
         if len(inputs) != len(outputs):
             raise InvalidModel(f"{self.name}: {len(inputs)} inputs cannot prescribe {len(outputs)} outputs")
         taken: dict[str, object] = {"inputs": inputs, "outputs": outputs}
-        given = {
+        expressions = {
             attribute: getattr(self, attribute) for attribute in _EXPRESSIONS if getattr(self, attribute) is not DERIVED
         }
-        taken |= expressions_of(self.name, given, len(self.coordinates))
+        taken |= expressions_of(self.name, expressions, len(self.coordinates))
         seen = quantities_of(tuple(self.observables), f"{self.name}: observables")
         taken["observables"] = {
             quantity: as_expression(self.observables[quantity], f"{self.name}: observable {quantity.name}")

@@ -84,18 +84,18 @@ class WhenAsked:
     def __set_name__(self, _: type, name: str) -> None:
         self._name = name
 
-    def __set__(self, holder: object, given: ca.Function | Callable[[], ca.Function]) -> None:
-        holder.__dict__[self._name] = given
+    def __set__(self, holder: object, function: ca.Function | Callable[[], ca.Function]) -> None:
+        holder.__dict__[self._name] = function
 
     def __get__(self, holder: object, _: type | None = None) -> ca.Function:
         if holder is None:
             raise AttributeError(self._name)  # to a dataclass: a field without a default
-        given: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
-        if isinstance(given, ca.Function):
-            return given
-        found: ca.Function = given()
-        holder.__dict__[self._name] = found
-        return found
+        held: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
+        if isinstance(held, ca.Function):
+            return held
+        compiled: ca.Function = held()
+        holder.__dict__[self._name] = compiled
+        return compiled
 
 
 @lru_cache(maxsize=256)  # to build a map costs more than to evaluate it, and runs of one length follow one another

@@ -378,6 +378,6 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     matrix = ca.jacobian(residual, unknowns[rough])
     if not rough or len(rough) > _EXPLICIT_SIZE or ca.depends_on(matrix, unknowns[rough]):
         return unknowns
-    found = ca.SX(unknowns)
-    found[rough] -= _small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
-    return found
+    estimate = ca.SX(unknowns)
+    estimate[rough] -= _small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
+    return estimate

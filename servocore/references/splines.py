@@ -102,9 +102,9 @@ def joined_legs(
     legs = []
     for first, last in pairwise(ends):
         leg = slice(first, last + 1)
-        given = 1 + np.flatnonzero(np.isfinite(speeds[leg][1:-1]).all(axis=1))
-        knots = np.sort(np.concatenate([interpolation_knots(at[leg], resting), at[leg][given]]))
-        spline = fit(at[leg], table[leg], knots, resting, Slopes(given, speeds[leg][given]))
+        known = 1 + np.flatnonzero(np.isfinite(speeds[leg][1:-1]).all(axis=1))
+        knots = np.sort(np.concatenate([interpolation_knots(at[leg], resting), at[leg][known]]))
+        spline = fit(at[leg], table[leg], knots, resting, Slopes(known, speeds[leg][known]))
         legs.append(to_path(spline, resting, None))
     return joined(legs)
 
@@ -125,19 +125,19 @@ def _speeds(
     """Return velocities (n, dimension), NaN where none is given; refuse those that move where the path rests."""
     if velocities is None:
         return np.full_like(waypoints, np.nan)
-    given = numbers_of(velocities, "the velocities of waypoints")
-    if given.shape != waypoints.shape or np.isinf(given).any():
+    speeds = numbers_of(velocities, "the velocities of waypoints")
+    if speeds.shape != waypoints.shape or np.isinf(speeds).any():
         raise InvalidReference(
             f"{waypoints.shape} waypoints need as many finite velocities (NaN where any is right), not an array of"
-            f" shape {given.shape}"
+            f" shape {speeds.shape}"
         )
-    partly = np.flatnonzero(np.isfinite(given).any(axis=1) & np.isnan(given).any(axis=1))
+    partly = np.flatnonzero(np.isfinite(speeds).any(axis=1) & np.isnan(speeds).any(axis=1))
     if partly.size:
         raise InvalidReference(f"{called(partly[0])} has a velocity in some directions only: give all or none")
     for waypoint in rests:
-        if np.nan_to_num(given[waypoint]).any():
+        if np.nan_to_num(speeds[waypoint]).any():
             raise InvalidReference(f"{called(waypoint)} has a velocity, but the path rests there")
-    return given
+    return speeds
 
 
 def sampled(
@@ -253,14 +253,14 @@ def _fewest_knots(t: FloatArray, positions: FloatArray, free: Ends, allowed: flo
         if _surely_too_few(t, positions, inner_knots, free, allowed):
             pieces *= 2
             continue
-        found = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
-        if _distance(found.spline(t), positions).max() <= allowed:
+        fitted = _Fit(fit(t, positions, inner_knots, free), free, inner_knots)
+        if _distance(fitted.spline(t), positions).max() <= allowed:
             for start, end in ((True, True), (True, False), (False, True)):
                 ends = replace(free, start=start, end=end)
                 spline = fit(t, positions, inner_knots, ends)
                 if _distance(spline(t), positions).max() <= allowed:
                     return _Fit(spline, ends, inner_knots)
-            return found
+            return fitted
         pieces *= 2
     return None
 
@@ -307,11 +307,11 @@ def _half_fits(
         yield fit(t[kept], positions[kept], knots, ends)
 
 
-def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) -> PiecewisePolynomial:
+def _checked(t: FloatArray, positions: FloatArray, fitted: _Fit, share: float) -> PiecewisePolynomial:
     """Turn a fit into a path if fits to every second sample agree with it; see `sampled`."""
-    order, near = found.ends.order, found.ends.degree + 1
-    judged, halves = found.spline(t, nu=order), list(_half_fits(t, positions, found.ends, found.inner_knots))
-    error = max(_distance(curve(t), positions).max() for curve in (found.spline, *halves))
+    order, near = fitted.ends.order, fitted.ends.degree + 1
+    judged, halves = fitted.spline(t, nu=order), list(_half_fits(t, positions, fitted.ends, fitted.inner_knots))
+    error = max(_distance(curve(t), positions).max() for curve in (fitted.spline, *halves))
     doubt = np.max([_distance(half(t, nu=order), judged) for half in halves], axis=0)
     peak = np.linalg.norm(judged, axis=1).max()
     slightest = float(np.abs(positions).max()) / (t[-1] - t[0]) ** order  # of a path worth the name
@@ -327,7 +327,7 @@ def _checked(t: FloatArray, positions: FloatArray, found: _Fit, share: float) ->
             f"{error:.3g} m in position; there is a corner or a jump, the samples are too far apart, or they are "
             "rounded or noisy and need a tolerance"
         )
-    return to_path(found.spline, found.ends, float(error))
+    return to_path(fitted.spline, fitted.ends, float(error))
 
 
 def _distance(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -130,11 +130,11 @@ def determinant_signs(parts: Sequence[Part], entries: Array) -> Array:
 
     Part by part they also tell that two determinants change their signs at once, which their product hides.
     """
-    found = np.zeros((entries.shape[1], len(parts)))
+    signs = np.zeros((entries.shape[1], len(parts)))
     for k, part in enumerate(parts):
         if len(part.rows) == len(part.columns):  # else the matrix is singular, and the sign 0
-            found[:, k] = np.linalg.slogdet(part.dense(entries))[0]
-    return found
+            signs[:, k] = np.linalg.slogdet(part.dense(entries))[0]
+    return signs
 
 
 def is_regular_throughout(parts: Sequence[Part], entries: Array, most: float) -> bool:
