@@ -9,10 +9,13 @@ import casadi as ca
 
 from servocore.export.exported_quantities import timed_path, wanted
 from servocore.formulations.projected import Projected
+from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.problem import Problem
-from servocore.stepping.compilation import program_of
+from servocore.stepping.compilation import discretized, program_of
+from servocore.stepping.initial_values import compile_start
 from servocore.stepping.observation import compile_observation
+from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()
 """What steps the projected form."""
@@ -56,17 +59,19 @@ def marching(problem: Problem, identifier: str) -> Marching:
     InvalidModel
         If the model cannot be projected.
     """
-    system, form = problem.system, Projected()
-    program = program_of(problem, form, METHOD)
+    system, array, form = problem.system, problem.array, Projected()
+    program, inverse = program_of(problem, form, METHOD), problem.resolved.once(inversion)
     dae, orders, instants = problem.dae(form), program.start_order + 1, program.start_instants
-    read = compile_observation(system, dae, METHOD.discretise(dae), wanted(problem), program.start_order)
+    reduced, discretization = problem.dae(Reduced(states=array.named_states)), discretized(dae, METHOD)
+    read = compile_observation(system, dae, discretization, wanted(problem), program.start_order)
     m = len(system.outputs)
     past, path = ca.MX.sym("past", m, orders * len(instants)), ca.MX.sym("path", m, orders)
     p, h, time = ca.MX.sym("p", system.p.numel()), ca.MX.sym("h"), ca.MX.sym("time")
     known = [
         timed_path(system, column, time + k * h) for column, k in zip(ca.horzsplit(past, orders), instants, strict=True)
     ]
-    first, _, residual = program.start(ca.horzcat(*known), h, p)
+    start = compile_start(array, inverse.by_search(), dae, reduced, discretization, program.start_order)
+    first, _, residual = start(ca.horzcat(*known), h, p)
     begin = [first, read(first, known[0], p)[0], residual]
     state, then = ca.MX.sym("state", program.state_size), timed_path(system, path, time + h)
     after, _, left = program.step(state, then[:, : program.order + 1], h, p)

@@ -9,9 +9,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
+
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.building import followed, inverse_model
-from servocore.export.c_functions import c_source, scratch_of
+from servocore.export.c_functions import c_source, checked_once, scratch_of
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
@@ -144,6 +146,9 @@ def _counted(content: bytes) -> bytes:
 
 def _source(model: InverseModel, mathematics: Mathematics | None, marched: Marching | None, orders: int) -> str:
     functions = dict(mathematics.functions) if mathematics else {}
+    margins_once = "quick" in functions and all(limit.row < 0 for limit in model.limits)
+    if margins_once:
+        functions["begin"] = _without_margins(functions["begin"])
     if marched is not None:
         functions |= marched.functions
     return rendered(
@@ -158,12 +163,20 @@ def _source(model: InverseModel, mathematics: Mathematics | None, marched: March
         functions=tuple(functions),
         has_quick="quick" in functions,
         inverts=mathematics is not None,
+        margins_once=margins_once,
         marches=marched is not None,
         instants=marched.instants if marched else (),
         state_size=marched.state_size if marched else 0,
         scratch=scratch_of(functions.values()),
-        mathematics_source=c_source("mathematics", functions.values())[1],
+        mathematics_source=checked_once(c_source("mathematics", functions.values())[1]),
     )
+
+
+def _without_margins(begin: ca.Function) -> ca.Function:
+    """Return ``begin`` without the margins of limits, where those of ``quick`` are of the path alone."""
+    arguments = begin.mx_in()
+    before, outputs, _, residual = begin.call(arguments, True, False)
+    return ca.Function(begin.name(), arguments, [before, outputs, residual])
 
 
 def _compiled(source: str, title: str) -> bytes:

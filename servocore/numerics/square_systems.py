@@ -319,13 +319,14 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     )
     size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
-    scale_symbol, row_scale_symbol = ca.SX.sym("scale", size), ca.SX.sym("row_scale", size)
+    scale_symbol, varying = _varying(block.unknown_scale)
+    row_scale_symbol, rows_varying = _varying(block.residual_scale)
     symbols, values = known.needed(block.residual)
     equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
-    x, p = ca.vertcat(scaled, clock), ca.vertcat(symbols, scale_symbol, row_scale_symbol)
-    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), symbols)(
-        ca.vertcat(start, 0), ca.vertcat(values, scale, row_scale)
-    )
+    x = ca.vertcat(scaled, clock)
+    p = ca.vertcat(symbols, *[each[k] for each, k in ((scale_symbol, varying), (row_scale_symbol, rows_varying)) if k])
+    given = ca.vertcat(values, *[each[k] for each, k in ((scale, varying), (row_scale, rows_varying)) if k])
+    root = _newton(x, p, ca.vertcat(equations, ca.exp(-clock / _TICK)), symbols)(ca.vertcat(start, 0), given)
     ticks = root[size] / _TICK
     known.iterations.append(ticks)
     # A count at the limit is a failure: let it spread instead of the last iterate.
@@ -333,19 +334,30 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     return root[:size] * scale * verdict
 
 
+def _varying(scale: ca.SX) -> tuple[ca.SX, list[int]]:
+    """Return the scale with symbols in the places of all that is no number, and those places.
+
+    Most scales are one, and what is multiplied by a number that is known to be one takes no operation.
+    """
+    places = [k for k in range(scale.numel()) if not scale[k].is_constant()]
+    found = ca.SX(scale)
+    found[places] = ca.SX.sym("scale", len(places))
+    return found, places
+
+
 def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
     """Compile (start, p) -> root of `equations`; the last unknown is the clock, `data` what round-off changes in p."""
     options = {"abstol": 0.0, "abstolStep": NEWTON_TOLERANCE, "error_on_fail": False, "common_options": {"cse": True}}
     problem = {"x": x, "p": p, "g": equations}
-    quick = ca.rootfinder("sc_newton", "fast_newton", problem, {**options, "max_iter": QUICK_ITERATIONS})
-    J = ca.jacobian(equations, x)
-    # Componentwise backward error (Oettli and Prager, 1964).
-    floor = ca.mtimes(ca.fabs(J), ca.fabs(x)) + ca.mtimes(ca.fabs(ca.jacobian(equations, data)), ca.fabs(data))
-    beyond = ca.if_else(ca.fabs(equations) <= _ROUND_OFF * floor, 0.0, equations)
-    beyond[-1] = equations[-1]
+    jacobian = ca.Function(
+        "sc_jacobian", [x, p], [ca.jacobian(equations, x), equations], ["x", "p"], ["J", "g"], {"cse": True}
+    )
+    quick = ca.rootfinder("sc_newton", "fast_newton", problem, {
+        **options, "max_iter": QUICK_ITERATIONS, "jacobian_function": jacobian,
+    })  # fmt: skip
     careful = ca.rootfinder("sc_careful_newton", "fast_newton", problem, {
         **options, "max_iter": MAX_ITERATIONS - QUICK_ITERATIONS,
-        "jacobian_function": ca.Function("sc_beyond", [x, p], [J, beyond], ["x", "p"], ["J", "g"], {"cse": True}),
+        "jacobian_function": _beyond_round_off(jacobian, x, p, ca.jacobian(equations, data), data),
     })  # fmt: skip
     start, parameters = ca.MX.sym("start", x.numel()), ca.MX.sym("p", p.numel())
     enough = ca.Function("sc_enough", [start, parameters], [start])
@@ -353,6 +365,22 @@ def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
     root = quick(start, parameters)
     root = ca.Function.if_else("sc_rest", more, enough)(root[-1] > (QUICK_ITERATIONS - 0.5) * _TICK, root, parameters)
     return ca.Function("sc_root", [start, parameters], [root])
+
+
+def _beyond_round_off(jacobian: ca.Function, x: ca.SX, p: ca.SX, by_data: ca.SX, data: ca.SX) -> ca.Function:
+    """Return `jacobian`, (x, p) -> (J, equations), with zero for equations that round-off explains.
+
+    It is called, not written out again, which takes half of the code of exported models.
+    """
+    J, equations = ca.SX.sym("J", jacobian.sparsity_out(0)), ca.SX.sym("g", x.numel())
+    # Componentwise backward error (Oettli and Prager, 1964).
+    floor = ca.mtimes(ca.fabs(J), ca.fabs(x)) + ca.mtimes(ca.fabs(by_data), ca.fabs(data))
+    beyond = ca.if_else(ca.fabs(equations) <= _ROUND_OFF * floor, 0.0, equations)
+    beyond[-1] = equations[-1]
+    judge = ca.Function("sc_judge", [x, p, J, equations], [ca.densify(beyond)], {"cse": True})
+    now, given = ca.MX.sym("x", x.numel()), ca.MX.sym("p", p.numel())
+    known = jacobian(now, given)
+    return ca.Function("sc_beyond", [now, given], [known[0], judge(now, given, *known)], ["x", "p"], ["J", "g"])
 
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
