@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_lines import CommandLine
+from fmu_host import Host
 
 import crane_fmu.cli
 import servocore as sc
+from crane_fmu.build import build_fmu
+from crane_fmu.catalogue import KINDS
 from servocore.cli import commands
 from servocore.numerics.compiled_calls import Array
 
 run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
+OVERHEAD = sc.scenes.overhead_crane()
 LEVEL = ["--from", 0, -4, "--to", 5, -4]
 
 
@@ -75,6 +80,27 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
     assert crane("feedforward", "--reference", "way.csv", *limits, "-o", "inputs.csv").exit_code == 0
     table = np.array([line.split(",") for line in lines[1:]], dtype=float)
     assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
+    fmu = build_fmu(Path("fmu"), kind=KINDS["LoadTrajectory"], path=Path("way.csv").read_bytes())
+    with Host(fmu) as host:
+        host.set(profile="file").start(time=3.0)
+        for now, after in ((3.0, table[100, 0]), (table[100, 0], table[150, 0])):
+            assert host.step(now, after - now), host.messages
+            load = [host[f"load.position[{k}]"] for k in (1, 2, 3)]
+            np.testing.assert_allclose(load, table[table[:, 0] == after, 7:10][0], atol=1e-9)
+
+
+def test_a_plan_is_played_on_a_live_page_as_it_was_planned() -> None:
+    path, report = sc.fastest(OVERHEAD, [(0, -4), (5, -4)], {"F": 200}, intervals=20)
+    Path("way.csv").write_text(sc.csv_of(path, ["x", "z"]), encoding="utf-8")
+    shown = run("view", "overhead_crane", "--reference", "way.csv", "--limit", "F=200", "-o", "v.html")
+    assert shown.exit_code == 0, shown.stderr
+    found = re.search(r'"duration":([\d.]+)', Path("v.html").read_text(encoding="utf-8"))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(report.duration, abs=1e-9)
+    t = np.linspace(0.0, report.duration, 4001)
+    back = sc.from_csv("way.csv", columns=("x", "z"))
+    np.testing.assert_allclose(back.jet(t, 0), path.jet(t, 0), atol=1e-6)
+    assert np.abs(OVERHEAD.with_reference(back).exact(t)["F"]).max() <= 200.0
 
 
 def test_a_plan_for_a_system_of_ones_own_is_played_from_its_file() -> None:
@@ -126,6 +152,11 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input, and M_w has none"),
         ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
+        ([*LEVEL, "--by", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
+        ([*LEVEL, "--limit", "F=1e-9"], "keeps them in no 1e+06 s are not planned"),
+        ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step must be a positive time, not nan s"),
+        (["--from", 0, -4, "--to", 0, -4, "--limit", "F=200"], "the path does not move there"),
+        ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=1.1..0.9"], "must be a smallest and a largest factor"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Sequence[str], sentence: str) -> None:

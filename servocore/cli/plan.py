@@ -134,6 +134,8 @@ def plan_scene(
     require_picture(plot)
     if path_file is not None:
         _require_a_path_file(subject, model)
+    if step is not None and not (math.isfinite(step) and step > 0.0):
+        raise InvalidSetting(f"--step must be a positive time, not {step:g} s")
     bounds = limits_given(limit, limits)
     points = [("--from", start), *(("--by", each) for each in between or ()), ("--to", end)]
     way = _way(subject, model, [(option, text) for option, text in points if text], file)
@@ -168,8 +170,6 @@ def planned_motion(
     scene: Scene, path: Reference, bounds: Mapping[str, Bounds], step: float | None, model: str | None = None
 ) -> Solution:
     """Return inputs and motion of a plan, in equal rows that are no more than a step apart."""
-    if step is not None and not (math.isfinite(step) and step > 0.0):
-        raise InvalidSetting(f"--step must be a positive time, not {step:g} s")
     if step is not None and path.duration / step > _MOST_ROWS:
         raise InvalidSetting(f"a step of {step:g} s makes more than {_MOST_ROWS:g} rows: take a larger step")
     rows = _ROWS if step is None else math.ceil(path.duration / step * (1.0 - 1e-12))

@@ -60,7 +60,7 @@ def show_sensitivities(
     require_picture(plot)
     subject = GivenPath(reference, waypoints, tolerance).along(subject, model)
     with PatientProgress("differentiating"):
-        found = sensitivities(subject, wrt or None, step=step, model=model)
+        found = sensitivities(subject, tuple(dict.fromkeys(wrt or ())) or None, step=step, model=model)
         contents: dict[Path, str | bytes] = {}
         if output is not None:
             contents[output] = found.table()

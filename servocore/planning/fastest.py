@@ -25,7 +25,7 @@ from servocore.planning.tasks import (
     task_free,
     with_a_formula,
 )
-from servocore.planning.time_laws import shape_of, shortest, shortest_three_phase, smooth_polynomial
+from servocore.planning.time_laws import LONGEST, shape_of, shortest, shortest_three_phase, smooth_polynomial
 from servocore.planning.transcription import Task
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -85,7 +85,10 @@ def fastest(
     Raises
     ------
     InvalidReference
-        If a limit cannot be kept at any speed, because it is broken at rest, or the way is none.
+        If the way is none.
+    LimitBroken
+        If a limit cannot be kept at any speed, because it is broken at rest, or limits are too tight for a million
+        seconds.
     InvalidModel
         If the model has internal dynamics, or a limit is on the rate of something that is differentiated already.
     InvalidSetting
@@ -122,6 +125,10 @@ def fastest(
     if progress is not None:
         progress("looking for a law to start from")
     polynomial = shortest(task, shape_of(smooth_polynomial(length)))
+    if not np.isfinite(polynomial):
+        raise LimitBroken(
+            f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
+        )
     found = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
     reference = TimedPath.of(curve, found.outcome.law.path())
     return reference, _reported(reference, corners, found, _compared(task, polynomial))
@@ -138,7 +145,7 @@ def _free(
 ) -> tuple[Reference, PlanReport]:
     """Plan with the way free between the ends of a line; `both` are what is planned for and what is certified."""
     corners, certified = both
-    if len(curve.knots) > 2:
+    if len(curve.knots) > 2 or curve.coefficients.shape[1] > 2:
         raise InvalidSetting("a plan whose way is free runs from one point to another: give two")
     limited = {limit.quantity for limit in scene.limits}
     for quantity in corners[0].system.inputs:

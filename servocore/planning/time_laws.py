@@ -17,10 +17,12 @@ _FINE, _DRAWN = 2001, 400
 _LOOKED_AT, _SEARCHED_AT = (201, 2001), (61, 601)  # instants, coarse and fine: by a formula, by Newton's method
 _FACTOR = 1.04
 _TRIED = 120
-_LONGEST = 1e6  # s
 _HALVINGS = 24
 _RAMPS = (0.02, 0.5)
 _TRIED_RAMPS, _ROUNDS = 13, 4
+
+LONGEST = 1e6
+"""Seconds that laws to compare with may take."""
 
 Shape = Callable[[Array, int], Array]
 """(parts of the duration (n,), order) -> s and its derivatives at duration one, shape (n, order + 1)."""
@@ -79,7 +81,7 @@ def shortest_kept(kept: Callable[[float], bool], roughly: Callable[[float], bool
     longest = 1.0
     while not kept(longest):
         longest *= 2.0
-        if longest > _LONGEST:
+        if longest > LONGEST:
             return np.inf
     for duration in longest * _FACTOR ** np.arange(-_TRIED, 1):
         if (roughly is None or roughly(duration)) and kept(duration):
