@@ -22,7 +22,7 @@ path, report = sc.fastest(crane, [start, end], limits)
 print(report)
 
 # %%
-# The law of degree 9 within the same limits:
+# The law of degree 9 within the same limits; where a limit holds the fastest law back the ground is shaded:
 
 limited = crane.with_limits(**limits)
 shortest = sc.shortest_duration(limited.with_reference(sc.rest_to_rest(start, end, 20.0)))
@@ -39,5 +39,7 @@ for axis, (name, bound) in zip(axes, (("M_b (N m)", 1000), ("F (N)", 60), ("swin
     axis.axhline(bound, color="0.5", linestyle=":")
     if "swing" not in name:
         axis.axhline(-bound, color="0.5", linestyle=":")
+for active in report.active:
+    axes[("M_b", "F", "swing").index(active.quantity)].axvspan(active.begin, active.end, color="C3", alpha=0.2, lw=0)
 axes[0].legend()
 axes[-1].set_xlabel("time (s)")
