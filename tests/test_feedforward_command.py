@@ -46,6 +46,16 @@ def test_every_scene_has_its_inputs_along_a_file_of_its_own(name: str, tmp_path:
     assert "largest" in done.stderr
 
 
+def with_units_and_commas(file: Path, scene: sc.Scene) -> Path:
+    """Write a file of a path once more, with units in the header, semicolons and decimal commas."""
+    header, _, rows = file.read_text(encoding="utf-8").partition("\n")
+    units = {"time": "s", **{each.name: each.unit for each in scene.model().outputs}}
+    names = [f"{name} [{units[name]}]" if name in units else name for name in header.split(",")]
+    other = file.with_name("other.csv")
+    other.write_text(";".join(names) + "\n" + rows.replace(",", ";").replace(".", ","), encoding="utf-8")
+    return other
+
+
 @pytest.mark.parametrize("name", REGISTRY)
 def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -65,7 +75,7 @@ def test_every_scene_is_viewed_and_exported_along_a_file_of_its_own(
     monkeypatch.setattr(export, "require_built", lambda *_: None)
     monkeypatch.setattr(export, "export_trajectory", lambda _, __, wishes, **___: shown.append(wishes.path))
     page, fmu = tmp_path / "page.html", tmp_path / "path.fmu"
-    viewed = servocore_command("view", name, "--reference", file, "-o", page)
+    viewed = servocore_command("view", name, "--reference", with_units_and_commas(file, scene), "-o", page)
     exported = servocore_command("export", name, "--trajectory", "--reference", file, "-o", fmu)
     assert (viewed.exit_code, exported.exit_code) == (0, 0), viewed.stderr + exported.stderr
     assert page.read_text() == "page"
