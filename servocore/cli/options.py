@@ -64,7 +64,7 @@ Output = Annotated[
     typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
 ]
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?|[-+]?(?:nan|inf)")
 _POINTS = ("--from", "--to", "--by")
 
 
