@@ -82,7 +82,7 @@ bench: $(INSTALLED)  ## measure what a step costs on this machine
 	OMP_NUM_THREADS=1 $(RUN) benchmarks.scale
 	$(BIN)/python benchmarks/energy_momentum.py
 
-chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, into docs/speed-accuracy (some 20 minutes)
+chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, into docs/speed-accuracy (a quarter of an hour)
 	$(PEERS)/bin/python -m benchmarks.chart
 
 atlas: $(INSTALLED)  ## measure how integration fails and what survives, into docs/stability (some ten minutes)

@@ -94,7 +94,7 @@ def _overview(record: Record, scene: str) -> Figure:
     if default and default[0].solved:
         point = default[0].point[0], max(default[0].point[1], OLDEST)
         axis.plot([point[0]], [point[1]], marker="*", color=COLOURS[0], markersize=11)
-        axis.annotate("default: sc.solve(scene)", point, (-46, 40), textcoords="offset points", fontsize=9,
+        axis.annotate("default: sc.solve(scene)", point, (-59, 34), textcoords="offset points", fontsize=9,
                       arrowprops={"arrowstyle": "->", "linewidth": 1.6})  # fmt: skip
     axis.set(xscale="log", yscale="log", xlabel="time of the solve (s)",
              ylabel="largest error of any input / its peak",
