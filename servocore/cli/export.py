@@ -192,4 +192,4 @@ def _export_beside(
 
 
 def _noted(targets: str | None) -> str:
-    return "" if targets is not None or zig() else "; for this machine only: install servocore[native] for others"
+    return "" if targets is not None or zig() else "; for this machine only: pip install 'servocore[native]' for others"

@@ -107,8 +107,8 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     foreign = [name for name in names if name != host()]
     if foreign and zig() is None:
         raise InvalidSetting(
-            f"building for {', '.join(foreign)} needs the package ziglang: install servocore[native], or use --targets"
-            f" {HOST}"
+            f"building for {', '.join(foreign)} needs the package ziglang: pip install 'servocore[native]',"
+            f" or use --targets {HOST}"
         )
     return tuple(dict.fromkeys(names))
 

@@ -185,7 +185,7 @@ def _template(name: str) -> Any:
     try:
         import jinja2  # noqa: PLC0415 - an optional dependency
     except ImportError as error:
-        raise InvalidSetting("pages are made by the package Jinja2: install servocore[report]") from error
+        raise InvalidSetting("pages are made by the package Jinja2: pip install 'servocore[report]'") from error
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(WEB.joinpath(name).read_text(encoding="utf-8"))
 
