@@ -64,7 +64,7 @@ def hardening_chain() -> sc.MechanicalSystem:
         mass=ca.SX.eye(3),
         force=ca.vertcat(pulls[0], pulls[1] - pulls[0], -pulls[1]),
         output=c,
-        input_matrix=ca.SX([-1.0, 0.0, 0.0]),
+        input_matrix=ca.SX([[-1.0, 0.0, 0.0]]),
         gamma=symbols(1),
         home=(0.0,),
     )

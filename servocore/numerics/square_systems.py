@@ -24,7 +24,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.expressions import largest
+from servocore.numerics.expressions import constants_kept, largest, small_inverse_times
 from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
 from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.tearing import dependence, tear
@@ -263,7 +263,7 @@ def _solve_block(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     linear = not ca.depends_on(jacobian, unknowns)
     if linear and size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
-        solution = -_small_inverse_times(jacobian, constant)
+        solution = -small_inverse_times(jacobian, constant)
         for k in range(size):
             known.state(unknowns[k], solution[k])
         known.linear_blocks += 1
@@ -273,19 +273,6 @@ def _solve_block(known: KnownValues, block: SquareSystem, flat: bool) -> None:
         _solve_linear(known, block, flat)
     else:
         _solve_nonlinear(known, block, flat)
-
-
-def _small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Return matrix^-1 right for up to three rows, by Cramer's rule."""
-    if matrix.size1() == 1:
-        return right / matrix
-    if matrix.size1() == 2:
-        (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
-        return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / (a * d - b * c)
-    rows = [matrix[i, :].T for i in range(3)]
-    # The columns of the adjugate are the cross products of the rows.
-    adjugate = ca.horzcat(*[ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)])
-    return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
 
 
 def _solve_linear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
@@ -319,8 +306,8 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     )
     size = block.unknowns.numel()
     scaled, clock = ca.SX.sym("scaled", size), ca.SX.sym("clock")
-    scale_symbol, varying = _varying(block.unknown_scale)
-    row_scale_symbol, rows_varying = _varying(block.residual_scale)
+    scale_symbol, varying = constants_kept(block.unknown_scale)
+    row_scale_symbol, rows_varying = constants_kept(block.residual_scale)
     symbols, values = known.needed(block.residual)
     equations = ca.substitute(block.residual, block.unknowns, scaled * scale_symbol) / row_scale_symbol
     x = ca.vertcat(scaled, clock)
@@ -332,17 +319,6 @@ def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
     # A count at the limit is a failure: let it spread instead of the last iterate.
     verdict = ca.if_else(ticks > MAX_ITERATIONS - 0.5, np.nan, 1.0)
     return root[:size] * scale * verdict
-
-
-def _varying(scale: ca.SX) -> tuple[ca.SX, list[int]]:
-    """Return the scale with symbols in the places of all that is no number, and those places.
-
-    Most scales are one, and what is multiplied by a number that is known to be one takes no operation.
-    """
-    places = [k for k in range(scale.numel()) if not scale[k].is_constant()]
-    found = ca.SX(scale)
-    found[places] = ca.SX.sym("scale", len(places))
-    return found, places
 
 
 def _newton(x: ca.SX, p: ca.SX, equations: ca.SX, data: ca.SX) -> ca.Function:
@@ -389,7 +365,7 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     better = _with_forces(block)
     jacobian = ca.jacobian(block.residual, unknowns)
     residual, jacobian = ca.substitute([block.residual, jacobian], [unknowns], [better])
-    correction = _small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
+    correction = small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
     verdict = ca.if_else(largest(correction / block.unknown_scale) < NEWTON_TOLERANCE, 1.0, np.nan)
     (start,) = known.evaluated("sc_prepare", block.guess)
     symbols, values = known.needed(block.residual, block.unknown_scale)
@@ -407,5 +383,5 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     if not rough or len(rough) > _EXPLICIT_SIZE or ca.depends_on(matrix, unknowns[rough]):
         return unknowns
     estimate = ca.SX(unknowns)
-    estimate[rough] -= _small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
+    estimate[rough] -= small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
     return estimate
