@@ -13,7 +13,7 @@ from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, 
 from scipy.linalg import expm, logm
 
 import servocore as sc
-from crane_fmu.build.feedback_law import hanging
+from crane_fmu.build.feedback_law import hanging, riccati_step
 from crane_fmu.build.sampling import SHORT_TURN, advance, sampled
 
 MASTERS = ("start", "end")
@@ -197,3 +197,19 @@ def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() ->
         assert np.abs(A - exact[:10, :10]).max() < 1e-3 * np.abs(exact[:10, :10]).max()
         assert np.abs(first - exact[:10, 10:13]).max() < 1e-3 * np.abs(first).max()
         assert np.abs(second - exact[:10, 13:] / h).max() < 1e-3 * np.abs(second).max()
+
+
+def test_a_riccati_step_finds_the_inputs_of_least_cost() -> None:
+    A, new, old, cost = (np.random.default_rng(1).normal(size=(10, n)) for n in (10, 3, 3, 10))
+    cost, efforts, weights = cost @ cost.T, np.array([3.0, 2.0, 1.0]), np.array([4.0, 5.0, 6.0])
+    shared, step = riccati_step()
+    earlier, gain = map(np.array, step(cost, *shared(A, new, old, efforts, weights)))
+    # The cost of z + B w, of w, and of A (z + B w) + B' w is that of one long vector, for any z: least squares.
+    load, root = np.zeros((3, 10)), np.linalg.cholesky(cost).T
+    load[:, 2:5] = np.diag(weights)
+    of_state = np.vstack([load, np.zeros((3, 10)), root @ A])
+    of_inputs = np.vstack([load @ new, np.diag(1 / efforts), root @ (A @ new + old)])
+    best = np.linalg.lstsq(of_inputs, of_state, rcond=None)[0]
+    left = of_state - of_inputs @ best
+    assert np.abs(gain - best).max() < 1e-10 * np.abs(best).max()
+    assert np.abs(earlier - left.T @ left).max() < 1e-10 * np.abs(earlier).max()

@@ -110,7 +110,7 @@ class _Parts:
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
     u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared and
-    riccati: as of `_riccati_step`.
+    riccati: as of `riccati_step`.
     resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
     which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
@@ -127,7 +127,7 @@ class _Parts:
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
-    shared, riccati = _riccati_step()
+    shared, riccati = riccati_step()
     return _Parts(
         flat=flat_motion(),
         measured=measured_state(),
@@ -148,30 +148,29 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     return function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
 
 
-def _riccati_step() -> tuple[ca.Function, ca.Function]:
+def riccati_step() -> tuple[ca.Function, ca.Function]:
     """Return what all Riccati steps of a model share, and a step.
 
-    (A, B, B', f, W) -> A', [A B'], [W^2 0], B^T, B'^T, 1/f^2; (cost M of A e + B' w before w+ is chosen, B, shared) ->
-    (M a step earlier, K). Products of whole matrices are left to loops, which machines take several numbers at once in.
+    (A, B, B', f, W) -> A', [A G], [W^2 W^2 B], G^T, 1/f^2 + B^T W^2 B, with G = A B + B', by which w+ acts on the next
+    A e + B' w; (cost M of that before w+ is chosen, shared) -> (M a step earlier, K). Products of whole matrices are
+    left to loops, which machines take several numbers at once in.
     """
     A, new, old = ca.SX.sym("A", _N, _N), ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
     efforts, weights = ca.SX.sym("f", _M), ca.SX.sym("W", _M)
-    weighing = ca.SX.zeros(_N, _N + _M)
-    for k in range(_M):
-        weighing[_LOAD + k, _LOAD + k] = weights[k] ** 2
-    shared = [A.T, ca.horzcat(A, old), weighing, new.T, old.T, ca.densify(ca.diag(1 / efforts**2))]
+    squares = ca.diag(ca.vertcat(ca.SX(_LOAD, 1), weights**2, ca.SX(_N - _LOAD - _M, 1)))
+    weighing, acting = ca.densify(ca.horzcat(squares, squares @ new)), A @ new + old
+    shared = [A.T, ca.horzcat(A, acting), weighing, acting.T, ca.diag(1 / efforts**2) + new.T @ squares @ new]
     S, N = ca.SX.sym("S", _M, _M), ca.SX.sym("N", _N, _M)
     scale = ca.diag(1 / ca.sqrt(ca.diag(S)))
     gain = function("gain", [S, N], [scale @ ca.ldl_solve(scale @ N.T, *ca.ldl(scale @ S @ scale))])
-    cost, B = ca.MX.sym("M", _N, _N), ca.MX.sym("B", _N, _M)
+    cost = ca.MX.sym("M", _N, _N)
     given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate(shared)]
-    A_T, both, weighed, new_T, old_T, efforted = given
-    half, mixed = ca.horzsplit(cost @ both, [0, _N, _N + _M])
-    quadratic, crossed = ca.horzsplit(ca.mac(A_T, ca.horzcat(half, mixed), weighed), [0, _N, _N + _M])
-    found = ca.mac(quadratic, B, crossed)
-    K = gain(ca.mac(new_T, found + crossed, ca.mac(old_T, mixed, efforted)), found)
+    A_T, both, weighed, acting_T, efforted = given
+    ahead = cost @ both
+    quadratic, found = ca.horzsplit(ca.mac(A_T, ahead, weighed), [0, _N, _N + _M])
+    K = gain(ca.mac(acting_T, ahead[:, _N:], efforted), found)
     earlier = ca.mac(found, -K, quadratic)
-    step = ca.Function("riccati", [cost, B, *given], [(earlier + earlier.T) / 2, K])  # symmetric, to the last digit
+    step = ca.Function("riccati", [cost, *given], [(earlier + earlier.T) / 2, K])  # symmetric, to the last digit
     return ca.Function("shared", [A, new, old, efforts, weights], shared), step
 
 
@@ -208,7 +207,7 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
     about = *parts.flat(jet, p), ca.MX.zeros(_M), p, h
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
-    shared = model[1], *parts.shared.call(model)
+    shared = parts.shared.call(model)
     found = _often(_often(parts.riccati, FIRST_RICCATI_STEPS[0]), FIRST_RICCATI_STEPS[1])(1e-6 * ca.MX.eye(_N), *shared)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
     memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
@@ -237,7 +236,7 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     cost = ca.reshape(cost, _N, _N)
     shared = parts.shared(A, new, old, efforts, weights)
     for _ in range(RICCATI_STEPS):
-        cost, gain = parts.riccati(cost, new, *shared)
+        cost, gain = parts.riccati(cost, *shared)
     after = parts.advance(short, state, acting, ran, force, p, h) if time == "start" else state
     e, origin = (state - here, (here, u_here)) if time == "end" else (after - there, (there, u_there))
     delta = parts.advance(short, *origin, slope, force, p, h) - beyond
