@@ -29,11 +29,12 @@ JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
 OUTPUTS = ("M_b", "F", "M_w", "phi", "s", "l", "tension", "swing")
 DISCARD = 2
 UNKNOWN = 99  # of no enumeration
+TEMPORARY = tempfile.gettempdir()  # before a run of an FMU sets another for a while
 
 
 @cache
 def scratch() -> Path:
-    folder = Path(tempfile.mkdtemp(prefix="fmu tests "))  # with a space
+    folder = Path(tempfile.mkdtemp(prefix="fmu tests ", dir=TEMPORARY))  # with a space
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
