@@ -1,11 +1,12 @@
-"""Files in folders, and folders that appear filled or not at all."""
+"""Files in folders, folders that appear filled or not at all, and the files that paths are read from."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 
 import servocore as sc
@@ -117,3 +118,38 @@ def _move(draft: Path, target: Path) -> None:
 
 def _reason(error: OSError) -> str:
     return error.strerror or str(error)
+
+
+def path_in_file(
+    reference: Path | None, waypoints: Path | None, tolerance: float | None, others: Sequence[str] = ()
+) -> Callable[[], sc.Reference] | None:
+    """Return what reads the path of the file that is given.
+
+    Parameters
+    ----------
+    reference, waypoints : Path or None
+        Samples of a path, or points that it goes through.
+    tolerance : float or None
+        How far the path may stay away from samples, in m.
+    others : sequence of str
+        Options that were given and describe a path without a file.
+
+    Returns
+    -------
+    callable or None
+        Without arguments, returns the path; None if no file is given.
+
+    Raises
+    ------
+    InvalidSetting
+        If options exclude each other.
+    """
+    files = [name for name, file in (("--reference", reference), ("--waypoints", waypoints)) if file is not None]
+    given = [*files, *others]
+    if files and len(given) > 1:
+        raise sc.InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
+    if reference is not None:
+        return partial(sc.from_csv, reference, tolerance)
+    if tolerance is not None:
+        raise sc.InvalidSetting("--tolerance belongs to --reference")
+    return None if waypoints is None else partial(sc.waypoints_from_csv, waypoints)

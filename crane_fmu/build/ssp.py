@@ -21,7 +21,7 @@ from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import NativeWishes, native_fmus
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
-from crane_fmu.files import filled_folder, put
+from crane_fmu.files import filled_folder, path_in_file, put
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, Variable, components
 from servocore.files import csv_text
 
@@ -80,17 +80,9 @@ class Wishes:
         """
         if self.profile is not None:
             chosen(PROFILES, self.profile, "profile")
-        options = {"--reference": self.path, "--waypoints": self.waypoints, "--profile": self.profile}
-        given = [name for name, value in options.items() if value is not None]
-        if len(given) > 1:
-            raise sc.InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
-        if self.waypoints is not None and self.tolerance is None:
-            return sc.waypoints_from_csv(self.waypoints)
-        if self.path is None:
-            if self.tolerance is not None:
-                raise sc.InvalidSetting("--tolerance belongs to --reference")
-            return None
-        return sc.from_csv(self.path, self.tolerance)
+        others = [] if self.profile is None else ["--profile"]
+        read = path_in_file(self.path, self.waypoints, self.tolerance, others)
+        return None if read is None else read()
 
 
 def build_ssp(

@@ -38,6 +38,7 @@ from crane_fmu.cli.options import (
     Tolerance,
     WaypointsFile,
 )
+from crane_fmu.files import path_in_file
 from servocore.cli.console import (
     SETTINGS,
     PatientProgress,
@@ -293,17 +294,9 @@ def path_request(
         If they describe no path, two, or half of one.
     """
     given = [name for name, value in line.items() if value is not None]
-    if reference is not None:
-        given = given if waypoints is None else ["--waypoints", *given]
-        if given:
-            raise sc.InvalidSetting(f"a path is given either by --reference or by {given[0]}, not by both")
-        return partial(sc.from_csv, reference, tolerance)
-    if waypoints is not None and given:
-        raise sc.InvalidSetting(f"a path is given either by --waypoints or by {given[0]}, not by both")
-    if tolerance is not None:
-        raise sc.InvalidSetting("--tolerance belongs to --reference")
-    if waypoints is not None:
-        return partial(sc.waypoints_from_csv, waypoints)
+    read = path_in_file(reference, waypoints, tolerance, given)
+    if read is not None:
+        return read
     if not given:
         raise sc.InvalidSetting("no path is given: use --reference or --waypoints, or --from, --to and --duration")
     missing = [name for name in ("--from", "--to", "--duration") if name not in given]

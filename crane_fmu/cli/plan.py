@@ -27,6 +27,7 @@ from crane_fmu.cli.options import (
     WaypointsFile,
 )
 from crane_fmu.feedforward import COLUMNS, MOST_ROWS, table
+from crane_fmu.files import path_in_file
 from servocore.cli.console import PatientProgress, deliver
 from servocore.files import require_picture, require_places
 
@@ -139,8 +140,7 @@ def plan_motion(
     files, points = (sum(each is not None for each in given) for given in ((reference, waypoints), (start, end)))
     if (files, points) not in ((1, 0), (0, 2)):
         raise sc.InvalidSetting("the way is given either by --reference or --waypoints, or by --from and --to")
-    if tolerance is not None and reference is None:
-        raise sc.InvalidSetting("--tolerance belongs to --reference")
+    read = path_in_file(reference, waypoints, tolerance)
     if keep_out and not free:
         raise sc.InvalidSetting("--keep-out belongs to --free")
     require_places(
@@ -150,11 +150,7 @@ def plan_motion(
     scene = sc.scenes.rotary_crane()
     if parameters is not None:
         scene = scene.with_parameters(**sc.read_parameters(parameters, scene))
-    way: Any = (start, end)
-    if reference is not None:
-        way = sc.from_csv(reference, tolerance)
-    elif waypoints is not None:
-        way = sc.waypoints_from_csv(waypoints)
+    way: Any = (start, end) if read is None else read()
     space = sc.Space.of_texts(keep_out or (), dimension=3) if free else None
     wanted = Plan(way, sc.limits_given(limit, limits), sc.factors_of_texts(robust or ()), space, step)
     contents: dict[Path, str | bytes] = {}
