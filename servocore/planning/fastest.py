@@ -18,6 +18,7 @@ from servocore.planning.tasks import (
     Way,
     corner_problems,
     curve_of,
+    gravity_of,
     rope_is_depth,
     starts_along,
     starts_free,
@@ -162,8 +163,7 @@ def _free(
     begun, scale = starts_free(task, corners, thick, intervals // 2)
     found = planned(task, begun, 1.02 * scale, intervals, progress)
     reference = found.outcome.law.path()
-    gravity = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True)).get("gravity", 0.0)
-    clearance = space.clearance(reference, gravity)
+    clearance = space.clearance(reference, gravity_of(corners[0]))
     if clearance < 0.0:
         raise PlanningFailed(
             f"{scene.name}: on the way that was found not all of {', '.join(space.parts)} keeps clear of the bodies"

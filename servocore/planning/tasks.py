@@ -194,6 +194,11 @@ def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, fo
     )
 
 
+def gravity_of(problem: Problem) -> float:
+    """Return the acceleration by which a load hangs, in m/s2: zero where no parameter is called so."""
+    return float(dict(zip(problem.system.parameters.names, problem.p, strict=True)).get("gravity", 0.0))
+
+
 def rope_is_depth(problem: Problem, places: Array) -> bool:
     """Whether at rest at some places (n, m) the rope is as long as the load is low: the trolley is at height zero."""
     if not {"l", "gravity"} <= {*reported_quantities(problem.system), *problem.system.parameters.names}:
@@ -245,8 +250,7 @@ def _begun(
     task: Task, corners: Sequence[Problem], space: Space, intervals: int, offsets: Mapping[str, Array]
 ) -> list[tuple[bool, float, str, Law]]:
     """Return ways that pass beside the middle, if limits can be kept on them: blocked or not, duration, name, law."""
-    gravity = dict(zip(corners[0].system.parameters.names, corners[0].p, strict=True)).get("gravity", 0.0)
-    found = []
+    gravity, found = gravity_of(corners[0]), []
     for name, offset in offsets.items():
         middle = [(task.start + task.end) / 2.0 + offset] if offset.any() else []
         curve = through_points(np.array([task.start, *middle, task.end]))
