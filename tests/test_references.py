@@ -460,3 +460,9 @@ rest_to_rest((0.0,), (1.0,), 1.0).jet(0.5, 4)
 )
 def test_a_path_tells_where_its_pieces_meet(path: Reference, expected: list[float]) -> None:
     np.testing.assert_allclose(path.stretches, expected, rtol=1e-15)
+
+
+def test_a_path_is_the_same_however_many_times_are_asked_for_at_once() -> None:
+    path = through([[0.0, 0.0], [1.0, 2.0], [3.0, 1.0]], [0.0, 2.0, 3.0])
+    t = np.linspace(-1.0, 4.0, 10_001)
+    assert np.array_equal(path.jet(t, 4), np.concatenate([path.jet(part, 4) for part in np.array_split(t, 977)]))

@@ -10,6 +10,8 @@ from numpy.polynomial.polynomial import polyval
 
 from servocore.references.base import FloatArray, Reference
 
+_AT_ONCE = 4096  # times: their coefficients fit in the processor's cache, and those of a million in no memory
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewisePolynomial(Reference):
@@ -50,15 +52,10 @@ class PiecewisePolynomial(Reference):
         return self.knots
 
     def _derivatives(self, t: FloatArray, order: int) -> FloatArray:
-        piece = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
-        left, right = self.knots[piece], self.knots[piece + 1]
-        length = right - left
-        u = ((t - left) - (right - t)) / (2.0 * length)
         gamma = np.empty((t.size, order + 1, self.dimension))
-        factors = np.moveaxis(self.coefficients[piece], 1, 0)
-        for k in range(order + 1):
-            slopes = np.array([perm(i, k) for i in range(k, len(factors))], dtype=np.float64)
-            gamma[:, k] = polyval(u[:, None], slopes[:, None, None] * factors[k:], tensor=False) / length[:, None] ** k
+        for first in range(0, t.size, _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            self._on_pieces(t[some], gamma[some])
         if self.rests_before:  # a derivative above `smoothness` is the one just after
             resting = t <= self.start_time
             gamma[resting, 0] = self.ends[0]
@@ -69,3 +66,14 @@ class PiecewisePolynomial(Reference):
             gamma[resting, 0] = self.ends[1]
             gamma[resting, 1:] = 0.0
         return gamma
+
+    def _on_pieces(self, t: FloatArray, gamma: FloatArray) -> None:
+        """Fill in the derivatives of the polynomials at some times."""
+        piece = np.clip(np.searchsorted(self.knots, t, side="right") - 1, 0, len(self.knots) - 2)
+        left, right = self.knots[piece], self.knots[piece + 1]
+        length = right - left
+        u = ((t - left) - (right - t)) / (2.0 * length)
+        factors = np.moveaxis(self.coefficients[piece], 1, 0)
+        for k in range(gamma.shape[1]):
+            slopes = np.array([perm(i, k) for i in range(k, len(factors))], dtype=np.float64)
+            gamma[:, k] = polyval(u[:, None], slopes[:, None, None] * factors[k:], tensor=False) / length[:, None] ** k
