@@ -23,7 +23,7 @@ from present import of_kind
 from scipy.interpolate import BPoly
 
 import servocore as sc
-from crane_fmu.build.native import estimates_of, feedback_of, tension_of
+from crane_fmu.build.native import estimates_of, feedback_of
 from servocore.export.building import inverse_model
 from servocore.export.fmu import written
 from servocore.export.plant_model import plant_model
@@ -117,10 +117,7 @@ def exported(name: str) -> Any:
     return inverse_model(own, None, feedback_of(own), estimates_of(own)) if what == "loop" else inverse_model(own)
 
 
-CRANE_PLANT = sc.PlantWishes(
-    errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")},
-    extra=(tension_of(sc.scenes.rotary_crane()),),
-)  # fmt: skip
+CRANE_PLANT = sc.PlantWishes(errors={"mass_error": "load_mass"}, offsets={"start.swing": ("swing_in", "swing_out")})
 
 
 @cache

@@ -28,6 +28,7 @@ from crane_fmu.build import Wishes, build_ssp
 from crane_fmu.cli import app as crane_app
 from crane_fmu.run import nothing_left
 from servocore.cli.commands import app
+from servocore.export.plant_model import plant_model
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of
 
@@ -136,22 +137,54 @@ def test_the_plant_moves_as_the_one_in_python(settings: dict[str, Any]) -> None:
     assert (np.abs(native - python) <= 1e-12 * np.abs(python).max(axis=0)).all()
 
 
-def test_a_plant_of_any_scene_moves_by_the_steps_of_the_library() -> None:
-    scene, h, steps = sc.scenes.mass_on_car(), 0.01, 100
-    with Native("mass_on_car plant") as host:
-        host.start(brakes=2, input_time=END)
+def began(scene: sc.Scene, model: str) -> tuple[Array, Array]:
+    """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
+    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
+    q = [rest[name][0] for name in system.coordinates.names]
+    return np.array([*q, *[0.0] * len(q)]), np.array([rest[each.name][0] for each in system.inputs])
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+def test_a_plant_of_any_scene_moves_and_observes_as_that_of_the_library(name: str, fmi: int) -> None:
+    scene, h, steps = sc.scenes.REGISTRY[name](), 0.01, 50
+    made = exported(f"{name} plant")
+    state, hold = began(scene, made.model)
+    system = scene.model(made.model)
+    plant, p, still = sc.compile_plant(system), system.parameters.values(), np.zeros(len(system.outputs))
+    rising = 0.05 * (np.abs(hold) + 1.0) * np.arange(1.0, len(hold) + 1.0)
+    with Native(f"{name} plant", fmi) as host:
+        host.start(hold, brakes=2, input_time=END)
         for k in range(steps):
-            host.numbers_set(host.inputs, [np.sin((k + 1) * h)])
+            host.tell(later := hold + rising * np.sin((k + 1) * h))
             assert host.step(k * h, h) == OK, host.messages
-        found = dict(zip((each.name for each in exported(host.name).outputs), host.values(), strict=True))
-    plant, p = sc.compile_plant(scene.model()), np.array([e.default for e in scene.model().parameters.declared])
-    rest = sc.solve(scene, step=scene.reference.duration / 10)
-    state = np.array([rest["x"][0], rest["s"][0], 0.0, 0.0])
-    for k in range(steps):
-        u, later = np.sin([k * h]), np.sin([(k + 1) * h])
-        for i in range(5):
-            state = plant.advance(state, u + (later - u) * i / 5, (later - u) / h, np.zeros(1), p, h / 5)
-    assert [found[each] for each in ("x", "s", "x_dot", "s_dot")] == pytest.approx(state, rel=1e-12, abs=1e-14)
+            u = hold + rising * np.sin(k * h)
+            for i in range(5):
+                state = plant.advance(state, u + (later - u) * i / 5, (later - u) / h, still, p, h / 5)
+        found = dict(zip((each.name for each in made.outputs), host.values(), strict=True))
+    wanted = plant.values(state, later, still, p)
+    assert found == {each: pytest.approx(wanted[each], rel=1e-11, abs=1e-12) for each in found}
+    assert {each.name for each in scene.model().observables} <= set(found)
+
+
+FALLING = {"rotary_crane": (0.0, 0.0, 1e3), "overhead_crane": (0.0, 1e3), "gantry_crane": (0.0, 0.0, 1e3),
+           "boom_crane": (0.0, 0.0, 1e3), "quadrotor_with_load": (-100.0, 0.0)}  # fmt: skip
+TAUT = [name for name, make in sc.scenes.REGISTRY.items() if "tension" in {e.name for e in make().model().observables}]
+
+
+@pytest.mark.parametrize("name", TAUT)
+def test_a_rope_that_would_have_to_push_is_refused_with_its_tension(name: str) -> None:
+    with Native(f"{name} plant") as host:
+        (tension,) = [each for each in host.description.modelVariables if each.name == "tension"]
+        assert (tension.unit, float(tension.min), tension.description) == ("N", 0.0, "rope tension")
+        _, hold = began(sc.scenes.REGISTRY[name](), exported(host.name).model)
+        host.start(hold, brakes=2)
+        before = host.get("tension")[0]
+        assert before > 1.0
+        host.tell(np.array(FALLING[name]))
+        assert host.step(0.0, 0.01) == DISCARD
+        assert "tension is -" in host.messages[-1]
+        assert host.get("tension")[0] == before
 
 
 def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope() -> None:
@@ -163,6 +196,13 @@ def test_a_load_that_falls_is_refused_with_the_sentence_of_its_rope() -> None:
             status, time = host.step(time, 0.01), time + 0.01
     assert status == DISCARD
     assert "tension" in host.messages[-1]
+
+
+@pytest.mark.parametrize("model", CRANE.models)
+def test_a_tension_is_watched_in_every_model(model: str) -> None:
+    outputs = plant_model(CRANE, model).outputs
+    assert {each.name for each in outputs if each.positive} >= {"l", "tension"}
+    assert "swing" not in {each.name for each in outputs if each.positive}  # it may be zero
 
 
 # Derivatives ---------------------------------------------------------------------------------------------------------

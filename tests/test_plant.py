@@ -48,6 +48,39 @@ def test_it_goes_where_simulate_goes(model: str) -> None:
         assert found[name] == pytest.approx(wanted[name][-1], abs=2e-7), name
 
 
+def linear(time: float, hold: Array) -> Array:
+    return hold + (0.1 * np.abs(hold) + 2.0) * np.arange(1.0, len(hold) + 1.0) * time
+
+
+@pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+def test_it_observes_what_simulate_reports_tensions_included_in_independent_coordinates_too(name: str) -> None:
+    scene, h = sc.scenes.REGISTRY[name](), 0.001
+    model = scene.independent_model
+    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
+    hold = np.array([rest[each.name][0] for each in system.inputs])
+    state = np.array([*(rest[each][0] for each in system.coordinates.names), *[0.0] * len(system.coordinates)])
+    plant, p, still = sc.compile_plant(system), system.parameters.values(), np.zeros(len(system.outputs))
+    slope = linear(1.0, hold) - linear(0.0, hold)
+    for k in range(300):
+        state = plant.advance(state, linear(k * h, hold), slope, still, p, h)
+    found = plant.values(state, linear(0.3, hold), still, p)
+    whole = sc.simulate(scene, lambda t: linear(t, hold), t=np.array([0.0, 0.3]), rtol=1e-11, atol=1e-11)
+    observables = scene.model().observables
+    assert not observables or any(abs(np.ptp(whole[each.name])) > 1e-4 for each in observables)
+    for each in observables:
+        assert found[each.name] == pytest.approx(whole[each.name][-1], rel=1e-7, abs=1e-8), each.name
+
+
+def test_the_tension_knows_the_force_of_a_wind() -> None:
+    """At rest in still air the rope bears the weight; pulled down, the pull too, with brakes and without."""
+    plant, state, p = at_rest("generalized")
+    for u, bears in ((None, 1.0), (np.array([0.0, 0.0, -98.1]), 1.0 / 11.0)):
+        calm, pulled = (plant.values(state, u, np.array([0.0, 0.0, -pull]), p)["tension"] for pull in (0.0, 50.0))
+        assert calm == pytest.approx(981.0)
+        # The free winch, 10 kg at the rope beside a load of 100 kg, gives way.
+        assert pulled - calm == pytest.approx(50.0 * bears)
+
+
 def test_all_models_go_the_same_way() -> None:
     ends = [plant.values(run(plant, state, p, 0.002), push(2.0), STILL, p) for plant, state, p in map(at_rest, MODELS)]
     for name in ("x", "y", "z", "s", "l", "x_dot", "z_dot", "x_ddot", "energy"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +61,6 @@ def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path
     plant = sc.PlantWishes(
         errors={"mass_error": "load_mass"},
         offsets={"start.swing": ("swing_in", "swing_out")},
-        extra=(tension_of(crane),),
         start=given,
         identifier=CRANE_PLANT.name,
     )
@@ -125,15 +123,3 @@ def _judge() -> ca.Function:
     distance = ca.norm_2(measured[6:9] - path[:3])
     rate = ca.sqrt(ca.fmax(p[5] + path[8], 0) / length * (1 + p[2] / p[1]))  # as of `fastest_pendulum`
     return ca.Function("judge", [path, measured, p, h], [ca.vertcat(sensible, distance, rate * h)])
-
-
-def tension_of(crane: sc.Scene) -> tuple[sc.Quantity, ca.Function]:
-    """Return the rope's tension as (channels of the plant, force on the load, p) -> N."""
-    names = [channel.name for channel in sc.compile_plant(crane.model(_COORDINATES)).channels]
-    channels, d, p = ca.SX.sym("channels", len(names)), ca.SX.sym("d", 3), ca.SX.sym("p", 6)
-    known: Mapping[str, ca.SX] = dict(zip(names, ca.vertsplit(channels), strict=True))
-    pull = p[2] * ca.vertcat(*(known[f"{axis}_ddot"] for axis in "xyz")) - d + ca.vertcat(0, 0, p[2] * p[5])
-    s, phi = known["s"], known["phi"]
-    rope = ca.vertcat(s * ca.cos(phi), s * ca.sin(phi), 0) - ca.vertcat(*(known[axis] for axis in "xyz"))
-    tension = sc.Quantity("tension", "N", "rope tension", positive=True)
-    return tension, ca.Function("tension", [channels, d, p], [ca.dot(pull, rope) / known["l"]])

@@ -150,11 +150,6 @@ class Slave(TableSlave):
         around = self._surroundings()
         force = around.force(now.time)
         values = required(self._plant).values(now.state, now.acting if now.released else None, force, around.p)
-        load = np.array([values[axis] for axis in "xyz"])
-        pull = np.array([values[f"{axis}_ddot"] for axis in "xyz"]) * around.p[2] - force
-        pull[2] += around.p[2] * around.p[5]
-        trolley = values["s"] * np.array([math.cos(values["phi"]), math.sin(values["phi"]), 0.0])
-        values["tension"] = float(pull @ (trolley - load)) / values["l"]
         for k, axis in enumerate("xyz", start=1):
             values[f"load.position[{k}]"], values[f"load.velocity[{k}]"] = values[axis], values[f"{axis}_dot"]
         return values

@@ -53,8 +53,6 @@ class PlantWishes:
     offsets : mapping of str to sequence of str
         Parameters that are added to coordinates at the start, which otherwise is rest: ``{"start.swing": ("swing_in",
         "swing_out")}``. When empty all coordinates of a model without constraints have one.
-    extra : tuple of (Quantity, casadi.Function)
-        Further outputs: (channels of the plant, force on its output, parameters) -> a number.
     start : mapping of str to float
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
@@ -63,7 +61,6 @@ class PlantWishes:
 
     errors: Mapping[str, str] = field(default_factory=dict)
     offsets: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    extra: tuple[tuple[Quantity, ca.Function], ...] = ()
     start: Mapping[str, float] = field(default_factory=dict)
     identifier: str = ""
 
@@ -96,11 +93,10 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         if problem.system.lam.numel()
         else {f"start.{coordinate}": (coordinate,) for coordinate in _coordinates(problem)}
     )
-    variables = _variables(problem, scene.tracked, [*used, *(each for each, _ in wishes.extra)], offsets, wishes)
+    variables = _variables(problem, scene.tracked, used, offsets, wishes)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
     limits, margins = _limits(problem)
-    functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets, wishes)
-    outputs = (*used, *(each for each, _ in wishes.extra))
+    functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets)
     m = len(problem.system.inputs)
     return NativeModel(
         identifier=identifier,
@@ -118,9 +114,9 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         functions=functions,
         variables=variables,
         choices=CHOICES,
-        outputs=outputs,
+        outputs=tuple(used),
         limits=limits,
-        depends=np.ones((len(outputs), m), dtype=bool),
+        depends=np.ones((len(used), m), dtype=bool),
         timed=False,
         start_time=0.0,
         duration=scene.reference.duration,
@@ -137,9 +133,14 @@ def _used(problem: Problem, plant: Plant) -> list[Quantity]:
     """Return the channels that are outputs: without accelerations and inputs, with the signs that they must have."""
     system = problem.system
     left = {f"{quantity.name}_ddot" for quantity in system.outputs} | {quantity.name for quantity in system.inputs}
-    known = {each.name: each for each in (*system.coordinates.quantities, *system.observables)}
+    known = (*system.coordinates.quantities, *system.observables)
+    positive = {each.name for each in known if each.positive}
+    # The tension of a rope is never negative: where the equations say so, it is slack, and they do not hold. What is
+    # made of a motion alone, as an angle from the vertical, may be zero and needs no watch.
+    forces = (each for each, expression in system.observables.items() if ca.depends_on(expression, system.lam))
+    positive |= {each.name for each in (*forces, *system.reactions) if each.never_negative}
     channels = [channel for channel in plant.channels if channel.name not in left]
-    return [replace(each, positive=each.name in known and known[each.name].positive) for each in channels]
+    return [replace(each, positive=each.name in positive) for each in channels]
 
 
 def _variables(
@@ -195,7 +196,6 @@ def _functions(
     plant: Plant,
     names: tuple[str, list[str], ca.Function],
     offsets: Mapping[str, Sequence[str]],
-    wishes: PlantWishes,
 ) -> dict[str, ca.Function]:
     """Return the plant's functions and their tangents by name."""
     identifier, wanted, margins = names
@@ -207,8 +207,7 @@ def _functions(
 
     def seen(channels: ca.MX) -> list[ca.MX]:
         """Return outputs, and margins of limits."""
-        more = [function(channels, d, p) for _, function in wishes.extra]
-        return [ca.densify(ca.vertcat(channels[places], *more)), margins(channels[:servo], p)]
+        return [ca.densify(channels[places]), margins(channels[:servo], p)]
 
     signatures: dict[str, tuple[list[ca.MX], list[ca.MX], list[ca.MX]]] = {
         "step": ([state, u, slope, d, p, h], [plant.step(state, u, slope, d, p, h)], [state, u, slope, p]),

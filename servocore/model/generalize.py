@@ -40,7 +40,8 @@ def generalise(
     guess : casadi.SX, optional
         A configuration mu near the one that belongs to the reference, an expression of ``system.gamma`` and p.
     observables : mapping, optional
-        Observables of the new system; those of `system` that use no multipliers and inputs when not given.
+        Observables of the new system; those of `system` that use no multipliers and inputs when not given. The others
+        become its `reactions`.
     name : str, optional
         Of the new system.
 
@@ -83,6 +84,7 @@ def generalise(
         constraint_names=(),
         guess=guess,
         observables=dict(zip(kept, seen, strict=True)) if observables is None else observables,
+        reactions=_reactions(system, coordinates, mapping),
     )
 
 
@@ -90,6 +92,49 @@ def _without_forces(system: MechanicalSystem) -> dict[Quantity, ca.SX]:
     """Return the observables that use no multipliers and inputs: what motion alone tells."""
     forces = ca.vertcat(system.lam, system.u)
     return {k: e for k, e in system.observables.items() if not ca.depends_on(e, forces)}
+
+
+def _reactions(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.SX) -> dict[Quantity, ca.Function]:
+    """Return what multipliers tell as functions of (mu, nu, nu_dot, u, force on the output, p).
+
+    A motion that is known with all forces but those of the constraints leaves G^T lam = C^T d - M v_dot - bias - B^T u.
+    """
+    wanted = {
+        quantity: expression
+        for quantity, expression in system.observables.items()
+        if ca.depends_on(expression, system.lam) and not ca.depends_on(expression, system.gamma)
+    }
+    # Forces of redundant constraints are not determined, and no plant takes equations that hold the time.
+    if not wanted or system.constraint_rank().redundant or system.time.numel():
+        return {}
+    mu, nu = coordinates.q, coordinates.v
+    nu_dot, d, v_dot = (
+        ca.SX.sym("nu_dot", mu.numel()),
+        ca.SX.sym("d", len(system.outputs)),
+        ca.SX.sym("v_dot", mapping.numel()),
+    )
+    rate = ca.jtimes(mapping, mu, nu)
+    left = (
+        ca.mtimes(system.C.T, d)
+        - ca.mtimes(system.mass, v_dot)
+        - system.bias
+        - ca.mtimes(system.input_matrix.T, system.u)
+    )
+    balance, *seen = ca.substitute(
+        [ca.horzcat(ca.mtimes(system.G, system.G.T), ca.mtimes(system.G, left)), *wanted.values()],
+        [system.q, system.v, v_dot],
+        [mapping, rate, ca.jtimes(mapping, mu, nu_dot) + ca.jtimes(rate, mu, nu)],
+    )
+    known = [mu, nu, nu_dot, system.u, d, system.p]
+    terms = ca.Function("terms", known, [balance], {"cse": True})
+    observe = ca.Function("observe", [*known, system.lam], seen, {"cse": True})
+    arguments = [ca.MX.sym(f"a{k}", terms.size1_in(k)) for k in range(terms.n_in())]
+    told = terms(*arguments)
+    lam = ca.solve(told[:, :-1], told[:, -1], "qr")
+    values = observe.call([*arguments, lam])
+    return {
+        quantity: ca.Function("reaction", arguments, [value]) for quantity, value in zip(wanted, values, strict=True)
+    }
 
 
 def _require_mapping(system: MechanicalSystem, coordinates: Coordinates, mapping: ca.SX) -> None:

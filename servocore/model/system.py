@@ -100,6 +100,8 @@ class MechanicalSystem:
     time : casadi.SX, optional
         Symbol of the time in s, if `potential`, `force`, `constraints`, `guess` or observables hold it. It becomes the
         last row of `gamma`, and home is then the time zero.
+    reactions : mapping of Quantity to casadi.Function
+        What takes forces of constraints that `generalise` left out, of (q, v, v_dot, u, force on the output, p).
 
     Attributes
     ----------
@@ -144,6 +146,7 @@ class MechanicalSystem:
     home_parameters: tuple[float, ...] = ()
     constraint_names: tuple[str, ...] = ()
     time: ca.SX = DERIVED
+    reactions: Mapping[Quantity, ca.Function] = field(default_factory=dict)
     G: ca.SX = field(init=False, repr=False)
     C: ca.SX = field(init=False, repr=False)
     bias: ca.SX = field(init=False, repr=False)

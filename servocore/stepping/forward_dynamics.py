@@ -11,6 +11,7 @@ linearly over it.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import casadi as ca
 
@@ -65,9 +66,9 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         name=system.name,
         step=ca.Function("sc_plant_step", [state, u, slope, d, p, h], [free]),
         held_step=ca.Function("sc_plant_held_step", [state, d, p, h], [held]),
-        observe=ca.Function("sc_plant_observe", [state, u, d, p], [observed(state, x_dot[n:], lam, u, p)]),
+        observe=ca.Function("sc_plant_observe", [state, u, d, p], [observed(state, x_dot[n:], lam, u, d, p)]),
         held_observe=ca.Function(
-            "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, p)]
+            "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, d, p)]
         ),
         linearise=ca.Function("sc_plant_linearize", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
         channels=channels,
@@ -122,7 +123,7 @@ def _runge_kutta(rate: Callable[[ca.MX, ca.MX | float], ca.MX], state: ca.MX, h:
 
 
 def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
-    """Return the channels and (state, v_dot, lam, u, p) -> their values."""
+    """Return the channels and (state, v_dot, lam, u, d, p) -> their values."""
     q, v = system.q, system.v
     v_dot = ca.SX.sym("v_dot", v.numel())
     output_rate = ca.mtimes(system.C, v)
@@ -161,4 +162,13 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     values = ca.vertcat(*[expression for _, expression in unique.values()])
     arguments = [ca.vertcat(q, v), v_dot, system.lam, system.u, system.p]
     function = ca.Function("sc_plant_values", arguments, [ca.densify(values)], {"cse": True})
-    return tuple(channel for channel, _ in unique.values()), function
+    # In independent coordinates the force of a rope follows from the motion and all other forces.
+    told = {each: reaction for each, reaction in system.reactions.items() if each.name not in unique}
+    state, rate, lam, u, p = (ca.MX.sym(f"a{k}", function.size1_in(k)) for k in range(5))
+    d, n = ca.MX.sym("d", len(system.outputs)), q.numel()
+    more = [reaction(state[:n], state[n:], rate, u, d, p) for reaction in told.values()]
+    everything = ca.vertcat(function(state, rate, lam, u, p), *more)
+    return (
+        (*(channel for channel, _ in unique.values()), *(replace(each, positive=False) for each in told)),
+        ca.Function("sc_plant_channels", [state, rate, lam, u, d, p], [everything]),
+    )
