@@ -1,5 +1,6 @@
 """Inputs of scenes with internal dynamics, prepared once, and by SUNDIALS: those that small steps give."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
@@ -8,7 +9,8 @@ import pytest
 from problems import scene
 
 import servocore as sc
-from servocore.stepping.explicit_steps import Between, compile_explicit_steps
+from servocore.numerics.stepped_runs import Between, Run
+from servocore.stepping.explicit_steps import compile_explicit_steps
 
 SCENES = ("mass_on_car", "passive_joint_arm")
 
@@ -55,11 +57,9 @@ def test_a_start_and_another_path_are_taken() -> None:
     known = exact("mass_on_car", start=start)
     inputs = sc.DynamicInversion(scene("mass_on_car"), tolerance=1e-8, start=start)
     assert error(inputs(known.t[::4]), known, inputs.inputs) <= 1e-7
-    table = scene("mass_on_car").reference
-    t = np.linspace(0.0, table.end_time, 200)
-    sampled = scene("mass_on_car").with_reference(sc.sampled(t, table.jet(t, 0)[:, 0]))
+    sampled, t = sampled_car(), np.linspace(0.0, 4.0, 200)
     of_table = sc.DynamicInversion(sampled, tolerance=1e-6)(t)
-    by_steps = sc.solve(sampled, sc.Reduced(), sc.RadauIIA(5), step=table.duration / 1990)
+    by_steps = sc.solve(sampled, sc.Reduced(), sc.RadauIIA(5), step=4.0 / 1990)
     peak = np.abs(by_steps.values[:, 0]).max()
     assert np.abs(np.interp(t, by_steps.t, by_steps.values[:, 0]) - of_table[:, 0]).max() < 1e-4 * peak
 
@@ -74,13 +74,15 @@ def test_one_instant_gives_one_row_and_instants_may_come_in_any_order() -> None:
 def test_steps_have_order_eight_and_polynomials_of_degree_seven_are_met() -> None:
     problem = sc.Problem.of(scene("mass_on_car"))
     steps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, False)
-    known = [steps.along(problem.reference, np.zeros(1), count) for count in (20, 40, 400)]
-    ends = [steps.run(each, problem.p, np.zeros(2))[0][:, -1] for each in known]
+    runs = [steps.run([problem.reference], count, problem.p, np.zeros(2)) for count in (20, 40, 400)]
+    ends = [steps.runs.states(each)[0, :, -1] for each in runs]
     ratio = np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()
     assert 7.0 < np.log2(ratio) < 9.5
-    x, place = np.arange(11.0), np.linspace(0.0, 10.0, 101)
-    between = Between.of(place, 10)
-    np.testing.assert_allclose(between.states(x[None] ** 7, 7.0 * x[None] ** 6, 1.0)[0], place**7, rtol=1e-8, atol=1e-8)
+    h = 0.5
+    x, t = 2.0 + h * np.arange(11.0), np.linspace(2.0, 7.0, 101)
+    run = Run(2.0, 7.0, 10, x[None], np.zeros(1), np.array([h]), np.zeros(1))
+    between = Between.of(t, run, steps.runs.weigh(len(t)))
+    np.testing.assert_allclose(between.states(np.array([[x**7], [7.0 * h * x**6]]))[0], t**7, rtol=1e-12)
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -93,6 +95,68 @@ def test_sundials_comes_nearer_with_its_tolerance(name: str) -> None:
     assert errors[0] < 1e-2
     assert errors[1] < 1e-5
     assert errors[2] < 1e-8
+
+
+# Counts --------------------------------------------------------------------------------------------------------------
+
+
+def sampled_car() -> sc.Scene:
+    """Return the mass on a car on a path that is a table."""
+    car = scene("mass_on_car")
+    t = np.linspace(0.0, car.reference.end_time, 200)
+    return car.with_reference(sc.sampled(t, car.reference.jet(t, 0)[:, 0]))
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("of_a_table", [False, True])
+def test_a_call_is_one_of_machine_code_at_instants_that_are_new_too(
+    of_a_table: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs = sc.DynamicInversion(sampled_car() if of_a_table else scene("mass_on_car"), native=True)
+    runs, asked = inputs._steps.runs, list[object]()
+    compiled = runs._run
+
+    def counted(*given: object) -> object:
+        asked.append(given)
+        return compiled(*given)
+
+    monkeypatch.setattr(runs, "_run", counted)
+    monkeypatch.setattr(runs, "_interpreted", None)
+    for last in (4.0, 4.0, 3.0, 2.0):
+        inputs(np.linspace(0.0, last, 201))
+    assert len(asked) == 4
+
+
+def test_a_path_is_evaluated_at_the_steps_once_and_at_instants_that_are_new_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    car = sampled_car()
+    inputs = sc.DynamicInversion(car, native=False)
+    asked, evaluate = list[int](), type(car.reference)._derivatives
+
+    def counted(path: sc.Reference, t: np.ndarray, order: int) -> np.ndarray:
+        asked.append(len(t))
+        return evaluate(path, t, order)
+
+    monkeypatch.setattr(type(car.reference), "_derivatives", counted)
+    for last, instants in ((4.0, 180), (4.0, 180), (3.0, 150), (4.0, 180)):
+        inputs(np.linspace(0.0, last, instants))
+    assert asked == [180, 150, 180]
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("native", [False, True])
+def test_instants_that_are_changed_afterwards_and_threads_that_ask_at_once_mix_nothing_up(native: bool) -> None:
+    inputs = sc.DynamicInversion(scene("mass_on_car"), native=native)
+    t = np.linspace(0.0, 4.0, 201)
+    first = inputs(t).copy()
+    t *= 0.5
+    halved = inputs(t).copy()
+    t *= 2.0
+    np.testing.assert_array_equal(inputs(t), first)
+    with ThreadPoolExecutor(4) as pool:
+        for k, found in enumerate(pool.map(inputs, [t, 0.5 * t] * 50)):
+            np.testing.assert_array_equal(found, halved if k % 2 else first)
 
 
 # Refusals ------------------------------------------------------------------------------------------------------------
@@ -112,9 +176,15 @@ def test_stiff_dynamics_are_sent_elsewhere() -> None:
 
 
 def test_times_outside_the_path_are_refused() -> None:
-    inputs = sc.DynamicInversion(scene("mass_on_car"))
-    with pytest.raises(sc.InvalidReference, match=r"times lie between 0 s and 4 s, not from -1 s to 5 s"):
-        inputs([-1.0, 5.0])
+    for car, native in ((scene("mass_on_car"), False), (scene("mass_on_car"), None), (sampled_car(), False)):
+        inputs = sc.DynamicInversion(car, native=native)
+        with pytest.raises(sc.InvalidReference, match=r"times lie between 0 s and 4 s, not from -1 s to 5 s"):
+            inputs([-1.0, 5.0])
+        with pytest.raises(sc.InvalidReference, match="not from nan s to nan s"):
+            inputs([[0.0, 1.0], [np.nan, 2.0]])
+        with pytest.raises(sc.InvalidReference, match="the times of inputs must be numbers"):
+            inputs("soon")
+        assert inputs([]).shape == (0, 1)
 
 
 def test_a_path_that_is_a_table_is_no_path_for_sundials() -> None:

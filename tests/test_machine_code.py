@@ -20,6 +20,7 @@ from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
+from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
@@ -100,20 +101,60 @@ def test_threads_give_what_one_gives(monkeypatch: pytest.MonkeyPatch) -> None:
         np.testing.assert_array_equal(compiled, interpreted)
 
 
-@pytest.mark.usefixtures("compiler")
-def test_steps_in_a_row_give_the_bits_of_the_interpreter() -> None:
-    state, z = ca.SX.sym("state", 2), ca.SX.sym("z", 2)
-    following = ca.vertcat(state[1], ca.sin(state[0]) - ca.fmin(0.1 * x * state[1], z[1]) + ca.if_else(x > 2, z[0], x))
-    function = ca.Function("sc_row", [state, x, z], [following, state[0] * z[0]])
-    t, start, p = (
-        np.linspace(0.0, 5.0, 33)[None],
-        np.array([[0.3, 0.1], [0.2, 0.0]]),
-        np.array([[1.2, 0.3], [0.7, 0.1]]),
+def runs_of_two_states(native: bool) -> SteppedRuns:
+    """Return steps of two states whose second reading must be positive."""
+    state, hp, numbers = ca.SX.sym("state", 2), ca.SX.sym("hp", 3), ca.SX.sym("numbers", 1)
+    following = ca.vertcat(
+        state[1], ca.sin(state[0]) - ca.fmin(0.1 * x * state[1], hp[2]) + ca.if_else(x > 2, hp[1], x)
     )
-    rows = [Vectorized(function, (False, True, False), each, "row", in_a_row=True) for each in (False, True)]
-    for given in ((start, t, p), (start[0], t, p[1])):
-        for interpreted, compiled in zip(*(each(*given) for each in rows), strict=True):
-            np.testing.assert_array_equal(compiled, interpreted)
+    step = ca.Function("sc_row", [state, x, numbers, hp], [following, state * hp[1]])
+    p = ca.SX.sym("p", 2)
+    read = ca.Function("sc_read", [state, x, numbers, p], [ca.vertcat(state[0] * x, p[1] + state[1] ** 2)])
+    return SteppedRuns(step, read, range(1, 2), native, "row")
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("instants", [1, 7, 100])
+def test_steps_in_a_row_and_what_is_read_between_them_have_the_bits_of_the_interpreter(instants: int) -> None:
+    path, h = np.linspace(0.0, 5.0, 34)[None], 5.0 / 33
+    start, settings = np.array([[0.3, 0.1], [0.2, 0.0]]), np.array([[h, 1.2, 0.3], [h, 0.7, 0.1]])
+    t = np.random.default_rng(1).uniform(0.0, 5.0, instants)
+    for case in (slice(None), 1):
+        run = Run(0.0, 5.0, 33, path, np.zeros(1), settings[case], start[case])
+        found = [runs_of_two_states(native)(run, Instants(t, t[None])) for native in (False, True)]
+        np.testing.assert_array_equal(found[1][0], found[0][0])
+        assert found[0][0].shape == ((2,) if case != 1 else ()) + (2, instants)
+        assert [sound for _, sound in found] == [True, True]
+
+
+@pytest.mark.usefixtures("compiler")
+def test_threads_step_cases_to_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "2")
+    path, t = np.linspace(0.0, 5.0, 34)[None], np.linspace(0.0, 5.0, 50)
+    settings = np.column_stack([np.full(11, 5.0 / 33), np.linspace(0.5, 1.5, 11), np.full(11, 0.2)])
+    run = Run(0.0, 5.0, 33, path, np.zeros(1), settings, np.zeros((11, 2)))
+    alone, _ = runs_of_two_states(True)(run, Instants(t, t[None]))
+    monkeypatch.setattr("servocore.numerics.vectorized._PER_THREAD", 100)
+    in_threads, sound = runs_of_two_states(True)(run, Instants(t, t[None]))
+    np.testing.assert_array_equal(in_threads, alone)
+    assert sound
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("native", [False, True])
+def test_times_outside_values_that_are_no_numbers_and_wrong_signs_are_not_sound(native: bool) -> None:
+    runs, inside = runs_of_two_states(native), np.linspace(0.0, 5.0, 20)
+    run = Run(0.0, 5.0, 33, np.linspace(0.0, 5.0, 34)[None], np.zeros(1), np.array([5.0 / 33, 0.7, 0.1]), np.zeros(2))
+
+    def sound(run: Run, t: np.ndarray) -> bool:
+        return runs(run, Instants(t, t[None]))[1]
+
+    assert sound(run, inside)
+    for wrong in (-1e-9, 5.0 + 1e-9, np.nan, np.inf):
+        assert not sound(run, np.array([*inside, wrong]))
+    assert not sound(replace(run, settings=np.array([5.0 / 33, 0.7, -9.0])), inside)
+    assert not sound(replace(run, start=np.array([np.nan, 0.0])), inside)
+    assert sound(run, np.empty(0))
 
 
 @pytest.mark.parametrize("profile", [sc.DEGREE9, sc.DEGREE13, sc.three_phase(), sc.three_phase(1.0)], ids=str)

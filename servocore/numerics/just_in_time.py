@@ -8,8 +8,8 @@ from typing import Any, Generic, TypeVar
 
 import casadi as ca
 
+from servocore.numerics.generated_code import MANY
 from servocore.numerics.machine_code import BACKGROUND, Build, build_of, compiled, library_of, loaded
-from servocore.numerics.vectorized import MANY
 
 Holder = TypeVar("Holder", bound=Any)
 

@@ -73,8 +73,8 @@ _EXTREMES = """static void extremes(vec most, vec least, vec total, double *high
 }
 """
 
-_SCALAR_HEAD = """#include <math.h>
-typedef double vec;
+_SCALAR = """#include <math.h>
+#define vec double
 #define all(x) (x)
 #define load(p) (*(p))
 #define one(c) ((c) ? 1.0 : 0.0)
@@ -87,6 +87,9 @@ typedef double vec;
 #define each1(f, to, x) const vec to = f(x)
 #define each2(f, to, x, y) const vec to = f(x, y)
 """
+_NO_LONGER = "".join(
+    f"#undef {line.split()[1].partition('(')[0]}\n" for line in _SCALAR.splitlines() if line.startswith("#define")
+)
 
 
 def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
@@ -99,13 +102,22 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
     along : sequence of bool
         Which arguments go along with the instants; the others are shared by all instants of a case.
     """
-    if not function.is_a("SXFunction"):
-        return None
-    statements = _Statements(function, along)
-    if statements.strange:
+    return joined(vector_part(NAME, function, along))
+
+
+def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str | None:
+    """Return the same as a part of a source, called `name`."""
+    statements = _statements(function, along)
+    if statements is None:
         return None
     sizes = [function.numel_out(k) for k in range(function.n_out())]
-    return _HEAD + "\n".join(_lines(statements, along, sizes))
+    return "\n".join(_lines(name, statements, along, sizes))
+
+
+def joined(*parts: str | None) -> str | None:
+    """Return a source of parts that come after one another; None if one of them is None."""
+    known = [part for part in parts if part is not None]
+    return _HEAD + "".join(known) if len(known) == len(parts) else None
 
 
 def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
@@ -114,16 +126,14 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
     Nothing but these leaves the registers. Of result entry i of case c the highest value lies at c*2*rows + i of its
     array and the lowest at c*2*rows + rows + i; both are NaN where the value is no finite number at some instant.
     """
-    if not function.is_a("SXFunction"):
-        return None
-    statements = _Statements(function, along)
-    if statements.strange:
+    statements = _statements(function, along)
+    if statements is None:
         return None
     sizes = [function.numel_out(k) for k in range(function.n_out())]
     entries = sum(sizes)
     first = [sum(sizes[:k]) for k in range(len(sizes))]
     lines = [
-        *_begin(statements, along),
+        *_begin(NAME, statements, along),
         f"  vec most[{entries}], least[{entries}], total[{entries}];",
         f"  for (int i = 0; i < {entries}; ++i)",
         "   most[i] = all(-INFINITY), least[i] = all(INFINITY), total[i] = all(0.0);",
@@ -148,19 +158,18 @@ def extremes_source(function: ca.Function, along: Sequence[bool]) -> str | None:
     return _HEAD + _EXTREMES + "\n".join(lines)
 
 
-def chain_source(function: ca.Function, along: Sequence[bool]) -> str | None:
-    """Return C source of a function in a row: its first result is the first argument of the next instant.
+def chain_part(name: str, function: ca.Function, along: Sequence[bool]) -> str | None:
+    """Return the part `name` that evaluates in a row: the first result is the first argument of the next instant.
 
-    The parameters are those of `vector_source`; the first argument is where a case begins.
+    The parameters are those of `vector_source`; the first argument is where a case begins. It stands before what
+    `joined` returns.
     """
-    if not function.is_a("SXFunction"):
-        return None
-    statements = _Statements(function, along, chained=True)
-    if statements.strange:
+    statements = _statements(function, along, chained=True)
+    if statements is None:
         return None
     sizes = [function.numel_out(k) for k in range(function.n_out())]
     lines = [
-        *_begin(statements, along),
+        *_begin(name, statements, along),
         f"  double state[{sizes[0]}];",
         f"  for (long i = 0; i < {sizes[0]}; ++i) state[i] = in0[i];",
         "  for (long k = 0; k < count; ++k) {",
@@ -175,7 +184,15 @@ def chain_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         "}",
         "",
     ]
-    return _SCALAR_HEAD + "\n".join(lines)
+    return _SCALAR + "\n".join(lines) + _NO_LONGER
+
+
+def _statements(function: ca.Function, along: Sequence[bool], chained: bool = False) -> _Statements | None:
+    """Return the operations of a function; None if one has no counterpart."""
+    if not function.is_a("SXFunction"):
+        return None
+    statements = _Statements(function, along, chained)
+    return None if statements.strange else statements
 
 
 class _Statements:
@@ -254,10 +271,11 @@ def _number(value: float) -> str:
     return f"({value.hex()})"
 
 
-def _begin(statements: _Statements, along: Sequence[bool]) -> list[str]:
+def _begin(name: str, statements: _Statements, along: Sequence[bool]) -> list[str]:
     """Return the head of the function, and what is done once a case."""
+    seen = "" if name == NAME else "static "
     return [
-        f"void {NAME}(long cases, long count, const double *const *in, const long *row, const long *lane,",
+        f"{seen}void {name}(long cases, long count, const double *const *in, const long *row, const long *lane,",
         "            double *const *out, long columns) {",
         " for (long c = 0; c < cases; ++c) {",
         *[f"  const double *in{k} = in[{k}] + c*lane[{k}]; (void)in{k};" for k in range(len(along))],
@@ -266,14 +284,14 @@ def _begin(statements: _Statements, along: Sequence[bool]) -> list[str]:
     ]
 
 
-def _lines(statements: _Statements, along: Sequence[bool], sizes: list[int]) -> list[str]:
+def _lines(name: str, statements: _Statements, along: Sequence[bool], sizes: list[int]) -> list[str]:
     """Return the lines of the function: cases, tiles of instants, and eight instants within a tile.
 
     Where less than eight are left, the last eight are taken again.
     """
     first = [sum(sizes[:k]) for k in range(len(sizes))]
     return [
-        *_begin(statements, along),
+        *_begin(name, statements, along),
         "  for (long done = 0; done < count; done += TILE) {",
         "   const long first = done + LANES <= count ? done : count - LANES;",
         "   const long size = count - first < TILE ? count - first : TILE;",

@@ -5,27 +5,21 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from servocore.numerics.compiled_calls import Array, chained, mapped
-from servocore.numerics.machine_code import BACKGROUND, Build, automatic, built, library_of
-from servocore.numerics.vector_code import LANES, NAME, chain_source, extremes_source, vector_source
+from servocore.numerics.compiled_calls import Array, mapped
+from servocore.numerics.generated_code import GeneratedCode
+from servocore.numerics.vector_code import LANES, NAME, extremes_source, vector_source
 
-MANY = 10_000
-"""Instants from which on machine code is worth being made for a first call."""
-
-_SECOND = 2  # call from which on it is worth a look
-_MOST_OPERATIONS = 30_000  # of one expression: beyond, compilers take minutes
 _BYTES = 8
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
 
 
-class Vectorized:
+class Vectorized(GeneratedCode):
     """A function of arguments that go along with the instants and of others that are shared by all.
 
     Parameters
@@ -41,8 +35,6 @@ class Vectorized:
         For messages.
     again : bool
         Whether what it is for was evaluated before.
-    in_a_row : bool
-        Whether one after the other: the first result of an instant is the first argument of the next.
 
     Raises
     ------
@@ -51,72 +43,20 @@ class Vectorized:
     """
 
     def __init__(
-        self,
-        function: ca.Function,
-        along: Sequence[bool],
-        native: bool | None,
-        of_what: str,
-        *,
-        again: bool = False,
-        in_a_row: bool = False,
+        self, function: ca.Function, along: Sequence[bool], native: bool | None, of_what: str, *, again: bool = False
     ) -> None:
-        self._in_a_row = in_a_row
-        self.function, self._along, self._of_what = function, tuple(along), of_what
+        self.function, self._along = function, tuple(along)
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        self._run: Any = None
-        self._build: Build | None = None
-        self._calls = int(again)
-        self._asked = False
-        self._settled = native is False or not self._short()
-        if native and not self._settled:
-            self._require()
-
-    def ready(self, count: int, called: bool = False) -> bool:
-        """Whether machine code is there for so many instants, of which a call (is it one?) brings it nearer."""
-        self._calls += called
-        if not self._settled:
-            self._look(count)
-        return self._run is not None
-
-    def _short(self) -> bool:
-        return bool(self.function.is_a("SXFunction")) and self.function.n_instructions() <= _MOST_OPERATIONS
-
-    def _require(self) -> None:
-        source = self._source()
-        self._settled = True
-        if source is not None:
-            self._load(built(Build(source, self._of_what, True)))
+        super().__init__((function,), native, of_what, again)
 
     def _source(self) -> str | None:
-        return (chain_source if self._in_a_row else vector_source)(self.function, self._along)
+        return vector_source(self.function, self._along)
 
     def _load(self, library: Any) -> None:
         run = getattr(ctypes.CDLL(str(library)), NAME)
         run.restype, many = None, ctypes.c_void_p
         run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
         self._run = run
-
-    def _look(self, count: int) -> None:
-        """Take machine code that is there; ask for it where there is much to do."""
-        if self._calls < _SECOND and count < MANY:
-            return  # to write the source takes longer than to evaluate once
-        if self._build is None:
-            source = self._source() if automatic() else None
-            if source is None:
-                self._settled = True
-                return
-            self._build = Build(source, self._of_what, True)
-        elif self._asked and BACKGROUND.pending(self._build):
-            return
-        if not self._asked or not BACKGROUND.pending(self._build):
-            library = library_of(self._build)
-            if library is not None:
-                with suppress(OSError):
-                    self._load(library)
-            self._settled = library is not None or self._asked
-        if not self._settled:
-            self._asked = True
-            BACKGROUND.ask(self._build)
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate.
@@ -150,27 +90,22 @@ class Vectorized:
         count = arguments[self._along.index(True)].shape[-1]
         if not count:
             return [np.empty((size, 0)) for size in self._sizes]
-        evaluate = (chained if self._in_a_row else mapped)(self.function, count)
         pairs = zip(arguments, self._along, strict=True)
-        columns = [
-            a if along or (self._in_a_row and not k) else np.tile(a, count) for k, (a, along) in enumerate(pairs)
-        ]
-        results = evaluate(*columns)
+        results = mapped(self.function, count)(*[a if along else np.tile(a, count) for a, along in pairs])
         return [result.reshape(-1, count, order="F") for result in results]
 
     def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
 
     def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
-        if count < LANES and not self._in_a_row:
+        if count < LANES:
             return [
                 result[..., :count] for result in self._in_machine_code(self._widened(arguments, count), cases, LANES)
             ]
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, size, count)) for size in self._sizes]
         sources, targets = (_addresses(arrays) for arrays in (held, results))
-        threads = 1 if cases * count < 2 * _PER_THREAD else min(_processors(), cases * count // _PER_THREAD)
-        threads = min(threads, cases) if self._in_a_row else threads
+        threads = threads_for(cases * count)
         if threads < 2:
             self._run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
             return results
@@ -249,6 +184,11 @@ _LONGS = [ctypes.c_long * size for size in range(33)]
 def _longs(values: list[int]) -> Any:
     size = len(values)
     return (_LONGS[size] if size < len(_LONGS) else ctypes.c_long * size)(*values)
+
+
+def threads_for(count: int) -> int:
+    """Return how many threads so many instants are worth, of all cases together."""
+    return 1 if count < 2 * _PER_THREAD else min(_processors(), count // _PER_THREAD)
 
 
 def _processors() -> int:

@@ -26,13 +26,14 @@ from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.numerics.stepped_runs import Instants, Run
 from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.solve import solve
 from servocore.stepping.compilation import prescribed_start_of, program_of
-from servocore.stepping.explicit_steps import Along, ExplicitSteps, compile_explicit_steps
+from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_steps
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _INSTANTS = 201  # at which they are compared
@@ -49,7 +50,8 @@ class DynamicInversion:
 
     Where `ExactInversion` has every instant by itself, internal dynamics have to be integrated from their start. What
     can be done once is done once: the equations are compiled, `solve` looks at the scene with all its checks, and
-    the number of steps is found that keeps a tolerance of the inputs. A call then takes a tenth of a millisecond.
+    the number of steps is found that keeps a tolerance of the inputs. A call is then one of machine code: it takes
+    some hundredths of a millisecond, also at instants that were never asked for.
 
     Parameters
     ----------
@@ -112,8 +114,9 @@ class DynamicInversion:
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
         first, _ = first_state(problem, program_of(problem, *_FORM), 0.0, prescribed_start_of(*_FORM))
         self._start = first[: len(problem.array.states)]
-        self._known: dict[tuple[int, bytes], Along] = {}
+        self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked, tolerance)
+        self._run = self._of(self.steps)
 
     def __call__(self, t: npt.ArrayLike) -> Array:
         """Integrate the internal dynamics, and return the inputs at the times `t`.
@@ -136,33 +139,50 @@ class DynamicInversion:
             If a value is no number, or has a sign that it must not have.
         """
         times = numbers_of(t, "the times of inputs")
-        flat, reference = times.reshape(-1), self._problem.reference
-        if len(flat) and not (flat.min() >= reference.start_time and flat.max() <= reference.end_time):
-            raise InvalidReference(
-                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
-                f" {reference.end_time:g} s, not from {flat.min():g} s to {flat.max():g} s"
-            )
-        inputs = self._integrated(flat, self.steps)
-        if not (inputs[len(self.inputs) :] > 0.0).all() or not np.isfinite(inputs).all():
+        instants = self._instants(times)
+        inputs, sound = self._steps.runs(self._run, instants)
+        if not sound:
+            self._require_inside(instants.t)
             raise IntegrationFailed(f"{self._problem.system.name}: the inputs belong to no motion that can be")
         return inputs[: len(self.inputs)].T.reshape(*times.shape, len(self.inputs))
 
-    def _integrated(self, t: Array, count: int) -> Array:
-        """Return inputs and what must be positive, (columns, N), by some number of steps."""
-        key = count, t.tobytes()
-        if key not in self._known:  # tables of instants are asked for again and again
-            self._known = {key: self._steps.along(self._problem.reference, t, count)}
-        return self._steps.inputs_along(self._known[key], self._problem.p, self._start)
+    def _require_inside(self, t: Array) -> None:
+        """Raise `InvalidReference` if a time lies outside the path."""
+        reference = self._problem.reference
+        if not (t.min() >= reference.start_time and t.max() <= reference.end_time):
+            raise InvalidReference(
+                f"inputs follow from the motion since the start: times lie between {reference.start_time:g} s and"
+                f" {reference.end_time:g} s, not from {t.min():g} s to {t.max():g} s"
+            )
+
+    def _of(self, count: int) -> Run:
+        """Return a run of some number of steps."""
+        return self._steps.run([self._problem.reference], count, self._problem.p, self._start)
+
+    def _instants(self, times: Array) -> Instants:
+        """Return times as instants: the last ones are kept, for tables of them are asked for again and again."""
+        key = times.tobytes()
+        known = self._known.get(key)
+        if known is None:
+            t = np.frombuffer(key)  # and not the array, whose owner may change it
+            if self._steps.formula is None and len(t):
+                self._require_inside(t)  # before the table is asked
+            known = self._steps.instants([self._problem.reference], t)
+            self._known = {key: known}
+        return known
 
     def _enough(self, checked: Solution, tolerance: float) -> int:
         """Return how many steps keep the tolerance, from comparisons with twice as many."""
         reference, inputs = self._problem.reference, len(self.inputs)
         t, count = np.linspace(reference.start_time, reference.end_time, _INSTANTS), float(_FEWEST)
+        instants = self._instants(t)
         exact = checked.values[:: (len(checked.t) - 1) // (_INSTANTS - 1), :inputs].T
         peaks = np.maximum(np.abs(exact).max(axis=1), 1e-300)
         while count < _MOST:
             with np.errstate(over="ignore", invalid="ignore"):  # so many steps may be unstable
-                coarse, fine = (self._integrated(t, round(count) * many)[:inputs] for many in (1, 2))
+                coarse, fine = (
+                    self._steps.runs(self._of(round(count) * many), instants)[0][:inputs] for many in (1, 2)
+                )
                 error = (np.abs(fine - coarse).max(axis=1) / peaks).max()
             if error <= tolerance:
                 if not (np.abs(fine - exact).max(axis=1) <= _ASTRAY * peaks).all():
@@ -267,8 +287,7 @@ class DynamicCases:
     def _read(self, paths: list[Reference], t: Array, count: int, p: Array, start: Array) -> Array:
         """Return inputs, what must be positive and what is wanted, (cases, columns, N), by so many steps."""
         steps = self.problem.resolved.once(compile_explicit_steps, paths[0].formula, self.native, self.names)
-        along = steps.along_all(paths, t, count)
-        return steps.inputs_along(along.of_one() if len(paths) == 1 else along, p, start)
+        return steps.runs(steps.run(paths, count, p, start), steps.instants(paths, t))[0]
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:
         """Return the first states of the internal dynamics, (cases, states), NaN where none are found."""

@@ -1,8 +1,7 @@
 """Explicit Runge-Kutta steps of the internal dynamics, compiled: where equations give their rates without iterations.
 
-The states of the internal dynamics are stepped with the path's jets at the nodes of every step, and read at any
-instants from the polynomial of degree seven through values and rates at four steps. Inputs follow from the states and
-the path at the same instant.
+The states of the internal dynamics are stepped with the path's jets at the nodes of every step, and inputs follow from
+the states and the path at the same instant.
 """
 
 from __future__ import annotations
@@ -13,21 +12,17 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from servocore.errors import InvalidModel
 from servocore.formulations.reduced import Reduced
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.vectorized import Vectorized
+from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.problem import ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
 from servocore.stepping.observation import observed
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_explicit
-
-_DENSE = 50_000  # weights
-_NODES = 4  # steps whose values and rates belong to one polynomial
 
 
 class Tableau(NamedTuple):
@@ -46,96 +41,14 @@ def order_eight() -> Tableau:
 
 
 @dataclass(frozen=True, eq=False)
-class Between:
-    """What states are at some instants of a run of steps evenly apart.
-
-    Attributes
-    ----------
-    beside : ndarray, shape (4, N)
-        The steps beside every instant.
-    of_values, of_rates : ndarray, shape (4, N)
-        Weights of the values there, and of the rates times h.
-    matrices : (ndarray, ndarray) or None
-        The same as matrices, shape (steps + 1, N), where these are small: their product costs less than to gather.
-    """
-
-    beside: npt.NDArray[np.intp]
-    of_values: Array
-    of_rates: Array
-    matrices: tuple[Array, Array] | None
-
-    @classmethod
-    def of(cls, place: Array, count: int) -> Between:
-        """Prepare for instants (N,), in steps from the start, of a run of `count` steps."""
-        nodes = min(_NODES, count + 1)
-        first = np.clip(np.floor(place).astype(np.intp) - (nodes // 2 - 1), 0, count + 1 - nodes)
-        s = place - first
-        values, rates = np.empty((nodes, len(s))), np.empty((nodes, len(s)))
-        for i in range(nodes):
-            others = [j for j in range(nodes) if j != i]
-            basis = np.prod([(s - j) / (i - j) for j in others], axis=0) ** 2
-            slope = sum(1.0 / (i - j) for j in others)
-            values[i], rates[i] = (1.0 - 2.0 * slope * (s - i)) * basis, (s - i) * basis
-        beside = first + np.arange(nodes)[:, None]
-        if count * len(place) > _DENSE:
-            return cls(beside, values, rates, None)
-        dense = np.zeros((2, count + 1, len(place)))
-        for table, weights in zip(dense, (values, rates), strict=True):
-            table[beside, np.arange(len(place))] = weights
-        return cls(beside, values, rates, (dense[0], dense[1]))
-
-    def states(self, values: Array, rates: Array, h: float) -> Array:
-        """Return states (..., states, N) from those of the run and their rates (..., states, count + 1)."""
-        interpolated: Array
-        if self.matrices is not None:
-            # Contiguous, for products of matrices that lie otherwise round otherwise.
-            of_values, of_rates = self.matrices
-            interpolated = np.ascontiguousarray(values) @ of_values + np.ascontiguousarray(h * rates) @ of_rates
-            return interpolated
-        interpolated = (values[..., self.beside] * self.of_values + rates[..., self.beside] * (h * self.of_rates)).sum(
-            axis=-2
-        )
-        return interpolated
-
-
-class Along(NamedTuple):
-    """A path as steps and instants need it.
-
-    Attributes
-    ----------
-    h : float
-        Step in s.
-    numbers : ndarray
-        Of the path, where that is a formula.
-    steps, instants : ndarray
-        Times of both, or the path's derivatives at the nodes and at the instants.
-    between : Between
-        Where the instants lie between the steps.
-    """
-
-    h: float
-    numbers: Array
-    steps: Array
-    instants: Array
-    between: Between
-
-    def of_one(self) -> Along:
-        """Return the same without the axis of cases, for a single one."""
-        steps, instants = (array[0] if array.ndim > 2 else array for array in (self.steps, self.instants))
-        return self._replace(numbers=self.numbers[0], steps=steps, instants=instants)
-
-
-@dataclass(frozen=True, eq=False)
 class ExplicitSteps:
     """Steps and readings of a system on paths of one kind.
 
     Attributes
     ----------
-    steps : Vectorized
-        (states, path at the nodes, numbers, [h; p]) -> (states after a step, rates before it), in a row.
-    inputs : Vectorized
-        (states, path, numbers, p) -> inputs, what must be positive, and what else is wanted, from states at their own
-        instants.
+    runs : SteppedRuns
+        Of (states, path at the nodes, numbers, [h; p]) -> (states after a step, rates before it), read by
+        (states, path, numbers, p) -> inputs, what must be positive, and what else is wanted.
     order : int
         Derivatives of the path that the equations take.
     formula : Formula or None
@@ -144,47 +57,40 @@ class ExplicitSteps:
         Of the method.
     """
 
-    steps: Vectorized
-    inputs: Vectorized
+    runs: SteppedRuns
     order: int
     formula: Formula | None
     nodes: Array
 
-    def along(self, reference: Reference, t: Array, count: int) -> Along:
-        """Prepare for a path, for instants of it (N,), and for so many steps from its start to its end."""
-        return self.along_all([reference], t, count).of_one()
+    def run(self, references: Sequence[Reference], count: int, p: Array, start: Array) -> Run:
+        """Prepare steps from start to end of a path, or of paths of one kind with the same start and end.
 
-    def along_all(self, references: Sequence[Reference], t: Array, count: int) -> Along:
-        """Prepare for paths of one kind with the same start and end: what differs has an axis of cases in front."""
+        `start` has shape (states,), `p` (size,); with cases, (cases, states) and (cases, size).
+        """
         reference = references[0]
         h = reference.duration / count
-        starts: Array = reference.start_time + h * np.arange(count + 1.0)
-        between = Between.of((t - reference.start_time) / h, count)
-        formulas = [reference.formula for reference in references if reference.formula is not None]
-        if self.formula is not None and formulas:
-            numbers = np.array([formula.numbers(self.order) for formula in formulas])
-            return Along(h, numbers, starts[None], t[None], between)
-        nodes = (starts[:, None] + h * self.nodes).ravel()
-        tables = [
-            np.stack([reference.jet(times, self.order).reshape(size, -1).T for reference in references])
-            for times, size in ((nodes, count + 1), (t, len(t)))
-        ]
-        return Along(h, np.zeros((len(references), 1)), tables[0], tables[1], between)
+        times: Array = reference.start_time + h * np.arange(count + 1.0)
+        settings = np.concatenate([np.full((*p.shape[:-1], 1), h), p], axis=-1)
+        if self.formula is not None:
+            numbers = np.array([each.formula.numbers(self.order) for each in references if each.formula is not None])
+            path = times[None]
+        else:
+            nodes = (times[:, None] + h * self.nodes).ravel()
+            numbers, path = np.zeros((len(references), 1)), _of_all(references, nodes, self.order, count + 1)
+        if len(references) == 1:
+            numbers = numbers[0]
+        return Run(reference.start_time, reference.end_time, count, path, numbers, settings, start)
 
-    def run(self, along: Along, p: Array, start: Array) -> tuple[Array, Array]:
-        """Step from the start of a path to its end; return states and rates (states, count + 1).
+    def instants(self, references: Sequence[Reference], t: Array) -> Instants:
+        """Prepare instants (N,) of a path, or of several."""
+        return Instants(t, t[None] if self.formula is not None else _of_all(references, t, self.order, len(t)))
 
-        `start` has shape (states,), `p` (size,); with cases, (cases, states) and (cases, size) give
-        (cases, states, count + 1).
-        """
-        settings = np.concatenate([np.full((*p.shape[:-1], 1), along.h), p], axis=-1)
-        ends, rates = self.steps(start, along.steps, along.numbers, settings)
-        return np.concatenate([start[..., None], ends[..., :-1]], axis=-1), rates
 
-    def inputs_along(self, along: Along, p: Array, start: Array) -> Array:
-        """Return what `inputs` gives at the instants, (columns, N), or (cases, columns, N)."""
-        states = along.between.states(*self.run(along, p, start), along.h)
-        return self.inputs(states, along.instants, along.numbers, p)[0]
+def _of_all(references: Sequence[Reference], t: Array, order: int, count: int) -> Array:
+    """Return the jets of paths, those of every step or instant below one another: (rows, count), with cases if many."""
+    jets = [reference.jet(t, order) for reference in references]
+    tables = [jet.reshape(count, jet.size // max(count, 1)).T for jet in jets]
+    return np.stack(tables) if len(tables) > 1 else np.ascontiguousarray(tables[0])
 
 
 def compile_explicit_steps(
@@ -226,13 +132,10 @@ def compile_explicit_steps(
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
-    return ExplicitSteps(
-        Vectorized(step, (False, True, False, False), native, system.name, in_a_row=True),
-        Vectorized(read, (True, True, False, False), native, system.name),
-        order,
-        formula,
-        method.c,
-    )
+    positive = sum(quantity.positive for quantity in system.observables)
+    inputs = system.u.numel()
+    runs = SteppedRuns(step, read, range(inputs, inputs + positive), native, system.name)
+    return ExplicitSteps(runs, order, formula, method.c)
 
 
 def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX, names: tuple[str, ...]) -> ca.SX:

@@ -9,7 +9,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.vectorized import MANY, Vectorized
+from servocore.numerics.generated_code import MANY
+from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula

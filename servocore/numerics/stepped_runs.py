@@ -1,0 +1,345 @@
+"""Runs of steps evenly apart, read at any instants: by CasADi's interpreter, or by one call of machine code.
+
+States between the steps come from the polynomial of degree seven through values and rates at four of them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from itertools import pairwise
+from math import prod
+from threading import Lock
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from servocore.numerics.compiled_calls import Array
+from servocore.numerics.generated_code import GeneratedCode
+from servocore.numerics.run_code import NO_MEMORY, NODES, SOUND, run_source
+from servocore.numerics.vector_code import LANES, NAME
+from servocore.numerics.vectorized import threads_for
+
+_BYTES = 8
+_MOST_LOOPS = 32  # that are kept, with memory for their arguments
+_BESIDE = np.arange(NODES)[:, None]
+
+Weigh = Callable[..., list[Array]]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Steps from a start, of one case or of many: of these, what differs has an axis of cases in front.
+
+    Attributes
+    ----------
+    begin, end : float
+        First and last time, in s.
+    count : int
+        Steps, three or more.
+    path : ndarray, shape (rows, count + 1)
+        What the steps know of the path, the one after the last included, whose rates are read.
+    numbers : ndarray, shape (size,)
+        Of the path, where that is a formula.
+    settings : ndarray, shape (1 + parameters,)
+        The step in s, and the parameters.
+    start : ndarray, shape (states,)
+        First states.
+    """
+
+    begin: float
+    end: float
+    count: int
+    path: Array
+    numbers: Array
+    settings: Array
+    start: Array
+
+    @property
+    def h(self) -> float:
+        """Step in s, the same for all cases."""
+        return float(self.settings.flat[0])
+
+    @property
+    def cases(self) -> int | None:
+        """How many; None for a single one, without an axis."""
+        return max((len(array) for array, deep in self._arrays if deep), default=None)
+
+    @property
+    def _arrays(self) -> list[tuple[Array, bool]]:
+        """The arrays, and whether each has an axis of cases."""
+        arrays = (self.start, 1), (self.path, 2), (self.numbers, 1), (self.settings, 1)
+        return [(array, array.ndim > own) for array, own in arrays]
+
+    def part(self, cases: int | slice) -> Run:
+        """Return one case without the axis, or some of them."""
+        start, path, numbers, settings = (array[cases] if deep else array for array, deep in self._arrays)
+        return replace(self, start=start, path=path, numbers=numbers, settings=settings)
+
+    @cached_property  # every call asks
+    def as_c(self) -> tuple[Any, Any, list[Array]]:
+        """Sizes and addresses as machine code reads them, and the arrays that the addresses are of."""
+        held = [np.ascontiguousarray(array) for array, _ in self._arrays] + [np.array([self.begin, self.end])]
+        apart = [
+            array.strides[0] // _BYTES if deep else 0 for array, (_, deep) in zip(held, self._arrays, strict=False)
+        ]
+        sizes = [self.cases or 1, self.count, self.path.shape[-1], *apart]
+        addresses = (ctypes.c_void_p * len(held))(*[array.ctypes.data for array in held])
+        return (ctypes.c_long * len(sizes))(*sizes), addresses, held
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Where instants lie between the steps of a run.
+
+    Attributes
+    ----------
+    beside : ndarray, shape (4, N)
+        The steps beside every instant.
+    weights : ndarray, shape (2, 4, N)
+        Of the values there, and of the rates times h.
+    """
+
+    beside: npt.NDArray[np.intp]
+    weights: Array
+
+    @classmethod
+    def of(cls, t: Array, run: Run, weigh: Weigh) -> Between:
+        """Prepare for instants (N,) of a run; `weigh` is `hermite_weights` at so many instants."""
+        (found,) = weigh(t, np.array([[run.begin], [run.h], [run.count + 1.0 - NODES]]))
+        rows = np.ascontiguousarray(found)
+        return cls(rows[0].astype(np.intp) + _BESIDE, rows[1:].reshape(2, NODES, -1))
+
+    def states(self, table: Array) -> Array:
+        """Return states (states, N) from values and rates times h, (2, states, count + 1)."""
+        of_values, of_rates = table.take(self.beside, axis=2) * self.weights[:, None]
+        terms = of_values + of_rates  # added up as machine code does, for the same digits
+        halves = terms[:, :2] + terms[:, 2:]
+        states: Array = halves[:, 0] + halves[:, 1]
+        return states
+
+
+class _InstantsAsC(NamedTuple):
+    """Addresses of times and path, how far rows and cases of the path lie apart, how many, and the arrays."""
+
+    t: int
+    path: int
+    row: int
+    lane: int
+    instants: int
+    held: list[Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Instants at which runs are read; what is found out about them is kept.
+
+    Attributes
+    ----------
+    t : ndarray, shape (N,)
+        In s; it must not change.
+    path : ndarray, shape (rows, N), or (cases, rows, N)
+        What is known of the path there.
+    """
+
+    t: Array
+    path: Array
+    _between: dict[tuple[float, float, int], Between] = field(default_factory=dict, repr=False)
+
+    def between(self, run: Run, weigh: Callable[[int], Weigh]) -> Between | None:
+        """Return where they lie between the steps of a run, remembered for the last one; None if one lies outside."""
+        key = run.begin, run.end, run.count
+        known = self._between.get(key)
+        if known is None and self.t.min() >= run.begin and self.t.max() <= run.end:
+            known = Between.of(self.t, run, weigh(len(self.t)))
+            self._between.clear()
+            self._between[key] = known
+        return known
+
+    def part(self, cases: int | slice) -> Instants:
+        """Return them for one case, or for some."""
+        return Instants(self.t, self.path[cases], self._between) if self.path.ndim > 2 else self
+
+    @cached_property  # calls with the same instants ask again
+    def as_c(self) -> _InstantsAsC:
+        """What machine code is given; the last instant is repeated until a register is full."""
+        some = np.minimum(np.arange(LANES), len(self.t) - 1)
+        t, path = (self.t, self.path) if len(self.t) >= LANES else (self.t[some], self.path[..., some])
+        held = [np.ascontiguousarray(t), np.ascontiguousarray(path)]
+        count = len(t)
+        lane = path.shape[-2] * count if path.ndim > 2 else 0
+        return _InstantsAsC(held[0].ctypes.data, held[1].ctypes.data, count, lane, count, held)
+
+
+def hermite_weights() -> ca.Function:
+    """Return (time, [begin; h; last]) -> the first of four steps beside it, and weights of their values and rates.
+
+    Rates are those times h; no later step than the `last` is the first of four.
+    """
+    t, run, values, rates = ca.SX.sym("t"), ca.SX.sym("run", 3), list[ca.SX](), list[ca.SX]()
+    place = (t - run[0]) / run[1]
+    first = ca.fmax(ca.fmin(ca.floor(place) - (NODES // 2 - 1), run[2]), 0.0)
+    s = place - first
+    for i in range(NODES):
+        others = [j for j in range(NODES) if j != i]
+        basis = prod(s - j for j in others) * (1.0 / prod(i - j for j in others))
+        slope = sum(1.0 / (i - j) for j in others)
+        rates.append((s - i) * (basis * basis))
+        values.append(basis * basis - (2.0 * slope) * rates[-1])
+    return ca.Function("sc_hermite", [t, run], [ca.vertcat(first, *values, *rates)], {"cse": True})
+
+
+class _InPlace:
+    """An interpreted function of expressions on memory of its own.
+
+    To copy small arguments there takes half the time that it takes to hand over where they are. Threads take turns.
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        self._buffer, self._evaluate = function.buffer()
+        self._arguments = [np.empty(function.size_in(k), order="F") for k in range(function.n_in())]
+        self._results = [np.empty(function.size_out(k), order="F") for k in range(function.n_out())]
+        for k, array in enumerate(self._arguments):
+            if array.size:
+                self._buffer.set_arg(k, array.ravel(order="F").data)
+        for k, array in enumerate(self._results):
+            self._buffer.set_res(k, array.ravel(order="F").data)
+        self._turn = Lock()
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Evaluate; an argument of one column is taken for all columns."""
+        with self._turn:
+            for memory, argument in zip(self._arguments, arguments, strict=True):
+                memory[...] = argument
+            self._evaluate()
+            return [result.copy(order="K") for result in self._results]
+
+
+class SteppedRuns(GeneratedCode):
+    """Runs of one step function, read by another.
+
+    Parameters
+    ----------
+    step : casadi.Function
+        (states, path, numbers, [h; p]) -> (states after a step, rates before it).
+    read : casadi.Function
+        (states, path, numbers, p) -> what is wanted, from states and path at the same instant.
+    positive : range
+        Which of that must be positive.
+    native : bool or None
+        See `GeneratedCode`.
+    of_what : str
+        For messages.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no C compiler for `native`, or it does not compile.
+    """
+
+    def __init__(
+        self, step: ca.Function, read: ca.Function, positive: range, native: bool | None, of_what: str
+    ) -> None:
+        self._step, self._read, self._positive = step, read, positive
+        self._columns = int(read.numel_out(0))
+        self._weights = hermite_weights()
+        self._loops: dict[tuple[str, int], _InPlace] = {}
+        super().__init__((step, read), native, of_what)
+
+    def _source(self) -> str | None:
+        return run_source(self._step, self._weights, self._read, self._positive)
+
+    def _load(self, library: Any) -> None:
+        run = getattr(ctypes.CDLL(str(library)), NAME)
+        many, one = ctypes.c_void_p, ctypes.c_long
+        run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]
+        self._run = run
+
+    def __call__(self, run: Run, instants: Instants) -> tuple[Array, bool]:
+        """Step and read.
+
+        Returns
+        -------
+        values : ndarray, shape (columns, N), or (cases, columns, N)
+            What is wanted.
+        sound : bool
+            Whether all times lie within the run, and all values are finite and have the signs that they must have.
+            Where a time does not, the values mean nothing.
+        """
+        count, cases = len(instants.t), run.cases
+        if not count:
+            return np.empty((*(() if cases is None else (cases,)), self._columns, 0)), True
+        if self.ready(count * (cases or 1), called=True):
+            return self._in_machine_code(run, instants, cases)
+        if cases is None:
+            return self._interpreted(run, instants)
+        found = [self._interpreted(run.part(case), instants.part(case)) for case in range(cases)]
+        return np.stack([values for values, _ in found]), all(sound for _, sound in found)
+
+    def states(self, run: Run) -> Array:
+        """Return the states at the steps of a single case and their rates times h, (2, states, count + 1)."""
+        step = self._loop("step", run.count + 1)
+        ends, rates = step(run.start[:, None], run.path, run.numbers[:, None], run.settings[:, None])
+        table = np.empty((2, *rates.shape))
+        table[0, :, 0], table[0, :, 1:] = run.start, ends[:, :-1]
+        np.multiply(rates, run.h, out=table[1])
+        return table
+
+    def _interpreted(self, run: Run, instants: Instants) -> tuple[Array, bool]:
+        count, between = len(instants.t), instants.between(run, self.weigh)
+        if between is None:
+            return np.full((self._columns, count), np.nan), False
+        states = between.states(self.states(run))
+        (values,) = self._loop("read", count)(states, instants.path, run.numbers[:, None], run.settings[1:, None])
+        signs = values[self._positive.start : self._positive.stop]
+        return values, bool(np.isfinite(values).all() and (not len(signs) or (signs > 0.0).all()))
+
+    def weigh(self, count: int) -> Weigh:
+        """Return the weights of four steps at so many instants."""
+        return self._loop("weigh", count)
+
+    def _loop(self, name: str, count: int) -> _InPlace:
+        """Return a function at so many instants; to build one costs more than to evaluate it, so some are kept."""
+        known = self._loops.get((name, count))
+        if known is None:
+            if name == "step":
+                loop = self._step.mapaccum("sc_steps", count)
+            else:
+                function, along = (self._read, 2) if name == "read" else (self._weights, 1)
+                loop = function.map(f"sc_{name}", "serial", count, [*range(along, function.n_in())], [])
+            if len(self._loops) >= _MOST_LOOPS:
+                self._loops.clear()
+            self._loops[name, count] = known = _InPlace(loop)
+        return known
+
+    def _in_machine_code(self, run: Run, instants: Instants, cases: int | None) -> tuple[Array, bool]:
+        count = len(instants.t)
+        values = np.empty((cases or 1, self._columns, instants.as_c.instants))
+        threads = 1 if cases is None else min(cases, threads_for(cases * count))
+        sound = (self._into if threads < 2 else partial(self._in_threads, threads))(run, instants, values)
+        values = values if len(values[0, 0]) == count else values[..., :count]
+        return values if cases is not None else values[0], sound
+
+    def _into(self, run: Run, instants: Instants, values: Array) -> bool:
+        """Write the values; return whether they are sound."""
+        sizes, arrays, _ = run.as_c
+        t, path, row, lane, count, _ = instants.as_c
+        answer = self._run(sizes, arrays, t, path, row, lane, count, values.__array_interface__["data"][0])
+        if answer == NO_MEMORY:
+            raise MemoryError
+        return bool(answer == SOUND)
+
+    def _in_threads(self, threads: int, run: Run, instants: Instants, values: Array) -> bool:
+        """Do the same, some cases in every thread."""
+        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
+
+        def some(cases: slice) -> bool:
+            return self._into(run.part(cases), instants.part(cases), values[cases])
+
+        parts = np.linspace(0, len(values), threads + 1).astype(int).tolist()
+        with ThreadPoolExecutor(threads) as pool:
+            return all([*pool.map(some, [slice(a, b) for a, b in pairwise(parts)])])
