@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import servocore as sc  # noqa: E402
-from benchmarks.chart import own, scale, selection  # noqa: E402
+from benchmarks.chart import calls, own, scale, selection  # noqa: E402
 from benchmarks.chart.__main__ import main  # noqa: E402
 from benchmarks.chart.candidate import Answer, Candidate, Prepared, Problem  # noqa: E402
 from benchmarks.chart.forms import DERIVATIVE_ARRAY, make_form  # noqa: E402
@@ -80,7 +80,7 @@ def test_a_run_writes_the_fixed_sections_and_every_figure_it_shows(smoke: Path) 
 def test_a_run_writes_what_size_costs(smoke: Path) -> None:
     assert (smoke / "scale.csv").read_text(encoding="utf-8").splitlines()[0] == "what,size,quantity,value,unit"
     points = scale.read_points(smoke)
-    assert {each.what for each in points} == {scale.CRANE, scale.CHAIN, scale.BAR}
+    assert {each.what for each in points} == {scale.CRANE, scale.CHAIN, scale.BAR, calls.name_of("mass on car")}
     assert all(each.value > 0.0 for each in points)
     assert (smoke / scale.PAGE).read_text(encoding="utf-8") == scale.scale_page(points)
 
@@ -107,6 +107,25 @@ def test_exponents_are_slopes_and_limits_are_judged() -> None:
     assert [line[-1] for line in scale.wanted(points)] == ["**no**", "**no**"]
     points = [scale.Point(scale.CRANE, size, "analyse", 0.01 * size, "s") for size in (1, 4, 16, 40, 160)]
     assert [line[-1] for line in scale.wanted(points)] == ["yes", "yes"]
+
+
+@pytest.mark.parametrize(("most", "verdict"), [(49.0, "yes"), (51.0, "**no**")])
+def test_calls_are_judged_by_what_the_dearest_takes_beside_its_steps(most: float, verdict: str) -> None:
+    ((what, quantity), *_) = calls.judged()
+    points = [scale.Point(what, steps, quantity, value, "us") for steps, value in ((6, 20.0), (15, most), (38, 30.0))]
+    points.append(scale.Point(what, 6, "a call, interpreted", 900.0, "us"))
+    assert scale.wanted(points) == [
+        (f"{what}: {quantity}", "at most 50 us, whatever the steps", f"{most:.3g}", verdict)
+    ]
+
+
+def test_a_call_is_what_it_calls_and_what_is_beside() -> None:
+    found = {quantity: value for _, _, quantity, value, _ in calls.measure_calls(smoke=True)}
+    assert {quantity for what, quantity in calls.judged() if "car" in what and "interpreted" in quantity} <= {*found}
+    for table in calls.TABLES:
+        whole, alone = (found[f"{part}, interpreted{table}"] for part in ("a call", "its steps and inputs alone"))
+        assert found[calls.beside("interpreted", table)] == pytest.approx(whole - alone)
+        assert alone > 0.0
 
 
 def test_what_is_read_back_is_what_was_measured(smoke: Path) -> None:

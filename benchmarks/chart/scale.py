@@ -32,6 +32,7 @@ import numpy as np
 
 import servocore as sc
 from benchmarks.chains import closed_chain
+from benchmarks.chart import calls
 from benchmarks.chart.c_cost import in_c
 from benchmarks.chart.requirements import NO_REASON
 from benchmarks.chart.tables import markdown
@@ -44,6 +45,7 @@ from servocore.numerics.machine_code import BACKGROUND
 from servocore.scenes.bar_marching import march_bar
 from servocore.structure.inversion import inversion
 
+_THIS = sys.modules[__name__]
 FILE, PAGE = "scale.csv", "scale.md"
 COLUMNS = ("what", "size", "quantity", "value", "unit")
 CRANES, BARS, CHAINS = (1, 4, 16, 40, 160), (10, 30, 100, 300, 1000), (4, 8, 16, 32)
@@ -93,11 +95,11 @@ def measure_scale(smoke: bool = False) -> list[Point]:
     sc.analyse(sc.scenes.gantry_crane())  # what is imported when first needed
     if smoke:
         bars = [point for pieces in BARS[:2] for point in _bar(pieces)]
-        return [*_cranes(CRANES[0]), *_chain(CHAINS[0]), *bars]
+        return [*_cranes(CRANES[0]), *_chain(CHAINS[0]), *bars, *_calls(smoke)]
     found = [point for count in CRANES for point in _cranes(count)]
     found += [point for bodies in CHAINS for point in _chain(bodies)]
     found += [point for pieces in BARS for point in _bar(pieces)]
-    return [*found, *_many_instants(), *_beside_c(), *_cold_start(10)]
+    return [*found, *_many_instants(), *_calls(), *_beside_c(), *_cold_start(10)]
 
 
 def _seconds(run: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -207,6 +209,11 @@ def _many_instants() -> Iterator[Point]:
     yield Point(MANY, len(some), f"Batch.solve of {STEPS} steps each", value * 1e3, "ms a case")
 
 
+def _calls(smoke: bool = False) -> Iterator[Point]:
+    """Measure what a call of `DynamicInversion` costs, and how much of it beside the steps."""
+    return (Point(*each) for each in calls.measure_calls(smoke))
+
+
 def _beside_c(count: int = 2000) -> Iterator[Point]:
     """Measure backward Euler of the projected crane beside its compiled step, generated as C and called in a row."""
     crane = sc.scenes.rotary_crane()
@@ -295,6 +302,9 @@ def wanted(points: Sequence[Point]) -> list[tuple[str, str, str, str]]:
     for name in ("solve", "projected backward Euler"):
         slope = exponent(_row(points, CRANE, f"{name}, {STEPS} steps"))
         limits.append((f"{CRANE}: {name}, {STEPS} steps", "as exponent", slope, LINEAR))
+    for what, quantity in calls.judged():
+        value = max((each.value for each in _row(points, what, quantity)), default=None)
+        limits.append((f"{what}: {quantity}", "us, whatever the steps", value, calls.MOST))
     in_c = _value(points, STEPPED, 1, IN_C)
     for name in (WITHOUT_CHECKS, CHECKED):
         value = _value(points, STEPPED, 1, name)
@@ -340,7 +350,7 @@ def missed(points: Sequence[Point]) -> list[tuple[str, str]]:
 
 def scale_page(points: Sequence[Point]) -> str:
     """Write the page of sizes."""
-    parts = ["# Cost against size", (__doc__ or "").partition("\n\n")[2].strip()]
+    parts = ["# Cost against size", *((each.__doc__ or "").partition("\n\n")[2].strip() for each in (_THIS, calls))]
     parts += ["## What must hold", markdown(("what", "wanted", "measured", "met"), wanted(points), 9)]
     if missed(points):
         parts += ["What is missed, and why:", "\n".join(f"* {name}: {reason}." for name, reason in missed(points))]

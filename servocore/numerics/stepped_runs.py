@@ -88,7 +88,7 @@ class Run:
             array.strides[0] // _BYTES if deep else 0 for array, (_, deep) in zip(held, self._arrays, strict=False)
         ]
         sizes = [self.cases or 1, self.count, self.path.shape[-1], *apart]
-        addresses = (ctypes.c_void_p * len(held))(*[array.ctypes.data for array in held])
+        addresses = (ctypes.c_void_p * len(held))(*[_address(array) for array in held])
         return (ctypes.c_long * len(sizes))(*sizes), addresses, held
 
 
@@ -167,12 +167,18 @@ class Instants:
     @cached_property  # calls with the same instants ask again
     def as_c(self) -> _InstantsAsC:
         """What machine code is given; the last instant is repeated until a register is full."""
-        some = np.minimum(np.arange(LANES), len(self.t) - 1)
-        t, path = (self.t, self.path) if len(self.t) >= LANES else (self.t[some], self.path[..., some])
-        held = [np.ascontiguousarray(t), np.ascontiguousarray(path)]
-        count = len(t)
-        lane = path.shape[-2] * count if path.ndim > 2 else 0
-        return _InstantsAsC(held[0].ctypes.data, held[1].ctypes.data, count, lane, count, held)
+        t, path = self.t, self.path
+        if len(t) < LANES:
+            some = np.minimum(np.arange(LANES), len(t) - 1)
+            t, path = t[some], path[..., some]
+        t, path = np.ascontiguousarray(t), np.ascontiguousarray(path)
+        lane = path.strides[0] // _BYTES if path.ndim > 2 else 0
+        return _InstantsAsC(_address(t), _address(path), len(t), lane, len(t), [t, path])
+
+
+def _address(array: Array) -> int:
+    address: int = array.__array_interface__["data"][0]
+    return address
 
 
 def hermite_weights() -> ca.Function:
@@ -328,7 +334,7 @@ class SteppedRuns(GeneratedCode):
         """Write the values; return whether they are sound."""
         sizes, arrays, _ = run.as_c
         t, path, row, lane, count, _ = instants.as_c
-        answer = self._run(sizes, arrays, t, path, row, lane, count, values.__array_interface__["data"][0])
+        answer = self._run(sizes, arrays, t, path, row, lane, count, _address(values))
         if answer == NO_MEMORY:
             raise MemoryError
         return bool(answer == SOUND)
