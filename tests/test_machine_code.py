@@ -262,7 +262,7 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch: pytest.MonkeyPa
 
 def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:
     slow = tmp_path / "slowcc"
-    slow.write_text('#!/bin/sh\necho $$ > pid; cp pid "$0.pid"\nexec sleep 60\n')
+    slow.write_text('#!/bin/sh\necho $$ > "$0.new"; mv "$0.new" "$0.pid"\nexec sleep 60\n')
     slow.chmod(0o755)
     code = (
         "import time, numpy as np, casadi as ca; from servocore.numerics.vectorized import Vectorized\n"
