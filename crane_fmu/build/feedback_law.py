@@ -33,7 +33,8 @@ import casadi as ca
 
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
-from crane_fmu.build.sampling import SHORT_TURN, advance, function, resting, sampled
+from crane_fmu.build.quick_functions import function
+from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
 LAW_MODEL = "points"

@@ -12,6 +12,7 @@ from typing import Any
 import casadi as ca
 
 import servocore as sc
+from crane_fmu.build.quick_functions import function
 
 SHORT_TURN = 0.1
 """Up to this turn of the fastest pendulum, in rad, a step is short."""
@@ -19,11 +20,6 @@ SHORT_TURN = 0.1
 _TERMS = {False: 4, True: 1}
 """Of the matrix exponential's series, where steps are short or not: to 1e-3 where a pendulum turns 0.1 rad in a short
 step, or 1 rad in another, and for the gains alone."""
-
-
-def function(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
-    """Return a function of expressions in which nothing is computed twice."""
-    return ca.Function(name, arguments, results, {"cse": True})
 
 
 def advance(system: sc.MechanicalSystem, forces: int) -> ca.Function:
