@@ -34,6 +34,7 @@ import casadi as ca
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.build.quick_functions import function
+from crane_fmu.build.riccati import riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
@@ -50,8 +51,8 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, (20, 20)
-"""By which the cost-to-go is brought up to date in a step, and before the first, so often so many."""
+RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
+"""By which the cost-to-go is brought up to date in a step, and before the first."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
@@ -111,7 +112,7 @@ class _Parts:
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
     u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared and
-    riccati: as of `riccati_step`.
+    riccati: as of `crane_fmu.build.riccati.riccati_step`.
     resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
     which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
@@ -128,7 +129,7 @@ class _Parts:
 
 
 def _parts(system: sc.MechanicalSystem) -> _Parts:
-    shared, riccati = riccati_step()
+    shared, riccati = riccati_step(_N, slice(_LOAD, _HALF), _M)
     return _Parts(
         flat=flat_motion(),
         measured=measured_state(),
@@ -147,32 +148,6 @@ def _resisting(system: sc.MechanicalSystem) -> ca.Function:
     given = ca.densify(ca.ldl_solve(ca.densify(system.C.T), *ca.ldl(system.mass)))
     state = ca.vertcat(system.q, system.v)
     return function("resisting", [state, system.p], [ca.densify(ca.inv(system.C @ given))])
-
-
-def riccati_step() -> tuple[ca.Function, ca.Function]:
-    """Return what all Riccati steps of a model share, and a step.
-
-    (A, B, B', f, W) -> A', [A G], [W^2 W^2 B], G^T, 1/f^2 + B^T W^2 B, with G = A B + B', by which w+ acts on the next
-    A e + B' w; (cost M of that before w+ is chosen, shared) -> (M a step earlier, K). Products of whole matrices are
-    left to loops, which machines take several numbers at once in.
-    """
-    A, new, old = ca.SX.sym("A", _N, _N), ca.SX.sym("B", _N, _M), ca.SX.sym("B'", _N, _M)
-    efforts, weights = ca.SX.sym("f", _M), ca.SX.sym("W", _M)
-    squares = ca.diag(ca.vertcat(ca.SX(_LOAD, 1), weights**2, ca.SX(_N - _LOAD - _M, 1)))
-    weighing, acting = ca.densify(ca.horzcat(squares, squares @ new)), A @ new + old
-    shared = [A.T, ca.horzcat(A, acting), weighing, acting.T, ca.diag(1 / efforts**2) + new.T @ squares @ new]
-    S, N = ca.SX.sym("S", _M, _M), ca.SX.sym("N", _N, _M)
-    scale = ca.diag(1 / ca.sqrt(ca.diag(S)))
-    gain = function("gain", [S, N], [scale @ ca.ldl_solve(scale @ N.T, *ca.ldl(scale @ S @ scale))])
-    cost = ca.MX.sym("M", _N, _N)
-    given = [ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate(shared)]
-    A_T, both, weighed, acting_T, efforted = given
-    ahead = cost @ both
-    quadratic, found = ca.horzsplit(ca.mac(A_T, ahead, weighed), [0, _N, _N + _M])
-    K = gain(ca.mac(acting_T, ahead[:, _N:], efforted), found)
-    earlier = ca.mac(found, -K, quadratic)
-    step = ca.Function("riccati", [cost, *given], [(earlier + earlier.T) / 2, K])  # symmetric, to the last digit
-    return ca.Function("shared", [A, new, old, efforts, weights], shared), step
 
 
 def _efforts(p: ca.SX, state: ca.SX) -> ca.SX:
@@ -208,20 +183,11 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
     about = *parts.flat(jet, p), ca.MX.zeros(_M), p, h
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
-    shared = parts.shared.call(model)
-    found = _often(_often(parts.riccati, FIRST_RICCATI_STEPS[0]), FIRST_RICCATI_STEPS[1])(1e-6 * ca.MX.eye(_N), *shared)
+    _, *shared = parts.shared.call(model)
+    found = riccati_steps(_N, _M, FIRST_RICCATI_STEPS)(ca.densify(1e-6 * ca.MX.eye(_N)), *shared)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
     memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
     return ca.Function(f"begin_{time}", [jet, measured, p, h], [ca.densify(memory)])
-
-
-def _often(step: ca.Function, count: int) -> ca.Function:
-    """Return a function that applies Riccati steps of one model, or what does, several times."""
-    given = [ca.MX.sym(f"i{k}", step.sparsity_in(k)) for k in range(step.n_in())]
-    cost, *shared = given
-    for _ in range(count):
-        cost = step.call([cost, *shared])[0]
-    return ca.Function(f"{step.name()}_{count}", given, [cost])
 
 
 def _feedback(parts: _Parts, time: str) -> ca.Function:
@@ -235,14 +201,15 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     short, state, force, here, u_here, there, u_there, beyond, slope, ran, *about, efforts, weights, offset = situation
     A, new, old = _linear(parts, time, short, *about, force, p, h)
     cost = ca.reshape(cost, _N, _N)
-    shared = parts.shared(A, new, old, efforts, weights)
+    alone, *shared = parts.shared(A, new, old, efforts, weights)
     for _ in range(RICCATI_STEPS):
         cost, gain = parts.riccati(cost, *shared)
     after = parts.advance(short, state, acting, ran, force, p, h) if time == "start" else state
     e, origin = (state - here, (here, u_here)) if time == "end" else (after - there, (there, u_there))
     delta = parts.advance(short, *origin, slope, force, p, h) - beyond
     e_d, w_d = parts.resting(A, new + old, delta)
-    more = w_d - gain @ (A @ (e - e_d) + old @ (acting - u_here - w_d))
+    z = A @ (e - e_d) + old @ (acting - u_here - w_d)
+    more = w_d - alone @ z - gain @ (shared[0] @ z)
     strain = known[list(SIZES).index("strain") - 1]
     inputs, strain = _inlined(
         "bounded", _bounded(time), u_there, more, feedforward, acting, jet, p, h, share, limits, strain

@@ -67,6 +67,12 @@ OP_SQRT: int
 OP_SUB: int
 OP_TWICE: int
 
+class GlobalOptions:
+    @staticmethod
+    def getSimplificationOnTheFly() -> bool: ...
+    @staticmethod
+    def setSimplificationOnTheFly(flag: bool) -> None: ...
+
 class Sparsity:
     @overload
     def __init__(self) -> None: ...

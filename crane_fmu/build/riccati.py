@@ -1,0 +1,85 @@
+"""Riccati steps: the cost-to-go of a model over sampled steps, one by one or by the hundred.
+
+A model is what deviations z and the inputs w+ that the law chooses do over a step; see `crane_fmu.build.feedback_law`.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from crane_fmu.build.quick_functions import function
+
+
+def riccati_step(n: int, load: slice, m: int) -> tuple[ca.Function, ca.Function]:
+    """Return what all Riccati steps of a model share, and a step.
+
+    With w+ = v - F z, where F would be the gain without a cost-to-go, z = A e + B' w goes on as C z + G v, and a step
+    costs a form Q of z and a form R of v: (A, B, B', f, W) -> F, C, C^T, Q, G, R. A step is (cost M of z before v is
+    chosen, C, C^T, Q, G, R) -> (M a step earlier, K), v = -K C z. Products of whole matrices are left to loops, which
+    machines take several numbers at once in.
+
+    Parameters
+    ----------
+    n, m : int
+        Numbers of a state and of the inputs.
+    load : slice
+        Coordinates that W weighs.
+    """
+    A, new, old = ca.SX.sym("A", n, n), ca.SX.sym("B", n, m), ca.SX.sym("B'", n, m)
+    efforts, weights = ca.SX.sym("f", m), ca.SX.sym("W", load.stop - load.start)
+    squares = ca.SX(n, n)
+    squares[load, load] = ca.diag(weights**2)
+    crossed, acting = squares @ new, A @ new + old
+    effort = ca.diag(1 / efforts**2) + new.T @ crossed
+    alone = ca.SX(m, n)
+    alone[:, load] = ca.ldl_solve(crossed[load, :].T, *ca.ldl(effort))
+    goes_on = A - acting @ alone
+    results = [ca.densify(each) for each in (alone, goes_on, goes_on.T, squares - crossed @ alone, acting, effort)]
+    cost, *given = (ca.MX.sym(f"g{k}", each.sparsity()) for k, each in enumerate([A, *results[1:]]))
+    C, C_T, Q, G, R = given
+    left, K = _choice(n, m)(cost, cost @ G, G, R)
+    step = ca.Function("riccati", [cost, *given], [ca.mac(C_T, left @ C, Q), K])
+    return function("shared", [A, new, old, efforts, weights], results), step
+
+
+def _choice(n: int, m: int) -> ca.Function:
+    """Return (cost M of z, M G, G, R) -> (the cost left when v is the best for z, K), v = -K z."""
+    cost, reach, acting = ca.SX.sym("M", n, n), ca.SX.sym("M G", n, m), ca.SX.sym("G", n, m)
+    effort = ca.SX.sym("R", m, m)
+    K = ca.ldl_solve(reach.T, *ca.ldl(effort + acting.T @ reach))
+    left = ca.triu2symm(ca.triu(cost - reach @ K))  # symmetric, to the last digit
+    return function("choice", [cost, reach, acting, effort], [left, K])
+
+
+def riccati_steps(n: int, m: int, count: int) -> ca.Function:
+    """Return (cost M, C, C^T, Q, G, R) -> M so many steps of one model earlier, as `riccati_step` has them.
+
+    Any number of steps is M -> Q + C^T M (1 + H M)^-1 C, at first with H = G R^-1 G^T, and so are two such numbers one
+    after the other. Doubling them takes some ten products in place of hundreds of steps.
+    """
+    square = ca.Sparsity.dense(n, n)
+    cost, C, H, Q = (ca.MX.sym(name, square) for name in ("M", "C", "H", "Q"))
+    one = ca.MX.eye(n)
+    earlier = ca.Function("earlier", [cost, C, H, Q], [_even(Q + C.T @ cost @ ca.solve(one + H @ cost, C, "qr"))])
+    reached, spread = ca.horzsplit(ca.solve(one + H @ Q, ca.horzcat(C, H), "qr"), n)
+    doubled = [C @ reached, _even(H + C @ spread @ C.T), _even(Q + C.T @ Q @ reached)]
+    doubling = ca.Function("doubling", [C, H, Q], doubled)
+    C_T, G, R = ca.MX.sym("C_T", square), ca.MX.sym("G", n, m), ca.MX.sym("R", m, m)
+    found, several = cost, [C, G @ _spread(n, m)(G, R), Q]
+    for power in range(count.bit_length()):
+        if power:
+            several = doubling.call(several)
+        if count >> power & 1:
+            found = earlier(found, *several)
+    return ca.Function(f"riccati_{count}", [cost, C, C_T, Q, G, R], [found])
+
+
+def _spread(n: int, m: int) -> ca.Function:
+    """Return (G, R) -> R^-1 G^T."""
+    acting, effort = ca.SX.sym("G", n, m), ca.SX.sym("R", m, m)
+    return function("spread", [acting, effort], [ca.ldl_solve(acting.T, *ca.ldl(effort))])
+
+
+def _even(matrix: ca.MX) -> ca.MX:
+    """Return a matrix symmetric to the last digit."""
+    return (matrix + matrix.T) / 2
