@@ -33,7 +33,6 @@ static inline void casadi_mtimes_dense(const casadi_real* restrict x, casadi_int
           z[j + i*ncol_x] += x[k + j*nrow_x] * y[k + i*nrow_x];
   } else {
     for (i=0; i<ncol_y; ++i)
-#pragma GCC unroll 16
       for (k=0; k<ncol_x; ++k)
         for (j=0; j<nrow_x; ++j)
           z[j + i*nrow_x] += x[j + k*nrow_x] * y[k + i*ncol_x];
