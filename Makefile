@@ -54,7 +54,7 @@ loopnative: $(INSTALLED)  ## the same with native FMUs, 50 manoeuvres of each ki
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
 	SERVOCORE_NATIVE=full $(RUN) pytest -s --durations=0 -n $(TEST_PROCESSES) tests/test_export_hosts.py \
-		tests/test_export_system.py tests/test_export_wasm.py
+		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_loop.py tests/test_export_wasm.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py

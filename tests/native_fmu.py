@@ -272,6 +272,13 @@ def size_of(variable: Any) -> int:
     return int(np.prod([int(each.start) for each in variable.dimensions])) if variable.dimensions else 1
 
 
+def began(scene: sc.Scene, model: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
+    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
+    q = [rest[name][0] for name in system.coordinates.names]
+    return np.array([*q, *[0.0] * len(q)]), np.array([rest[each.name][0] for each in system.inputs])
+
+
 def jets_of(name: str, t: npt.ArrayLike) -> np.ndarray:
     """Return the jets (N, orders, m) of the scene's own path as the FMU takes them."""
     return scene_called(name).reference.jet(np.asarray(t, dtype=float), exported(name).mathematics.orders - 1)

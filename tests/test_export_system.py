@@ -3,30 +3,23 @@
 from __future__ import annotations
 
 import os
-import warnings
 import zipfile
-from _collections_abc import dict_values
 from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import fmpy
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
-from fmpy.ssp.simulation import simulate_ssp
 from fmpy.validation import validate_fmu
-from fmu_host import fmu_file, scratch
-from native_fmu import DISCARD, END, OK, START, Native, exported, native_file, path_of
+from fmu_host import fmu_file
+from native_fmu import DISCARD, END, OK, START, Native, began, exported, native_file, path_of
 from present import present
-from test_ssp import MASTERS, places, system
 
 import servocore as sc
-from crane_fmu.build import Wishes, build_ssp
 from crane_fmu.cli import app as crane_app
-from crane_fmu.run import nothing_left
 from servocore.cli.commands import app
 from servocore.export.plant_model import plant_model
 from servocore.numerics.compiled_calls import Array
@@ -137,13 +130,6 @@ def test_the_plant_moves_as_the_one_in_python(settings: dict[str, Any]) -> None:
     assert (np.abs(native - python) <= 1e-12 * np.abs(python).max(axis=0)).all()
 
 
-def began(scene: sc.Scene, model: str) -> tuple[Array, Array]:
-    """Return the state (q, v) at rest at the beginning of the path, and the inputs that hold it there."""
-    rest, system = sc.solve(scene, model=model, step=scene.reference.duration / 10), scene.model(model)
-    q = [rest[name][0] for name in system.coordinates.names]
-    return np.array([*q, *[0.0] * len(q)]), np.array([rest[each.name][0] for each in system.inputs])
-
-
 @pytest.mark.parametrize("fmi", [2, 3])
 @pytest.mark.parametrize("name", sc.scenes.REGISTRY)
 def test_a_plant_of_any_scene_moves_and_observes_as_that_of_the_library(name: str, fmi: int) -> None:
@@ -203,65 +189,6 @@ def test_a_tension_is_watched_in_every_model(model: str) -> None:
     outputs = plant_model(CRANE, model).outputs
     assert {each.name for each in outputs if each.positive} >= {"l", "tension"}
     assert "swing" not in {each.name for each in outputs if each.positive}  # it may be zero
-
-
-# Derivatives ---------------------------------------------------------------------------------------------------------
-
-
-def moved(name: str, shift: dict[str, np.ndarray] | None = None) -> Native:
-    """Return an instance after some steps, the last with inputs and parameters that are shifted."""
-    host = Native(name)
-    host.start()
-    jets = CRANE.reference.jet(np.arange(3) * 0.1 + 5.0, 4)
-    for k in range(3):
-        values = inputs(30)[k + 4] if name.endswith("plant") else jets[k].ravel()
-        set_all(host, values, shift if k == 2 else None)
-        assert host.step(k * 0.1, 0.1) == OK, host.messages
-    return host
-
-
-def set_all(host: Native, values: Array, shift: dict[str, Array] | None = None) -> None:
-    """Set all inputs, one number after the other, and what is shifted besides."""
-    sizes, place = {each.name: each.size or 1 for each in exported(host.name).of("input")}, 0
-    for name in host.inputs:
-        own = np.asarray(values[place : place + sizes[name]]) + (shift or {}).get(name, 0.0)
-        host.fmu.setFloat64([host.references[name]], own.tolist())
-        place += sizes[name]
-    for name, change in (shift or {}).items():
-        if name not in host.inputs:
-            host.set(**{name: host.get(name)[0] + change[0]})
-
-
-def directions(name: str) -> dict[str, np.ndarray]:
-    """Return a direction of all inputs and the model's parameters."""
-    random = np.random.default_rng(1)
-    own = [each for each in exported(name).of("parameter") if not each.setting]
-    knowns = [*exported(name).of("input"), *own]
-    return {each.name: random.standard_normal(each.size or 1) * (each.nominal or 1.0) * 0.01 for each in knowns}
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-def test_derivatives_of_a_plant_are_difference_quotients() -> None:
-    name, e = "rotary_crane plant", 1e-3
-    along, ends = directions(name), []
-    with moved(name) as host:
-        exact = host.derivatives(list(along), np.concatenate(list(along.values())))
-    for sign in (1, -1):
-        with moved(name, {key: sign * e * value for key, value in along.items()}) as host:
-            ends.append(host.values())
-    quotient = (ends[0] - ends[1]) / (2 * e)
-    assert np.abs(exact - quotient).max() < 1e-6 * np.abs(exact).max()
-
-
-@pytest.mark.parametrize("name", ["rotary_crane", "rotary_crane plant"] if FULL else ["rotary_crane"])
-def test_adjoint_products_are_those_of_directions(name: str) -> None:
-    along = directions(name)
-    with moved(name) as host:
-        forward = host.derivatives(list(along), np.concatenate(list(along.values())))
-        weights = np.random.default_rng(2).standard_normal(len(forward))
-        backward = host.sensitivities(list(along), weights)
-    products = weights @ forward, backward @ np.concatenate(list(along.values()))
-    assert abs(products[0] - products[1]) < 1e-12 * np.abs(weights * forward).sum()
 
 
 # Feedback ------------------------------------------------------------------------------------------------------------
@@ -395,77 +322,3 @@ def test_options_that_do_not_go_together_are_refused(
     monkeypatch.chdir(tmp_path)
     run.assert_refused(run("export", "cars", *options), words)
     assert not any(tmp_path.iterdir())
-
-
-# The whole system ----------------------------------------------------------------------------------------------------
-
-
-PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration": 2.0, "plant.mass_error": 0.05}
-
-
-@cache
-def systems(connected: str) -> dict_values[bool, Path]:
-    """Return the system in Python and the native one whose inverse models are told no more than a derivative."""
-    parts = {}
-    wishes: dict[str, Any] = {"parameters": {"connected": connected}} if connected != "snap" else {}
-    for native in (False, True):
-        folder = scratch() / f"{connected} {native}"
-        if native or wishes:
-            build_ssp(folder, wishes=Wishes(native=native, targets="host" if native else None, **wishes))
-        parts[native] = folder / "Crane.ssp" if native or wishes else system()
-    return parts.values()
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-@pytest.mark.parametrize("settings", [{}, {"crane.feedback": 0.0}, PUSHED], ids=["feedback", "feedforward", "pushed"])
-@pytest.mark.parametrize("h", [0.1, 0.01])
-@pytest.mark.parametrize("connected", ["snap", "velocity", "position"])
-def test_the_native_system_goes_where_the_one_in_python_goes(
-    connected: str, h: float, settings: dict[str, float]
-) -> None:
-    found = []
-    for file in systems(connected):
-        values = [SimpleNamespace(name=name, value=value) for name, value in settings.items()]
-        with nothing_left(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", ResourceWarning)
-            given = SimpleNamespace(parameters=values)
-            rows = simulate_ssp(str(file), stop_time=20.0, step_size=h, parameter_set=given)
-        assert len(rows) >= round(20.0 / h)
-        found.append(np.array([rows[f"plant.load.position[{k}]"] for k in (1, 2, 3)]))
-    assert np.abs(found[1] - found[0]).max() < 1e-9
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-@pytest.mark.parametrize("h", [0.1, 0.01])
-@pytest.mark.parametrize("package", MASTERS)
-@pytest.mark.parametrize("connected", ["snap", "position"])
-def test_other_masters_take_the_native_system_where_the_one_in_python_goes(
-    connected: str, package: str, h: float
-) -> None:
-    python, native = (places(package, file, round(15.0 / h), h) for file in systems(connected))
-    assert np.abs(native - python).max() < 1e-9
-
-
-@pytest.mark.skipif(not FULL, reason="make native")
-def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write("path.csv", csv_of(present(path_of("rotary_crane"))))
-    write("heavy.toml", "load_mass = 80.0\n")
-    options = ("--native", "--targets", "host", "--reference", "path.csv", "--parameters", "heavy.toml")
-    assert crane("ssp", *options).exit_code == 0
-    with nothing_left():
-        rows = simulate_ssp("system/Crane.ssp", stop_time=20.0, step_size=0.01)
-    wanted, found = (np.array([rows[f"{n}.load.position[{k}]"] for k in (1, 2, 3)]) for n in ("trajectory", "plant"))
-    np.testing.assert_allclose(wanted.T, present(path_of("rotary_crane")).jet(rows["time"] + 0.01, 0)[:, 0], atol=1e-12)
-    assert np.abs(wanted - found).max() < 1e-4
-    assert rows["plant.tension"][0] == pytest.approx(80.0 * 9.81, rel=1e-2)
-    with zipfile.ZipFile("system/Crane.ssp") as archive:
-        for name in archive.namelist():
-            if name.endswith(".fmu"):
-                with zipfile.ZipFile(archive.open(name)) as fmu:
-                    assert not any(each.endswith(".py") or "python" in each for each in fmu.namelist())
-
-
-def test_platforms_belong_to_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    crane.assert_refused(crane("ssp", "--targets", "host"), "--targets belongs to --native")

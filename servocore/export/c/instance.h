@@ -440,7 +440,13 @@ static Outcome directional(Instance *instance, const size_t *unknowns, size_t un
     }
     outcome = differentiate(instance, input_seed, parameter_seed, outputs);
     if (outcome != GOOD) return outcome;
-    for (size_t k = 0; k < unknown_count; k++) found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
+    for (size_t k = 0; k < unknown_count; k++) {
+        found[k] = outputs[unknowns[k] - FIRST_OUTPUT];
+        /* Those that nobody asks for may have none: the angle of a rope that hangs from the vertical, say. */
+        if (!all_finite(&found[k], 1))
+            return say(instance, DISCARD, "at t = %.6g s %s has no derivative", instance->state.now.time,
+                       VARIABLES[unknowns[k]].name);
+    }
     return GOOD;
 }
 

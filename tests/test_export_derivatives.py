@@ -1,0 +1,115 @@
+"""Derivatives of native FMUs: exact along any direction, and the same from behind."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+
+import fmpy
+import numpy as np
+import pytest
+from native_fmu import END, OK, START, Native, began, exported, jets_of
+
+import servocore as sc
+from servocore.numerics.compiled_calls import Array
+
+FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
+
+pytestmark = pytest.mark.usefixtures("compiler")
+
+
+def displaced(host: Native) -> Native:
+    """Let a plant begin beside its rest: the swing of a hanging rope has no derivative."""
+    for each in exported(host.name).settings:
+        if each.name.startswith("start.") and not each.name.startswith(("start.position", "start.velocity")):
+            host.numbers_set([each.name], [0.02] * (each.size or 1))
+    return host
+
+
+def told_to(name: str, random: np.random.Generator) -> np.ndarray:
+    """Return inputs (6, m) of a plant, all near those that hold it at the start."""
+    _, hold = began(sc.scenes.REGISTRY[name.split(maxsplit=1)[0]](), exported(name).model)
+    told: np.ndarray = hold + 0.02 * (np.abs(hold) + 1.0) * random.standard_normal((6, len(hold)))
+    return told
+
+
+def moved(name: str, shift: Mapping[str, Array]) -> Native:
+    """Return a plant after some steps, the last with inputs and parameters that are shifted."""
+    told, host = told_to(name, np.random.default_rng(3)), displaced(Native(name))
+    host.start(told[0], brakes=2)
+    for k in range(3):
+        host.tell(told[k])
+        for each, change in shift.items() if k == 2 else ():
+            host.numbers_set([each], host.get(each) + change)
+        assert host.step(k * 0.1, 0.1) == OK, host.messages
+    return host
+
+
+def directions(name: str, random: np.random.Generator) -> dict[str, np.ndarray]:
+    """Return a direction of all inputs and the model's parameters."""
+    own = [each for each in exported(name).of("parameter") if not each.setting]
+    knowns = [*exported(name).of("input"), *own]
+    return {each.name: random.standard_normal(each.size or 1) * (each.nominal or 1.0) * 0.01 for each in knowns}
+
+
+@pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+def test_derivatives_of_a_plant_are_difference_quotients(name: str) -> None:
+    name, e = f"{name} plant", 1e-3
+    along, ends = directions(name, np.random.default_rng(1)), []
+    with moved(name, {}) as host:
+        exact = host.derivatives(list(along), np.concatenate(list(along.values())))
+    for sign in (1, -1):
+        with moved(name, {key: sign * e * value for key, value in along.items()}) as host:
+            ends.append(host.values())
+    quotient = (ends[0] - ends[1]) / (2 * e)
+    assert (np.abs(exact - quotient) <= 1e-5 * np.abs(exact) + 1e-9 * np.abs(exact).max()).all()
+
+
+def on_its_way(host: Native, random: np.random.Generator) -> Iterator[int]:
+    """Start somewhere and take some steps of a random length; yield the number of those that are done."""
+    scene, at = sc.scenes.REGISTRY[host.name.split()[0]](), random.choice([START, END])
+    if host.name.endswith("plant"):
+        h, told = random.uniform(0.005, 0.05), told_to(host.name, random)
+        t = np.arange(6) * h
+        displaced(host).start(told[0], input_time=at, brakes=2, hold=int(random.integers(1, 3)))
+    else:
+        h = random.uniform(0.005, 0.02) * scene.reference.duration
+        t = scene.reference.start_time + random.uniform(0.1, 0.8) * scene.reference.duration + np.arange(6) * h
+        told = jets_of(host.name, t)
+        host.start(told[0], t[0], input_time=at)
+    for k in range(5):
+        yield k
+        assert host.tell(told[k + (at == END)]).step(t[k], h) == OK, host.messages
+    yield 5
+
+
+@pytest.mark.parametrize("seed", range(8) if FULL else range(1))
+@pytest.mark.parametrize("name", [f"{name}{what}" for name in sc.scenes.REGISTRY for what in ("", " plant")])
+def test_adjoint_products_are_those_of_directions(name: str, seed: int) -> None:
+    """At random instants, after steps of a random length, along random directions of all inputs and parameters."""
+    random = np.random.default_rng([seed, len(name)])
+    with Native(name) as host:
+        for k in on_its_way(host, random):
+            along = directions(name, random)
+            direction = np.concatenate(list(along.values()))
+            forward = host.derivatives(list(along), direction)
+            # All outputs weigh alike; at the start of a plant nothing depends on inputs and parameters yet.
+            weights = random.standard_normal(len(forward)) / (np.abs(forward) + 1e-3 * np.abs(forward).max() + 1e-300)
+            backward = host.sensitivities(list(along), weights)
+            assert np.abs(forward).max() > 0.0 or k == 0
+            # What cancels in a sum was there.
+            size = np.abs(weights * forward).sum() + np.abs(backward * direction).sum()
+            assert abs(weights @ forward - backward @ direction) <= 1e-12 * size
+
+
+def test_an_output_without_a_derivative_keeps_it_from_no_other() -> None:
+    """The angle of a rope from the vertical is a length, which has a corner at zero: where every plant begins."""
+    with Native("gantry_crane plant") as host:
+        host.start(brakes=2)
+        along, every = ["F_x", "load_mass"], host.outputs
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            host.derivatives(along, [1.0, 1.0])
+        assert host.messages[-1] == "at t = 0 s swing has no derivative"
+        host.outputs = tuple(each for each in every if each != "swing")
+        assert np.isfinite(found := host.derivatives(along, [1.0, 1.0])).all()
+        assert found[-1] != 0.0  # the tension grows with the mass
