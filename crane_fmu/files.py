@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import servocore as sc
+from servocore.files import not_written, require_writable
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -49,17 +51,18 @@ def filled_folder(target: Path) -> Iterator[Path]:
     InvalidSetting
         If the folder cannot be made or written.
     """
-    if target.exists() and not target.is_dir():
-        raise sc.InvalidSetting(f"cannot make the folder {target}: there is a file of that name")
-    parent = target.resolve().parent
+    require_writable(target, target)
+    parent = Path(os.path.realpath(target)).parent
     with made_folder(parent, target):
         try:
             draft = Path(tempfile.mkdtemp(prefix=f".{target.name}", suffix=".part", dir=parent))
         except OSError as error:
-            raise sc.InvalidSetting(f"cannot make the folder {target}: {_reason(error)}") from error
+            raise not_written(target, error) from error
         try:
             yield draft
             _move(draft, target)
+        except sc.InvalidSetting as error:  # what could not be written has a name that nobody knows
+            raise sc.InvalidSetting(str(error).replace(str(draft), str(target))) from error
         finally:
             shutil.rmtree(draft, ignore_errors=True)
 
@@ -85,12 +88,13 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
     InvalidSetting
         If the folder cannot be made.
     """
-    folder = folder.resolve()
+    require_writable(folder, wanted)
+    folder = Path(os.path.realpath(folder))
     try:
         made = [each for each in (folder, *folder.parents) if not each.exists()]
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise sc.InvalidSetting(f"cannot make the folder {wanted}: {_reason(error)}") from error
+        raise not_written(wanted, error) from error
     try:
         yield
     finally:
@@ -113,11 +117,7 @@ def _move(draft: Path, target: Path) -> None:
             else:
                 source.replace(place)
     except OSError as error:
-        raise sc.InvalidSetting(f"cannot write into the folder {target}: {_reason(error)}") from error
-
-
-def _reason(error: OSError) -> str:
-    return error.strerror or str(error)
+        raise not_written(target, error) from error
 
 
 def path_in_file(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,7 +16,14 @@ from servocore.errors import InvalidSetting
 PICTURES = (".png", ".svg", ".pdf")
 """Endings of the files that figures are written to."""
 
+FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
+"""Numbers of the errors of a disk that takes no more."""
+
+MORE_SPACE = "free some space"
+"""What helps then."""
+
 _ROWS = 4096  # of a piece
+_TRIAL = 4096  # bytes: a disk that is full takes a file, but nothing in it
 
 
 def csv_text(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]]) -> str:
@@ -58,23 +67,80 @@ def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | 
     Raises
     ------
     InvalidSetting
-        If two options name one file, or a file is read as well, is a folder or has none to be in.
+        If two options name one file, or a file is read as well, is a folder, or is in none that can be written into.
     """
     wanted = {option: file for option, file in results.items() if file is not None}
-    read = {file.resolve() for file in sources if file is not None}
+    read = {_place(file) for file in sources if file is not None}
     taken: dict[Path, str] = {}
     for option, file in wanted.items():
-        other = taken.setdefault(file.resolve(), option)
+        other = taken.setdefault(_place(file), option)
         if other != option:
             raise InvalidSetting(f"{other} and {option} both name {wanted[other]}")
-        if file.resolve() in read:
+        if _place(file) in read:
             raise InvalidSetting(f"cannot write {file}: it is read as well")
+        _require_file(file)
+
+
+def _require_file(file: Path) -> None:
+    folder = _place(file).parent
+    try:
         if file.is_dir():
-            raise InvalidSetting(f"cannot write {file}: it is a folder")
+            raise InvalidSetting(f"cannot write {file}: it is a folder; name a file")
         if file.exists() and not file.is_file():
             raise InvalidSetting(f"cannot write {file}: it is no ordinary file")
-        if not file.parent.is_dir():
-            raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}")
+        if not folder.exists():
+            raise InvalidSetting(f"cannot write {file}: there is no folder {file.parent}; make it first")
+    except OSError as error:  # a folder that hides what it holds, a name that is too long
+        raise not_written(file, error) from None
+    require_writable(folder, file)
+
+
+def require_writable(folder: Path, wanted: Path) -> None:
+    """Refuse a folder in which nothing can be written; one that is still to be made is in one that is there.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; a file without a name is written there, or around it, and is gone again.
+    wanted : Path
+        What a refusal says cannot be written.
+
+    Raises
+    ------
+    InvalidSetting
+        If it cannot be made or written into, as below a file, without permission or on a full disk.
+    """
+    import tempfile  # noqa: PLC0415 - few programs write files
+
+    place = _place(folder)
+    try:
+        around = next(each for each in (place, *place.parents) if each.exists() or each.is_symlink())
+        if not around.is_dir():
+            named = f"{around} is" if around != _place(wanted) else "it is"
+            raise InvalidSetting(f"cannot write {wanted}: {named} a file, not a folder; name another place")
+        with tempfile.TemporaryFile(dir=around) as trial:
+            trial.write(bytes(_TRIAL))
+    except OSError as error:
+        raise not_written(wanted, error) from None
+
+
+def not_written(place: Path, error: OSError) -> InvalidSetting:
+    """Return the refusal for a file or a folder whose writing failed, with what helps.
+
+    Parameters
+    ----------
+    place : Path
+        What was to be written.
+    error : OSError
+        What came of it.
+    """
+    remedy = f"{MORE_SPACE}, or name another place" if error.errno in FULL else "name another place"
+    return InvalidSetting(f"cannot write {place}: {error.strerror or error}; {remedy}")
+
+
+def _place(file: Path) -> Path:
+    """Return where a file is, symbolic links followed; `Path.resolve` fails where they go in a circle."""
+    return Path(os.path.realpath(file))
 
 
 def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:
@@ -92,11 +158,12 @@ def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None
     """
     import tempfile  # noqa: PLC0415 - few programs write files
 
+    name = Path()
     try:
         with ExitStack() as leftovers:
             waiting = []
             for name, content in contents.items():
-                file = name.resolve()  # a symbolic link stays one
+                file = _place(name)  # a symbolic link stays one
                 with tempfile.NamedTemporaryFile(
                     prefix=f".{file.name}", suffix=".part", dir=file.parent, delete=False
                 ) as stream:
@@ -105,9 +172,8 @@ def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None
                     for piece in (content,) if isinstance(content, str | bytes) else content:
                         stream.write(piece.encode() if isinstance(piece, str) else piece)
                 part.chmod(0o644)
-                waiting.append((part, file))
-            for part, file in waiting:
+                waiting.append((part, file, name))
+            for part, file, name in waiting:  # noqa: B007 - the refusal tells which
                 part.replace(file)
     except OSError as error:
-        names = ", ".join(map(str, contents))
-        raise InvalidSetting(f"cannot write {names}: {error.strerror or error}") from error
+        raise not_written(name, error) from error

@@ -165,7 +165,7 @@ def test_a_folder_that_cannot_be_made_is_one_sentence(
         result = CliRunner().invoke(app, [command, "-o", place])
         assert result.exit_code == 2
         assert result.stdout == ""
-        assert re.fullmatch(r"crane-fmu: cannot make the folder file.*\n", result.stderr)
+        assert re.fullmatch(r"crane-fmu: cannot write file.*not a folder; name another place\n", result.stderr)
     assert os.listdir() == ["file"]
 
 

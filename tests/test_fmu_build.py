@@ -61,7 +61,7 @@ def test_a_folder_that_cannot_be_made_is_a_sentence_and_exit_code_2(
 ) -> None:
     (tmp_path / "file").touch()
     assert build.main(["-o", str(tmp_path / "file" / "x")]) == 2
-    assert capsys.readouterr().err.startswith("build_fmu.py: cannot make the folder")
+    assert capsys.readouterr().err.startswith("build_fmu.py: cannot write")
 
 
 def test_an_fmu_that_fails_its_check_is_not_put_in_place(

@@ -22,7 +22,7 @@ from typer.core import TyperGroup
 
 from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if_asked, was_asked
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning, missing_package
-from servocore.files import write_together
+from servocore.files import FULL, MORE_SPACE, write_together
 
 OF_NO_USE, REFUSED = 1, 2
 """Exit codes beside 0 and `INTERRUPTED`."""
@@ -48,7 +48,7 @@ SETTINGS: dict[str, Any] = {
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        print(f"servocore {metadata.version('servocore')}")
+        print(f"servocore {metadata.version('servocore')}", flush=True)
         raise typer.Exit
 
 
@@ -74,6 +74,11 @@ class SentenceGroup(TyperGroup):
             if refusal is None:
                 raise
             self._refuse(str(refusal))
+        except OSError as error:
+            hindered = _hindered(error)
+            if hindered is None:
+                raise
+            self._refuse(hindered)
         except UsageError as error:
             message = error.format_message().rstrip(".")
             asked = error.ctx.command_path if error.ctx else self.name
@@ -88,7 +93,9 @@ class SentenceGroup(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl-C ends it with a sentence and `INTERRUPTED`, whatever error came of it."""
         with self._stoppable():
-            return super().invoke(ctx)
+            result = super().invoke(ctx)
+            sys.stdout.flush()  # what the stream cannot take is refused, not left for the interpreter's end
+            return result
 
     @contextmanager
     def _stoppable(self) -> Iterator[None]:
@@ -123,6 +130,15 @@ class SentenceGroup(TyperGroup):
     def _refuse(self, sentence: str) -> NoReturn:
         print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
         sys.exit(REFUSED)
+
+
+def _hindered(error: OSError) -> str | None:
+    """Return what to tell of an error that lies in the machine, such as a full disk; None for any other."""
+    if error.errno in FULL:
+        return f"a disk is full, that of the output or that of TMPDIR: {MORE_SPACE} ({error.strerror})"
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # as `tempfile` raises it
+        return f"{error.strerror}: let TMPDIR name a folder that can be written"
+    return None
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.interruption import stop_if_asked
 from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName, Tolerance, Waypoints
 from servocore.errors import InvalidSetting, refused_if_missing
-from servocore.files import write_together
+from servocore.files import require_writable, write_together
 from servocore.model.limit_files import limits_given
 from servocore.planning.grid import drawn
 from servocore.planning.sweep_store import the_xarray
@@ -100,8 +100,7 @@ def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
         subject = GivenPath(reference, waypoints, tolerance).along(chosen(scene, parameters), model)
         bounds = limits_given(limit, limits)
         varied = _varied(vary or (), sample, seed)
-        if output.exists() and not output.is_dir():
-            raise InvalidSetting(f"cannot write into {output}: it is a file")
+        require_writable(output, output)
         store = output / (_TABLES if parquet else _STORE)
         with _client(scheduler) as client, _SweepProgress() as progress:
             try:

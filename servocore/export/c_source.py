@@ -12,7 +12,7 @@ from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
-from servocore.files import write_together
+from servocore.files import not_written, require_writable, write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import MAX_ITERATIONS
@@ -48,20 +48,25 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     place = Path(folder)
     require_folder(scene, place)
     files = c_files(inverse_model(scene, model))
+    made = not place.exists()
     try:
         place.mkdir(exist_ok=True)
     except OSError as error:
-        raise InvalidSetting(f"cannot make the folder {place}: {error.strerror or error}") from error
-    write_together({place / name: text for name, text in files.items()})
+        raise not_written(place, error) from error
+    try:
+        write_together({place / name: text for name, text in files.items()})
+    except BaseException:
+        if made:
+            place.rmdir()
+        raise
     return place
 
 
 def require_folder(scene: Scene, place: Path) -> None:
     """Raise `InvalidSetting` if C source of a scene cannot be written there, or files of others would be lost."""
-    if place.exists() and not place.is_dir():
-        raise InvalidSetting(f"cannot write {place}: it is no folder")
-    if not place.parent.is_dir():
-        raise InvalidSetting(f"cannot write {place}: there is no folder {place.parent}")
+    require_writable(place, place)
+    if not place.parent.exists():
+        raise InvalidSetting(f"cannot write {place}: there is no folder {place.parent}; make it first")
     lost = [name for name in _NAMES if (place / name).exists()]
     if lost and not (place / f"{identifier_of(scene.name)}.h").exists():
         raise InvalidSetting(f"cannot write to {place}: its {', '.join(lost)} would be lost; name a new folder")

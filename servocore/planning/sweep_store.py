@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from servocore.errors import InvalidSetting, refused_if_missing
+from servocore.files import not_written
 from servocore.planning.grid import CASE, DURATION, PATH, Slices
 from servocore.planning.sweep_settings import SweepSettings
 
@@ -236,7 +237,7 @@ def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None
             group.create_array(DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
             group.attrs.update({_SETTINGS: json.dumps(settings)})
     except OSError as error:
-        raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error
+        raise not_written(path, error) from error
 
 
 def _attributes(variable: Variable) -> dict[str, str]:

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, refused_if_missing
+from servocore.errors import refused_if_missing
+from servocore.files import not_written
 from servocore.planning.grid import PATH, Slices
 from servocore.planning.sweep_settings import SweepSettings
 from servocore.planning.sweep_store import Memory, Variable, placed, require_settings, units_of, variables_of
@@ -63,7 +64,7 @@ class Parquet:
             path.mkdir(parents=True)
             file.write_text(json.dumps(held), encoding="utf-8")
         except OSError as error:
-            raise InvalidSetting(f"cannot write {path}: {error.strerror or error}") from error
+            raise not_written(path, error) from error
         return table
 
     def has(self, number: int) -> bool:
