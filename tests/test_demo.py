@@ -83,6 +83,12 @@ class TestDemo:
             assert page.run("servocore.run.t.length") == 2001
             assert page.errors == []
 
+    def test_the_report_is_printed_without_empty_halves_of_pages(self, done: Demo, tmp_path: Path) -> None:
+        """With one figure a page it took 17 pages."""
+        require_browser()
+        with Page(done.folder / "report.html", tmp_path) as page:
+            assert 7 <= len(re.findall(rb"/Type */Page\b", page.pdf())) <= 10
+
     def test_every_table_says_its_form_and_method(self, done: Demo) -> None:
         for each in done.tables:
             assert "form reduced, exact inversion" in each.by or "form projected, method backward Euler" in each.by
@@ -95,7 +101,7 @@ class TestDemo:
         assert 0.0 < float(torque[1].removesuffix(" N m")) < 5.0  # with the projected form it is 66 N m at this step
 
     def test_the_report_says_that_the_fmu_ran_to_its_end(self, done: Demo) -> None:
-        assert "101 rows up to t = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
+        assert "101 rows up to <i>t</i> = 20 s" in (done.folder / "report.html").read_text(encoding="utf-8")
 
     def test_the_tables_name_every_model_and_step(self, done: Demo) -> None:
         assert [row[0] for row in done.tables[0].rows] == ["points", "generalized", "bodies"]

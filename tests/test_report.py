@@ -260,6 +260,23 @@ class TestPage:
         assert formula("a < b & M_b") == "a &lt; b &amp; <i>M</i><sub>b</sub>"
         assert formula("bridge_inertia") == "bridge_inertia"
 
+    @pytest.mark.parametrize(
+        ("text", "drawn"),
+        [
+            ("F by 0.277 % of its peak; the FMU", "<i>F</i> by 0.277 % of its peak; the FMU"),
+            ("up to t = 20 s in steps of 0.1 s", "up to <i>t</i> = 20 s in steps of 0.1 s"),
+            ("φ (rad)", "<i>φ</i> (rad)"),
+            ("l (m)", "<i>l</i> (m)"),
+            ("h is the step", "<i>h</i> is the step"),
+            ("reference function s(t)", "reference function <i>s</i>(<i>t</i>)"),
+            ("trolley position s, rope length l;", "trolley position <i>s</i>, rope length <i>l</i>;"),
+            ("g", "<i>g</i>"),
+            ("a path in m, a time in s", "a path in m, a time in s"),
+        ],
+    )
+    def test_symbols_are_italic_and_units_upright(self, text: str, drawn: str) -> None:
+        assert formula(text) == drawn
+
     def test_the_data_of_the_crane_are_all_there(self, crane: sc.Scene) -> None:
         table = parameter_table(crane.with_parameters(load_mass=80.0))
         assert {row[2]: row[1] for row in table.rows} == {

@@ -129,9 +129,23 @@ def parameter_table(scene: sc.Scene) -> Table:
     )
 
 
+_SYMBOL = re.compile(
+    r"\b(?P<indexed>[A-Za-z])_(?P<index>[a-z])\b"
+    r"|\bF\b|φ|^[a-z]$"  # the trolley force; the bridge angle; a symbol alone in its cell
+    r"|(?<=position )s\b|(?<=length )l\b|(?<=s\()t(?=\))"
+    r"|\b[a-z](?= = |\(t\)| \((?:s|m)\)| is the step)"
+)
+
+
 def formula(text: str) -> Markup:
-    """Escape a text and set symbols such as ``M_b`` with their index below the line."""
-    return Markup(re.sub(r"\b([A-Za-z])_([a-z])\b", r"<i>\1</i><sub>\2</sub>", str(escape(text))))
+    """Escape a text and set its symbols in italics, those such as ``M_b`` with their index below the line."""
+
+    def drawn(found: re.Match[str]) -> str:
+        if found["index"]:
+            return f"<i>{found['indexed']}</i><sub>{found['index']}</sub>"
+        return f"<i>{found[0]}</i>"
+
+    return Markup(_SYMBOL.sub(drawn, str(escape(text))))
 
 
 ROUNDING = 1e-9
