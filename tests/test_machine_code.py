@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -19,7 +20,7 @@ from servocore.checks.between_instants import suspects
 from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics.code_cache import CodeCache
-from servocore.numerics.machine_code import BACKGROUND, Build, built, library_of
+from servocore.numerics.machine_code import BACKGROUND, Build, _Processes, built, library_of
 from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
@@ -258,6 +259,22 @@ def test_without_a_compiler_all_goes_on_interpreted(monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(found[0][0], np.arange(20_000.0) - 3.0)
     with pytest.raises(sc.InvalidSetting, match="machine code needs a C compiler"):
         Vectorized(function, (True, False), True, "difference")
+
+
+def test_a_compiler_that_starts_while_the_process_ends_is_ended_too(tmp_path: Path) -> None:
+    processes = _Processes()
+
+    class Late(set[Any]):
+        """What is added here comes after all that runs was ended."""
+
+        def add(self, compiler: Any) -> None:
+            processes.close()
+            super().add(compiler)
+
+    processes.running = Late()
+    begin = time.monotonic()
+    assert processes.run(["sleep", "60"], tmp_path)[0] != 0
+    assert time.monotonic() - begin < 50
 
 
 def test_a_process_ends_at_once_though_a_compiler_runs(tmp_path: Path) -> None:

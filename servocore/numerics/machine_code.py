@@ -146,6 +146,8 @@ class _Processes:
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         ) as process:
             self.running.add(process)
+            if self.closed:  # since it was looked at above: `close` may have missed the newcomer
+                process.kill()
             try:
                 said = process.communicate(timeout=_SECONDS)[1]
             except subprocess.TimeoutExpired:
