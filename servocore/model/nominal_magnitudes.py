@@ -15,11 +15,13 @@ import numpy as np
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.components import of_one_shape, parts_of
 from servocore.references.base import Reference
 
 _FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
 _ROUND_OFF = 1e-9  # of the largest change of a unit: less is none
 _NOTHING = 1e-13  # of the largest change of all: round-off of a matrix that is inverted
+_NEGLIGIBLE = 1e-9  # of the largest singular value: less is a row that follows from others
 _SMALLEST = 1e-4  # of a coordinate itself: changes below it do not show in its magnitude
 
 
@@ -72,7 +74,27 @@ def _changes(system: MechanicalSystem, extent: Array) -> Array:
     changes = [np.abs(np.asarray(evaluate(function, home, p)[0]).ravel() - home) for function in gamma]
     rows = np.asarray(evaluate(gamma[0], home, p)[1])
     if np.isfinite(rows).all():
-        outputs = np.eye(len(rows))[:, len(rows) - len(extent) :] * extent
-        changes.append(np.abs(np.linalg.pinv(rows, rcond=1e-9) @ outputs).max(axis=1))
+        changes.append(_followed(rows, np.concatenate([np.zeros(len(rows) - len(extent)), extent])))
     largest: Array = np.nan_to_num(np.max(changes, axis=0), nan=0.0, posinf=0.0)
     return largest
+
+
+def _followed(rows: Array, extent: Array) -> Array:
+    """Return how far each coordinate goes at most when one of the rows goes as far as its `extent`, none but it.
+
+    Independent parts of the rows are taken each by itself, what is negligible in all of them together is zero.
+    """
+    places = (indices.tolist() for indices in np.nonzero(rows))
+    groups = of_one_shape([part for part in parts_of(ca.Sparsity.triplet(*rows.shape, *places)) if len(part.entries)])
+    decomposed = [
+        np.linalg.svd(np.stack([rows[np.ix_(part.rows, part.columns)] for part in same]), full_matrices=False)
+        for same in groups
+    ]
+    largest = max((values.max() for _, values, _ in decomposed), default=0.0)
+    followed = np.zeros(rows.shape[1])
+    for same, (left, values, right) in zip(groups, decomposed, strict=True):
+        inverse = np.divide(1.0, values, out=np.zeros_like(values), where=values > _NEGLIGIBLE * largest)
+        pseudoinverse = right.swapaxes(1, 2) @ (inverse[:, :, None] * left.swapaxes(1, 2))
+        for part, matrix in zip(same, pseudoinverse, strict=True):
+            followed[part.columns] = np.abs(matrix * extent[part.rows]).max(axis=1)
+    return followed

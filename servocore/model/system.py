@@ -255,7 +255,7 @@ class MechanicalSystem:
 
     @cached_property  # assembling a large mechanism takes longer than anything else here, and not every system asks
     def _rank_at_home(self) -> ConstraintRank:
-        return self.constraint_rank()
+        return self._constraint_rank(None)
 
     def constraint_rank(self, p: Array | None = None) -> ConstraintRank:
         """Find how many holonomic constraints are independent, and which are redundant.
@@ -270,10 +270,11 @@ class MechanicalSystem:
         ConstraintRank
             Told at configurations that satisfy the constraints near the guess at `home`.
         """
+        return self._rank_at_home if p is None or tuple(p) == self.home_parameters else self._constraint_rank(p)
+
+    def _constraint_rank(self, p: Array | None) -> ConstraintRank:
         home, values = self.home_configuration()
-        starts = [home]
-        if p is not None:
-            starts, values = [self.home_configuration(p)[0], home], p
+        starts, values = ([home], values) if p is None else ([self.home_configuration(p)[0], home], p)
         constraints = ca.substitute(self.constraints, self.time, ca.SX.zeros(self.time.shape))
         return constraint_rank(constraints, self.q, self.p, starts, values, self.coordinates.nominal)
 

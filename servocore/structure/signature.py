@@ -204,12 +204,13 @@ def equilibrated(matrix: Array) -> Array:
 
     Takes one matrix, or many stacked.
     """
-    scaled = matrix.copy()
+    scaled = np.array(matrix, dtype=np.float64)
+    size = np.empty_like(scaled)  # in place: to find memory anew in every sweep takes longer than to divide
     for sweep in range(_SWEEPS if matrix.size else 0):
         for axis in (-1, -2):
-            largest = np.abs(scaled).max(axis=axis, keepdims=True)
+            largest = np.abs(scaled, out=size).max(axis=axis, keepdims=True)
             factor = np.where(largest > 0.0, largest, 1.0)
-            scaled = scaled / (np.sqrt(factor) if sweep < _SWEEPS - 1 else factor)
+            scaled /= np.sqrt(factor) if sweep < _SWEEPS - 1 else factor
     return scaled
 
 
