@@ -16,7 +16,7 @@ from servocore.references.base import Reference
 from servocore.references.formula import Formula
 
 _SECOND = 2  # call from which on machine code is worth a look
-_FEW = 150  # instants: for so many the interpreter evaluates the path in less time than NumPy
+_FEW = 400  # instants: for so many the interpreter evaluates the path in less time than NumPy
 
 
 @dataclass(frozen=True, eq=False)
