@@ -18,7 +18,7 @@ from fmpy.ssp.simulation import simulate_ssp
 from fmu_host import scratch
 from loops import Case, Loop, fastest, jets_of, random_case
 from native_fmu import path_of
-from present import present
+from present import of_kind, present
 from test_ssp import MASTERS, places, system
 
 from crane_fmu.build import Wishes, build_ssp
@@ -26,6 +26,7 @@ from crane_fmu.cli import app as crane_app
 from crane_fmu.run import nothing_left
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of
+from servocore.references.rest_to_rest import RestToRest
 
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 
@@ -74,9 +75,12 @@ def systems(connected: str, seed: int | None = None) -> dict_values[bool, Path]:
     wishes: dict[str, Any] = {"parameters": {"connected": connected}} if told else {}
     if seed is not None:
         case = random_case(np.random.default_rng(seed), any_crane=True)
-        wishes["parameters"] |= case.crane
-        wishes["path"] = scratch() / f"path {seed}.csv"
-        wishes["path"].write_text(csv_of(case.reference))
+        path = of_kind(RestToRest, case.reference)
+        wishes["profile"] = path.profile.name.replace("degree-", "degree")
+        wishes["parameters"] |= {**case.crane, "duration": path.duration}
+        for vector, place in (("start", path.start), ("end", path.end), ("start.position", path.start)):
+            wishes["parameters"] |= {f"{vector}[{k}]": place[k - 1] for k in (1, 2, 3)}
+        wishes["parameters"] |= {f"load.position[{k}]": path.start[k - 1] for k in (1, 2, 3)}
     for native in (False, True):
         folder = scratch() / f"{connected} {native} {seed}"
         if native or told:
@@ -148,6 +152,27 @@ def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path: Path, mon
             if name.endswith(".fmu"):
                 with zipfile.ZipFile(archive.open(name)) as fmu:
                     assert not any(each.endswith(".py") or "python" in each for each in fmu.namelist())
+
+
+@pytest.mark.parametrize("native", [(), ("--native",)], ids=["python", "native"])
+def test_a_path_that_starts_before_the_run_is_refused(
+    native: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write("path.csv", "time,x,y,z\n-3,5,0,-5\n13,4,3,-5\n")
+    crane.assert_refused(
+        crane("ssp", *native, "--waypoints", "path.csv"), "the path starts at t = -3 s, but the system's"
+    )
+    assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
+
+
+def test_a_path_through_the_axis_is_refused_with_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write("path.csv", "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n")
+    refused = crane("ssp", "--native", "--targets", "host", "--waypoints", "path.csv")
+    assert refused.exit_code == 2
+    assert "crane-fmu: at t = 5 s the trolley reaches the slewing axis" in refused.stderr  # behind what was being done
+    assert not (tmp_path / "system").exists()
 
 
 def test_platforms_belong_to_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

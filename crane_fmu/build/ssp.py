@@ -117,6 +117,11 @@ def build_ssp(
     if wishes.profile is not None:
         starts["profile"] = wishes.profile
     if reference is not None:
+        if reference.start_time < 0.0:  # the load would begin beside its path, and the run after it
+            raise sc.InvalidReference(
+                f"the path starts at t = {reference.start_time:g} s, but the system's run at 0 s: let it start then or"
+                " later"
+            )
         first = reference.jet(reference.start_time, 0)[0].tolist()
         starts |= {"profile": FROM_FILE}
         for vector in ("load.position", "start.position"):

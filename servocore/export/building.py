@@ -89,7 +89,8 @@ def inverse_model(
             f"{scene.name} cannot be exported: its internal dynamics {grows} ({kind.kind}), so that bounded inputs"
             f" depend on the whole path, its future included; solve computes them"
         )
-    require_feasible(problem)
+    if not problem.flat or problem.follow_branch:  # others were looked at before
+        require_feasible(problem)
     identifier = identifier_of(scene.name)
     compiled, system = mathematics(problem, identifier), problem.system
     home = scene.reference.jet([scene.reference.start_time], 0)[0, 0]
@@ -137,6 +138,7 @@ def followed(problem: Problem) -> Problem:
             f"the path has derivatives up to order {problem.reference.max_order}, the inputs of {problem.name} need"
             f" order {problem.array.reference_order}"
         )
+    require_feasible(problem)  # first: a limit says more than a singular matrix
     with causes_explained(problem):
         return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
 
