@@ -22,6 +22,7 @@ from servocore.numerics.square_systems import (
     compile_flat_solver,
     compile_solver,
 )
+from servocore.numerics.written_out import solution_written_out
 
 
 def solve(
@@ -120,6 +121,33 @@ def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units() -> N
     assert flat is not None
     expected = np.array([0.3, -1.1, 0.7, 2.0, -0.4])
     np.testing.assert_allclose(np.asarray(flat(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("size", [4, 5, 6])
+def test_sparse_blocks_are_written_out_with_fewer_operations_than_a_factorization(size: int) -> None:
+    """An arrow: as the forces of a rope, each on its own coordinate, and the rope's length on all of them."""
+    rng = np.random.default_rng(size)
+    numbers = np.diag(rng.normal(size=size))
+    numbers[:, -1], numbers[-1, :] = rng.normal(size=(2, size))
+    matrix, right = ca.SX.sym("A", ca.sparsify(ca.DM(numbers)).sparsity()), ca.SX.sym("b", size)
+    solved, factorized = (
+        ca.Function("sc_solved", [matrix, right], [each], {"cse": True})
+        for each in (solution_written_out(matrix, right), ca.solve(matrix, right))
+    )
+    assert solved.n_instructions() < factorized.n_instructions()
+    side = rng.normal(size=size)
+    expected = np.linalg.solve(numbers, side)
+    np.testing.assert_allclose(np.asarray(solved(numbers, side)).ravel(), expected, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [4, 5, 6, 7])
+def test_dense_blocks_are_written_out_to_round_off(size: int) -> None:
+    rng = np.random.default_rng(size)
+    numbers, side = rng.normal(size=(size, size)) + 3.0 * np.eye(size), rng.normal(size=size)
+    matrix, right = ca.SX.sym("A", size, size), ca.SX.sym("b", size)
+    solved = ca.Function("sc_solved", [matrix, right], [solution_written_out(matrix, right)])
+    found = np.asarray(solved(numbers, side)).ravel()
+    np.testing.assert_allclose(found, np.linalg.solve(numbers, side), rtol=1e-12, atol=1e-12)
 
 
 def test_blocks_are_solved_in_the_order_in_which_they_depend_on_each_other() -> None:

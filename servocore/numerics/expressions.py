@@ -96,19 +96,6 @@ def diagonal(entries: Sequence[ca.SX | float]) -> ca.SX:
     return ca.sparsify(ca.diag(ca.vertcat(*entries)))
 
 
-def small_inverse_times(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    """Return matrix^-1 right for up to three rows, by Cramer's rule."""
-    if matrix.size1() == 1:
-        return right / matrix
-    if matrix.size1() == 2:
-        (a, b), (c, d) = ((matrix[i, 0], matrix[i, 1]) for i in range(2))
-        return ca.vertcat(d * right[0] - b * right[1], a * right[1] - c * right[0]) / (a * d - b * c)
-    rows = [matrix[i, :].T for i in range(3)]
-    # The columns of the adjugate are the cross products of the rows.
-    adjugate = ca.horzcat(*[ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)])
-    return ca.mtimes(adjugate, right) / ca.dot(rows[0], adjugate[:, 0])
-
-
 def constants_kept(scale: ca.SX) -> tuple[ca.SX, list[int]]:
     """Return the scale with symbols in the places of all that is no number, and those places.
 

@@ -22,6 +22,8 @@ class KnownValues:
         Counts of Newton's method.
     alike : list of casadi.MX
         Counts of parts that were solved by one function, shape (2, parts) each.
+    moved : list of casadi.MX
+        Squared scaled corrections of guesses that should be exact.
     linear_blocks : int
         Blocks that needed no iterations.
     """
@@ -29,6 +31,7 @@ class KnownValues:
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
     iterations: list[ca.MX] = field(default_factory=list)
     alike: list[ca.MX] = field(default_factory=list)
+    moved: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)

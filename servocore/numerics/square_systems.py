@@ -24,10 +24,11 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.numerics.expressions import constants_kept, largest, small_inverse_times
+from servocore.numerics.expressions import constants_kept, largest
 from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
 from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.tearing import dependence, tear
+from servocore.numerics.written_out import small_inverse_times, solution_written_out
 
 NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -162,6 +163,11 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
     worst = largest(system.residual / system.residual_scale)
     wanted = [ca.densify(output) for output in known.resolved(*outputs, worst)]
     *results, residual = known.evaluated("sc_finish", *wanted, common=not flat)
+    if known.moved:
+        # Where nothing waits for it. A sum of squares that is NaN is below no tolerance.
+        exact = ca.sum1(ca.vertcat(*known.moved)) < NEWTON_TOLERANCE**2
+        verdict = ca.if_else(exact, 0.0, np.nan)
+        *results, residual = (each + verdict for each in (*results, residual))
     return ca.Function(name, [givens], [*results, known.counts(), residual])
 
 
@@ -198,11 +204,16 @@ def _solve_isomorphic(
     part_givens = ca.MX.sym("givens", size)
     inner = _solved(part, part_givens, flat)
     values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
-    solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts()]).map(count)
-    solved, counts = solve(ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count))
+    moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.moved))
+    solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts(), moved]).map(count)
+    solved, counts, squared = solve(
+        ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count)
+    )
     columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
     known.learn(system.unknowns[columns], ca.vec(solved))
     known.alike.append(counts)
+    if inner.moved:
+        known.moved.append(ca.sum2(squared))
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -251,8 +262,9 @@ def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
+    # In order: blocks that repeat with every derivative then have the same matrix, whose minors are computed once.
     return [
-        (rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]])
+        (sorted(rows[row_starts[k] : row_starts[k + 1]]), sorted(columns[column_starts[k] : column_starts[k + 1]]))
         for k in range(count)
     ]
 
@@ -280,11 +292,7 @@ def _solve_linear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
     known.linear_blocks += 1
     if flat:
-        # Written out, QR is Gram and Schmidt's: its error grows with the square of the condition, which is large where
-        # equations of forces stand beside such of lengths. Rows of length one do better, and remain differentiable.
-        length = ca.sqrt(ca.sum2(jacobian**2))
-        rows = ca.mtimes(ca.diag(1 / length), jacobian)
-        known.learn(block.unknowns, *known.evaluated("sc_linear", ca.solve(rows, -constant / length)))
+        known.learn(block.unknowns, *known.evaluated("sc_linear", solution_written_out(jacobian, -constant)))
         return
     matrix, right = known.evaluated("sc_linear", jacobian, -constant)
     known.learn(block.unknowns, ca.solve(matrix, right, "qr"))
@@ -360,18 +368,19 @@ def _beyond_round_off(jacobian: ca.Function, x: ca.SX, p: ca.SX, by_data: ca.SX,
 
 
 def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
-    """Return a guess after one Newton iteration, or NaN if that moved it by more than `NEWTON_TOLERANCE`."""
-    unknowns, size = block.unknowns, block.unknowns.numel()
+    """Return a guess after one Newton iteration; `compile_solver` judges in the end by how much that moved it."""
+    unknowns = block.unknowns
     better = _with_forces(block)
     jacobian = ca.jacobian(block.residual, unknowns)
     residual, jacobian = ca.substitute([block.residual, jacobian], [unknowns], [better])
-    correction = small_inverse_times(jacobian, residual) if size <= _EXPLICIT_SIZE else ca.solve(jacobian, residual)
-    verdict = ca.if_else(largest(correction / block.unknown_scale) < NEWTON_TOLERANCE, 1.0, np.nan)
+    correction = solution_written_out(jacobian, residual)
+    moved = ca.sumsqr(correction / block.unknown_scale)
     (start,) = known.evaluated("sc_prepare", block.guess)
     symbols, values = known.needed(block.residual, block.unknown_scale)
-    iterate = ca.Function("sc_iterate", [symbols, unknowns], [(better - correction) * verdict], {"cse": True})
+    iterate = ca.Function("sc_iterate", [symbols, unknowns], [better - correction, moved], {"cse": True})
+    solution, squared = iterate(values, start)
     known.iterations.append(ca.MX(1))
-    solution: ca.MX = iterate(values, start)
+    known.moved.append(squared)
     return solution
 
 
@@ -382,6 +391,8 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     matrix = ca.jacobian(residual, unknowns[rough])
     if not rough or len(rough) > _EXPLICIT_SIZE or ca.depends_on(matrix, unknowns[rough]):
         return unknowns
+    # From zero: nothing of what the guess says of them is left, so that nothing of it has to be computed.
+    rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))
     estimate = ca.SX(unknowns)
-    estimate[rough] -= small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, residual))
+    estimate[rough] = -small_inverse_times(ca.mtimes(matrix.T, matrix), ca.mtimes(matrix.T, rest))
     return estimate
