@@ -74,7 +74,8 @@ SMALLEST_MARGIN = 1e-3
 """How far in m the rope must stay from where the boom can no longer hold it up, or stands upright."""
 
 _TINY = 1e-300  # m², beside which every square of a length that is not zero is as it was
-_ITERATIONS = 6  # of Newton's method, to round-off unless the boom is almost level
+_ITERATIONS = 3  # to round-off, unless the rope's line passes close to the axis
+_ITERATIONS_OF_JETS = 12
 
 
 def points() -> MechanicalSystem:
@@ -174,32 +175,40 @@ def _from_axis(place: ca.SX) -> ca.SX:
 
 
 def _distance(gamma: ca.SX, p: Parameters) -> ca.SX:
-    """How near the rope's line comes to the circle of the boom's feet, by Newton's method from the height of these."""
-    towards, load, length = _direction(gamma, p), gamma[:, 0], ca.SX.sym("l")
-    place = load + length * towards
-    squared = (_from_axis(place) - p["foot_offset"]) ** 2 + place[2] ** 2
-    slope = ca.gradient(squared, length)
-    better = length - slope / ca.gradient(slope, length)
-    nearest = -load[2] / towards[2]
-    for _ in range(_ITERATIONS // 2):  # what is left of the way counts by its square
-        nearest = ca.substitute(better, length, nearest)
-    return ca.sqrt(ca.substitute(squared, length, nearest))
+    """How near the rope's line comes to the circle of the boom's feet, by Newton's method from the height of these.
+
+    With R, how far a place is from the axis, half of the derivative of the squared distance is r n + l - e R'.
+    """
+    towards, load, offset = _direction(gamma, p), gamma[:, 0], p["foot_offset"]
+    projected, nearest, level = ca.dot(load, towards), -load[2] / towards[2], ca.sumsqr(towards[:2])
+    for _ in range(_ITERATIONS):
+        place = load + nearest * towards
+        R, squared, radial = _from_axis(place), ca.sumsqr(place[:2]) + _TINY, ca.dot(place[:2], towards[:2])
+        slope, curvature = (projected + nearest) * R - offset * radial, level - radial**2 / squared
+        nearest -= slope / (R - offset * curvature)  # both times R
+    place = load + nearest * towards
+    return ca.sqrt((_from_axis(place) - offset) ** 2 + place[2] ** 2)
 
 
 def _tip(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX]:
     """Return the boom's tip when the load follows the path, with the boom up, and the rope's length.
 
-    Newton's method starts where the rope's line leaves the sphere of radius L + e, and comes down to the torus.
+    The torus is |P|^2 - 2 e R = L^2 - e^2, with R how far P is from the axis. Along the rope's line R is almost linear,
+    and a tangent in its place, the first where the line leaves the sphere of radius L + e, leaves a quadratic equation
+    for l. Unlike Newton's method for the quartic that does not slow down where both solutions meet.
     """
-    towards, load, length = _direction(gamma, p), gamma[:, 0], ca.SX.sym("l")
-    tip = load + length * towards
-    missed = (_from_axis(tip) - p["foot_offset"]) ** 2 + tip[2] ** 2 - p["boom_length"] ** 2
-    better = length - missed / ca.gradient(missed, length)
-    along, widest = ca.dot(load, towards), p["boom_length"] + p["foot_offset"]
-    found = ca.sqrt(along**2 - ca.sumsqr(load) + widest**2) - along
+    towards, load, offset, boom = _direction(gamma, p), gamma[:, 0], p["foot_offset"], p["boom_length"]
+    projected, outside = ca.dot(load, towards), ca.sumsqr(load) + (offset - boom) * (offset + boom)
+    length = ca.sqrt(projected**2 - ca.sumsqr(load) + (boom + offset) ** 2) - projected
     for _ in range(_ITERATIONS):
-        found = ca.substitute(better, length, found)
-    return load + found * towards, found
+        place = load + length * towards
+        R, squared = _from_axis(place), ca.sumsqr(place[:2]) + _TINY
+        # Not divided by R, so that nobody waits for the root before the division begins.
+        slope = offset * ca.dot(place[:2], towards[:2]) / squared * R
+        middle = slope - projected
+        apart = middle**2 - outside + 2 * (offset * R - slope * length)
+        length = middle + ca.sqrt(ca.if_else(apart > 0, apart, 0))
+    return load + length * towards, length
 
 
 def _hanging(gamma: ca.SX, p: Parameters) -> ca.SX:
@@ -234,7 +243,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     n_x, n_y, n_z = (each / size for each in pull)
     along = x * n_x + y * n_y + z * n_z
     rope = jets.sqrt(along**2 + (L + e) ** 2 - (x**2 + y**2 + z**2)) - along
-    for _ in range(2 * _ITERATIONS):  # derivatives converge after the value, twice as many with each
+    for _ in range(_ITERATIONS_OF_JETS):  # derivatives converge after the value, twice as many with each
         P_x, P_y, P_z = x + rope * n_x, y + rope * n_y, z + rope * n_z
         R = jets.sqrt(P_x**2 + P_y**2)
         missed = (R - e) ** 2 + P_z**2 - L**2
