@@ -79,6 +79,7 @@ bench: $(INSTALLED)  ## measure what a step costs on this machine
 	$(BIN)/python benchmarks/step_cost.py
 	$(BIN)/python benchmarks/fmu_cost.py
 	$(BIN)/python benchmarks/native_cost.py
+	$(BIN)/python benchmarks/wasm_cost.py
 	OMP_NUM_THREADS=1 $(RUN) benchmarks.scale
 	$(BIN)/python benchmarks/energy_momentum.py
 

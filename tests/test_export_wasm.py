@@ -153,7 +153,7 @@ def test_marching_ends_where_a_step_is_not_solved() -> None:
 def test_a_module_imports_nothing_and_is_small(name: str) -> None:
     content = module_file(name).read_bytes()
     assert 2 not in [number for number, _ in sections(content)]  # the section of imports
-    assert len(content) <= (53_000 if name == "boom_crane" else 50_000)  # the page tells that it is larger
+    assert len(content) <= 50_000
 
 
 SCRIPT = """

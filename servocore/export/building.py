@@ -19,7 +19,7 @@ from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.directional_derivatives import tangent
 from servocore.export.estimates import SampledEstimates
-from servocore.export.exported_quantities import Matrix, timed_path, wanted
+from servocore.export.exported_quantities import Matrix, observation, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.inverse_model import InverseModel, Mathematics
@@ -39,7 +39,6 @@ from servocore.solvers.branch_continuation import BranchTable, prepared_table
 from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_restart
 from servocore.stepping.limit_margins import compile_margins, limits_order
-from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
 METHOD = RadauIIA(3)
@@ -291,11 +290,11 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     inverse = problem.resolved.once(inversion)
     rows = problem.array.reference_order + 1
     orders = max(rows, known.orders)
-    read = compile_observation(system, dae, instantaneous(dae), known.wanted, orders - 1)
+    read = observation(system, dae, instantaneous(dae), known.wanted, orders - 1)
     margins = compile_margins(system, known.of_path, orders - 1)
 
     def seen(state: Matrix, path: Matrix, p: Matrix) -> tuple[Matrix, Matrix]:
-        return known.split(read(state, path, p)[0], margins(path, p))
+        return known.split(read(state, path, p), margins(path, p))
 
     G, P, T = _symbols(system, orders)
     path = timed_path(system, G, T)
@@ -304,14 +303,15 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     functions, none = {}, ca.MX.sym("start", 0)
     if inverse.expression is not None:
         jet, p = timed_path(system, system.path[:, :orders], time := ca.SX.sym("time")), system.p
-        results = seen(inverse.expression(jet[:, :rows], p)[0], jet, p)
+        results, kept_there = seen(inverse.expression(jet[:, :rows], p)[0], jet, p)
+        # Margins first: what they need of the path alone is then computed beside the guess, and neither waits.
         functions["quick"] = ca.Function(
-            f"{identifier}_quick", [system.path[:, :orders], p, time], list(results), {"cse": True}
+            f"{identifier}_quick", [system.path[:, :orders], p, time], [kept_there, results], {"cse": True}
         )
     begun = [ca.MX(0, 1), outputs]
     functions["begin"] = ca.Function(f"{identifier}_begin", [G, P, T, none], [*begun, kept, residual])
     functions["begin_tangent"] = tangent(f"{identifier}_begin_tangent", [G, P, T, none], begun, [G, P])
-    depends = _dependence(functions.get("quick", functions["begin"]), 0 if "quick" in functions else 1)
+    depends = _dependence(functions.get("quick", functions["begin"]), 1)
     return Mathematics(identifier, functions, known.outputs, known.bounds, orders, 0, (1.0,), depends)
 
 
@@ -321,20 +321,20 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
     orders = max(program.start_order + 1, known.orders)
-    read = compile_observation(system, dae, discretized(dae, METHOD), known.wanted, orders - 1)
+    read = observation(system, dae, discretized(dae, METHOD), known.wanted, orders - 1)
     margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
     path = timed_path(system, G, T)
     first, residual = _first(problem, program.start_order, path, P, D)
-    outputs, kept = known.split(read(first, path, P)[0], margins(path, P))
+    outputs, kept = known.split(read(first, path, P), margins(path, P))
     S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", G.shape[0], orders * len(nodes))
     at_nodes = [
         timed_path(system, column, T + node * h) for column, node in zip(ca.horzsplit(N, orders), nodes, strict=True)
     ]
     used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
     after, _, left = program.step(S, used, h, P)
-    stepped, within = known.split(read(after, at_nodes[-1], P)[0], margins(at_nodes[-1], P))
+    stepped, within = known.split(read(after, at_nodes[-1], P), margins(at_nodes[-1], P))
     step, begin = [S, N, h, P, T], [G, P, T, D]
     functions = {
         "advance": ca.Function(f"{identifier}_advance", step, [after, stepped, within, left]),

@@ -73,6 +73,14 @@ def checked_once(source: str) -> str:
     return f"static const double ZEROS[{zeros}];\nstatic double UNWANTED[{unwanted}];\n" + "".join(parts)
 
 
+_COPY = re.compile(r"^(?=void casadi_copy\()", re.MULTILINE)
+
+
+def copied_in_one_place(source: str) -> str:
+    """Return C source that calls its function for copies of arrays, of which there are many, and repeats it nowhere."""
+    return _COPY.sub("__attribute__((noinline)) ", source)
+
+
 def renamed(function: ca.Function, name: str) -> ca.Function:
     """Return a function by another name, with results that have all their numbers."""
     arguments = [ca.MX.sym(f"i{k}", function.sparsity_in(k)) for k in range(function.n_in())]

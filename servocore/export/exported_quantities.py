@@ -6,9 +6,12 @@ from typing import TypeVar
 
 import casadi as ca
 
+from servocore.dae import Dae
+from servocore.methods.base import Discretisation
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
+from servocore.stepping.observation import compile_observation
 
 Matrix = TypeVar("Matrix", ca.SX, ca.MX)
 """Symbols of either kind, all of the same."""
@@ -18,6 +21,15 @@ def wanted(problem: Problem) -> list[tuple[Quantity, ca.SX]]:
     """List inputs and observables with their expressions."""
     system = problem.system
     return [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *system.observables.items()]
+
+
+def observation(
+    system: MechanicalSystem, dae: Dae, step: Discretisation, known: list[tuple[Quantity, ca.SX]], order: int
+) -> ca.Function:
+    """Compile (state, gamma (m, order + 1), p) -> values of `known`, without the violations that a host never sees."""
+    read = compile_observation(system, dae, step, known, order)
+    arguments = read.sx_in()
+    return ca.Function(read.name(), arguments, [read(*arguments)[0]], {"cse": True})
 
 
 def timed_path(system: MechanicalSystem, path: Matrix, time: Matrix) -> Matrix:

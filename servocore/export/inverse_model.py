@@ -29,7 +29,7 @@ class Mathematics:
     functions : mapping of str to casadi.Function
         ``begin`` (path, p, time, move of the internal states) -> (state, outputs, margins, residual), and its
         ``begin_tangent`` (..., d path, d p) -> (d state, d outputs). Without a state ``quick`` (path, p, time) ->
-        (outputs, margins), NaN where ``begin`` has to be asked. With a state ``advance`` (state, paths at the nodes,
+        (margins, outputs), NaN where ``begin`` has to be asked. With a state ``advance`` (state, paths at the nodes,
         h, p, time at the beginning) -> (state, outputs, margins, residual), and its ``advance_tangent`` (..., d state,
         d paths, d p) -> (d state, d outputs).
     outputs : tuple of Quantity

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from servocore.export.exported_quantities import timed_path, wanted
+from servocore.export.exported_quantities import observation, timed_path, wanted
 from servocore.formulations.projected import Projected
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.problem import Problem
 from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_start
-from servocore.stepping.observation import compile_observation
 from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()
@@ -63,7 +62,7 @@ def marching(problem: Problem, identifier: str) -> Marching:
     program, inverse = program_of(problem, form, METHOD), problem.resolved.once(inversion)
     dae, orders, instants = problem.dae(form), program.start_order + 1, program.start_instants
     reduced, discretization = problem.dae(Reduced(states=array.named_states)), discretized(dae, METHOD)
-    read = compile_observation(system, dae, discretization, wanted(problem), program.start_order)
+    read = observation(system, dae, discretization, wanted(problem), program.start_order)
     m = len(system.outputs)
     past, path = ca.MX.sym("past", m, orders * len(instants)), ca.MX.sym("path", m, orders)
     p, h, time = ca.MX.sym("p", system.p.numel()), ca.MX.sym("h"), ca.MX.sym("time")
@@ -72,10 +71,10 @@ def marching(problem: Problem, identifier: str) -> Marching:
     ]
     start = compile_start(array, inverse.by_search(), dae, reduced, discretization, program.start_order)
     first, _, residual = start(ca.horzcat(*known), h, p)
-    begin = [first, read(first, known[0], p)[0], residual]
+    begin = [first, read(first, known[0], p), residual]
     state, then = ca.MX.sym("state", program.state_size), timed_path(system, path, time + h)
     after, _, left = program.step(state, then[:, : program.order + 1], h, p)
-    on = [after, read(after, then, p)[0], left]
+    on = [after, read(after, then, p), left]
     functions = {
         "march_begin": ca.Function(f"{identifier}_march_begin", [past, h, p, time], begin),
         "march_on": ca.Function(f"{identifier}_march_on", [state, path, h, p, time], on),

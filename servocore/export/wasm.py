@@ -13,7 +13,7 @@ import casadi as ca
 
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.export.building import followed, inverse_model
-from servocore.export.c_functions import c_source, checked_once, scratch_of
+from servocore.export.c_functions import c_source, checked_once, copied_in_one_place, scratch_of
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.marching import Marching, marching
 from servocore.export.sources import SHARED, rendered
@@ -168,7 +168,7 @@ def _source(model: InverseModel, mathematics: Mathematics | None, marched: March
         instants=marched.instants if marched else (),
         state_size=marched.state_size if marched else 0,
         scratch=scratch_of(functions.values()),
-        mathematics_source=checked_once(c_source("mathematics", functions.values())[1]),
+        mathematics_source=copied_in_one_place(checked_once(c_source("mathematics", functions.values())[1])),
     )
 
 

@@ -59,8 +59,8 @@ static int solve_instant(Instance *instance, Moment *moment)
     arguments[1] = instance->state.parameters;
     arguments[2] = &moment->time;
 #if HAS_QUICK
-    results[0] = moment->outputs;
-    results[1] = instance->scratch.margins;
+    results[0] = instance->scratch.margins;
+    results[1] = moment->outputs;
     MATHEMATICS(quick)(arguments, results, instance->integers, instance->numbers, 0);
     if (all_finite(moment->outputs, N_OUTPUTS)) return 1;
     arguments[0] = moment->path;
