@@ -19,12 +19,14 @@ import servocore as sc
 from servocore.checks.between_instants import suspects
 from servocore.cli.commands import app
 from servocore.numerics import code_cache
+from servocore.numerics import vectorized as vectorized_module
 from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import BACKGROUND, Build, _Processes, built, library_of
 from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
+from servocore.solvers import taylor as taylor_module
 from servocore.solvers.exact_inversion import compile_inputs
 from servocore.solvers.taylor import Taylor
 from servocore.stepping.compilation import program_of
@@ -195,6 +197,23 @@ def test_neighbours_that_are_apart_are_found_in_machine_code_too() -> None:
     apart = taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), scale)
     assert set(np.flatnonzero(apart)) >= {39, 40, 59, 60}
     np.testing.assert_array_equal(found[0] != 1.0, apart)
+
+
+def test_many_instants_are_looked_at_in_parts_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    t, values = np.linspace(0.0, 1.0, 1001), np.random.default_rng(3).standard_normal((3, 1001))
+    problem = Problem.of(sc.scenes.rotary_crane())
+    taylor = Taylor.of(problem.array)
+    states = np.random.default_rng(4).standard_normal((len(problem.array.unknowns), len(t)))
+    states[:, 100:900] = 0.0  # rests there
+    scale = np.ones(len(taylor.q))
+    x, y = ca.SX.sym("x", 3), ca.SX.sym("y", 2)
+    product = Vectorized(ca.Function("product", [x, y], [x * y[0], x + y[1]]), (True, False), False, "a test")
+    whole = taylor.jumps(t, states, scale), *product(values, np.array([2.0, 5.0]))
+    assert 0 < len(whole[0]) < len(t) - 1
+    for module in (taylor_module, vectorized_module):
+        monkeypatch.setattr(module, "_AT_ONCE", 37)
+    for one, other in zip(whole, (taylor.jumps(t, states, scale), *product(values, np.array([2.0, 5.0]))), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.usefixtures("compiler")

@@ -355,8 +355,7 @@ class MechanicalSystem:
             The configuration, shape (n,), and the parameter values, shape (n_p,), in the units of the model.
         """
         p = np.array(self.home_parameters, dtype=np.float64) if p is None else p
-        gamma = np.zeros(self.gamma.shape)
-        gamma[:, 0] = self.home
+        gamma = ca.horzcat(ca.DM(list(self.home)), ca.DM(self.gamma.size1(), self.gamma.size2() - 1))
         guess = ca.Function("guess", [self.gamma, self.p], [self.guess])
         return np.asarray(guess(gamma, p)).ravel(), p
 

@@ -16,6 +16,7 @@ from servocore.numerics.generated_code import GeneratedCode
 from servocore.numerics.vector_code import LANES, NAME, extremes_source, vector_source
 
 _BYTES = 8
+_AT_ONCE = 1 << 16  # instants that the interpreter evaluates together: a million would fill the memory
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
 
 
@@ -90,6 +91,16 @@ class Vectorized(GeneratedCode):
         count = arguments[self._along.index(True)].shape[-1]
         if not count:
             return [np.empty((size, 0)) for size in self._sizes]
+        parts = [
+            self._together(
+                [a[:, k : k + _AT_ONCE] if along else a for a, along in zip(arguments, self._along, strict=True)]
+            )
+            for k in range(0, count, _AT_ONCE)
+        ]
+        return [np.concatenate(of_parts, axis=1) for of_parts in zip(*parts, strict=True)] if parts[1:] else parts[0]
+
+    def _together(self, arguments: Sequence[Array]) -> list[Array]:
+        count = arguments[self._along.index(True)].shape[-1]
         pairs = zip(arguments, self._along, strict=True)
         results = mapped(self.function, count)(*[a if along else np.tile(a, count) for a, along in pairs])
         return [result.reshape(-1, count, order="F") for result in results]

@@ -87,7 +87,7 @@ class Branch:
             if apart.ready(len(t) - 1):
                 (together,) = apart(states[:, :-1], states[:, 1:], np.diff(t)[None], self.scale)
                 return np.flatnonzero(together[0] != 1.0)
-        return np.flatnonzero(self.taylor.apart(states[:, :-1], states[:, 1:], np.diff(t), self.scale))
+        return self.taylor.jumps(t, states, self.scale)
 
     def follow(self, state: Array, begin: float, end: float) -> Array:
         """Return the answer at `end` on the branch of an answer at `begin`.

@@ -14,6 +14,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import DerivativeArray
 
 _APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
+_AT_ONCE = 1 << 16  # intervals that are looked at together: what a million need would fill the memory
 _NONE = np.zeros(0, dtype=np.intp)
 SLIGHT = 1e-3
 """Of the range of a coordinate: a miss that says nothing."""
@@ -69,6 +70,12 @@ class Taylor:
         # Not <=, so that NaN counts as apart.
         are_apart: npt.NDArray[np.bool_] = ~(worst <= np.maximum(_APART * travel, SLIGHT * scale[:, None])).all(axis=0)
         return are_apart
+
+    def jumps(self, t: Array, states: Array, scale: Array) -> npt.NDArray[np.intp]:
+        """Return the intervals between the instants `t` (N,) whose ends, of the states (size, N), are `apart`."""
+        parts = [slice(begin, begin + _AT_ONCE + 1) for begin in range(0, max(len(t) - 1, 1), _AT_ONCE)]
+        of_parts = [self.apart(states[:, k][:, :-1], states[:, k][:, 1:], np.diff(t[k]), scale) for k in parts]
+        return np.flatnonzero(np.concatenate(of_parts))
 
     def compile_together(self, size: int) -> ca.Function:
         """Compile (first (size,), last, h, scale) -> one where neighbours are not `apart`."""
