@@ -207,13 +207,14 @@ def test_inputs_of_many_cranes_are_exact(count: int) -> None:
 
 
 def test_operations_of_an_exact_inversion_grow_as_the_number_of_cranes_does() -> None:
-    lengths = []
-    for count in (1, 4, 16):
+    lengths = {}
+    for count in (1, 4, 16, 96):
         expression = Problem.of(together(count)[0]).resolved.once(inversion).expression
-        assert expression is not None
-        lengths.append(expression.n_instructions())
-    one = (lengths[1] - lengths[0]) / 3
-    assert lengths[2] == pytest.approx(lengths[0] + 15 * one, rel=0.02)
+        assert expression is not None, count
+        lengths[count] = expression.n_instructions()
+    one = (lengths[4] - lengths[1]) / 3
+    for count in (16, 96):
+        assert lengths[count] == pytest.approx(lengths[1] + (count - 1) * one, rel=0.02)
 
 
 @pytest.mark.parametrize("count", [4, 16])

@@ -206,19 +206,17 @@ def compile_explicit(resolved: Analysed) -> ca.Function | None:
 
 
 def _longest(function: ca.Function, array: DerivativeArray) -> int:
-    """Return how many operations the longest of the independent parts of an inversion takes."""
+    """Return about how many operations the longest of the independent parts of an inversion takes."""
     total: int = function.n_instructions()
     if total <= _MOST_OPERATIONS:
         return total
     parts = parts_of(ca.jacobian_sparsity(array.residual, array.column(array.unknowns)))
     if len(parts) == 1:
         return total
-    arguments = function.sx_in()
-    unknowns = function(*arguments)[0]
-    # Parts of one shape are as long as each other: one of each kind is measured.
-    kinds = {(len(part.rows), len(part.entries)): part.columns.tolist() for part in parts}
-    lengths = (ca.Function("sc_part", arguments, [unknowns[kind]]).n_instructions() for kind in kinds.values())
-    return max(map(int, lengths))
+    # That all guesses are exact is asked once for all parts, so no part can be measured by itself: equations with more
+    # entries take more operations.
+    entries = [len(part.entries) for part in parts]
+    return total * max(entries) // sum(entries)
 
 
 def _compile_search(array: DerivativeArray, equations: _Equations) -> ca.Function:
