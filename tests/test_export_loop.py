@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
+from fmpy import simulate_fmu
 from fmpy.ssp.simulation import simulate_ssp
 from fmu_host import scratch
 from loops import Case, Loop, fastest, jets_of, random_case
@@ -152,6 +153,25 @@ def test_path_and_crane_of_ones_own_are_in_the_native_system(tmp_path: Path, mon
             if name.endswith(".fmu"):
                 with zipfile.ZipFile(archive.open(name)) as fmu:
                     assert not any(each.endswith(".py") or "python" in each for each in fmu.namelist())
+
+
+@pytest.mark.parametrize("seed", range(3 if FULL else 1))
+def test_a_path_from_a_file_is_the_same_in_both_systems(seed: int, tmp_path: Path) -> None:
+    random = np.random.default_rng(seed)
+    path = random_case(random, any_crane=False).reference
+    t = np.linspace(path.start_time, path.end_time, round(path.duration / 0.07) + 1)
+    rows = np.column_stack([t, path.jet(t, 0)[:, 0]])
+    file = tmp_path / "path.csv"
+    file.write_text("time,x,y,z\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows.tolist()))
+    jets = []
+    for native in (False, True):
+        wishes = Wishes(file, tolerance=1e-6, native=native, targets="host" if native else None)
+        trajectory = build_ssp(tmp_path / str(native), wishes=wishes)[0]
+        with nothing_left():
+            found = simulate_fmu(str(trajectory), stop_time=path.end_time, output_interval=0.1)
+        jets.append(np.array([found[name] for name in found.dtype.names or () if name.startswith("load.")]))
+    assert jets[0].shape == (15, len(found))
+    np.testing.assert_allclose(jets[1], jets[0], rtol=0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("native", [(), ("--native",)], ids=["python", "native"])

@@ -6,6 +6,7 @@ parameters are bound inline.
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,7 +23,7 @@ from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import NativeWishes, native_fmus
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import filled_folder, path_in_file, put
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, Variable, components
+from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, PATH_FILE, Variable, components
 from servocore.files import csv_text
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
@@ -129,7 +130,8 @@ def build_ssp(
         duration = reference.end_time
     with filled_folder(directory) as draft:
         if wishes.native:
-            fmus = native_fmus(draft, NativeWishes(reference, starts, wishes.targets), progress)
+            played = None if reference is None else read_again(table_of(reference))
+            fmus = native_fmus(draft, NativeWishes(played, starts, wishes.targets), progress)
         else:
             fmus = _python_fmus(draft, reference, starts, progress)
         members = {f"resources/{fmu.name}": fmu.read_bytes() for fmu in fmus}
@@ -231,3 +233,11 @@ def table_of(path: sc.Reference) -> str:
     t = np.interp(np.arange((len(knots) - 1) * parts + 1) / parts, np.arange(len(knots)), knots)
     names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s") for axis in "xyz")]
     return csv_text(names, [t, path.jet(t, 4).reshape(len(t), -1)])
+
+
+def read_again(table: str) -> sc.Reference:
+    """Return the path in a table as LoadTrajectory.fmu reads it, to the last digit of its snap."""
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        file = Path(folder) / PATH_FILE
+        file.write_text(table)
+        return sc.from_csv(file)
