@@ -187,7 +187,7 @@ def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> KnownValues:
     system, constants = _without_constants(system)
     for symbol, number in constants:
         known.state(symbol, number)
-    for block in _blocks(system):
+    for block in _blocks(system, flat):
         if flat and len(block[0]) > _MOST_UNROLLED:
             raise _TooLargeError
         _solve_block(known, _part(system, *block), flat)
@@ -254,7 +254,7 @@ def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSy
     )
 
 
-def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
+def _blocks(system: SquareSystem, flat: bool) -> list[tuple[list[int], list[int]]]:
     """Rows and columns of the diagonal blocks, in the order in which they can be solved."""
     if not system.unknowns.numel():
         return []
@@ -262,9 +262,9 @@ def _blocks(system: SquareSystem) -> list[tuple[list[int], list[int]]]:
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
-    # In order: blocks that repeat with every derivative then have the same matrix, whose minors are computed once.
+    order = sorted if flat else list  # derivatives repeat blocks: sorted, they share their minors
     return [
-        (sorted(rows[row_starts[k] : row_starts[k + 1]]), sorted(columns[column_starts[k] : column_starts[k + 1]]))
+        (order(rows[row_starts[k] : row_starts[k + 1]]), order(columns[column_starts[k] : column_starts[k + 1]]))
         for k in range(count)
     ]
 
