@@ -24,6 +24,8 @@ from servocore.export.units import base_units, per_time
 run = CommandLine(app, "servocore")
 
 OWN = """
+from dataclasses import replace
+
 import casadi as ca
 import servocore as sc
 
@@ -43,6 +45,18 @@ def nothing():
 
 def demanding(what):
     return what
+
+
+def wrong():
+    raise ValueError("no load\\nat all")
+
+
+def broken():
+    return replace(sc.scenes.cars(), models={"points": lambda: 1 / 0})
+
+
+def unnamed():
+    return replace(sc.scenes.cars(), name=" ")
 """
 
 
@@ -106,6 +120,11 @@ def test_equal_scenes_give_equal_bytes() -> None:
         (("mine_too:scene", "-o", "x.fmu"), ("has no function 'scene'",)),
         (("mine_too:nothing", "-o", "x.fmu"), ("returns int, not a Scene",)),
         (("mine_too:demanding", "-o", "x.fmu"), ("cannot be called without arguments",)),
+        (("mine_too:wrong", "-o", "x.fmu"), ("returns no scene: ValueError: no load at all (mine_too.py, line",)),
+        (("mine_too:broken", "-o", "x.fmu"), ("returns no scene: ZeroDivisionError", "(mine_too.py, line")),
+        (("mine_too:unnamed", "-o", "x.fmu"), ("a scene needs a name",)),
+        (("not_python:scene", "-o", "x.fmu"), ("the module cannot be imported: SyntaxError",)),
+        (("stops:scene", "-o", "x.fmu"), ("the module cannot be imported: NameError", "(stops.py, line 1)")),
         (("cars", "--c", "mine_too.py"), ("it is a file, not a folder",)),
         (("cars", "-o", "x.fmu", "--c", "mine_too.py"), ("it is a file, not a folder",)),
         (("cars", "--c", "no/source"), ("there is no folder no",)),
@@ -116,7 +135,8 @@ def test_equal_scenes_give_equal_bytes() -> None:
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(
     arguments: tuple[str, ...], words: tuple[str, ...]
 ) -> None:
-    write("mine_too.py", OWN)
+    for name, text in {"mine_too": OWN, "not_python": "def f(:\n", "stops": "x = unknown\n"}.items():
+        write(f"{name}.py", text)
     before = set(Path().iterdir())
     run.assert_refused(run("export", *arguments), *words)
     assert {each for each in Path().iterdir() if each.name != "__pycache__"} == before

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import importlib
 import sys
+import traceback
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
-from servocore.errors import InvalidSetting, ServocoreWarning
+from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
 from servocore.problem import Problem
@@ -114,15 +115,28 @@ def _own(name: str) -> Scene:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         raise InvalidSetting(f"{name}: there is no module {error.name}") from None
-    except (ImportError, SyntaxError, ValueError, TypeError) as error:
-        raise InvalidSetting(f"{name}: the module cannot be imported: {error}") from error
+    except Exception as error:  # the user's own code may raise anything
+        raise InvalidSetting(f"{name}: the module cannot be imported: {_told(error)}") from error
     function = getattr(module, function_name, None)
     if not callable(function):
         raise InvalidSetting(f"{name}: the module {module_name} has no function {function_name!r}")
     try:
         found = function()
-    except TypeError as error:
-        raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
+        if isinstance(found, Scene):
+            found.model()  # made once, here, where an error of its factory can be told
+    except ServocoreError:
+        raise
+    except Exception as error:
+        if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # raised by the call itself
+            raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
+        raise InvalidSetting(f"{name} returns no scene: {_told(error)}") from error
     if not isinstance(found, Scene):
         raise InvalidSetting(f"{name} returns {type(found).__name__}, not a Scene")
     return found
+
+
+def _told(error: Exception) -> str:
+    """Return an error of a user's module in one line, with the place in the last file that it went through."""
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    where = "" if isinstance(error, SyntaxError) else f" ({Path(place.filename).name}, line {place.lineno})"
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"

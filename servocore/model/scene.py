@@ -78,6 +78,8 @@ class Scene:
 
     def __post_init__(self) -> None:
         require_kind(self.name, str, "the name of a scene", "a text", InvalidModel)
+        if not self.name.strip():
+            raise InvalidModel("a scene needs a name: messages, tables and files are called by it")
         require_kind(
             self.models, Mapping, f"{self.name}: models", "factories by name, such as {'only': make}", InvalidModel
         )
