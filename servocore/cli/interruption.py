@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any, TextIO, cast
 
 INTERRUPTED = 130
 """Exit code of a command that was stopped, as shells have it: 128 and the number of the signal."""
@@ -34,8 +36,11 @@ def heeded_interruption() -> Iterator[None]:
         yield
         return
 
+    errors = sys.stderr
+
     def heed(number: int, frame: FrameType | None) -> None:
         _asked.set()
+        sys.stderr = cast("TextIO", _WithoutCasadi(errors))
         signal.default_int_handler(number, frame)
 
     signal.signal(signal.SIGINT, heed)
@@ -43,3 +48,21 @@ def heeded_interruption() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        sys.stderr = errors
+
+
+class _WithoutCasadi:
+    """The error stream without CasADi's lines, which come in pieces: it warns of Ctrl-C, which is told once."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._left_out = stream, False
+
+    def write(self, text: str) -> int:
+        self._left_out |= text.startswith("CasADi - ")
+        if not self._left_out:
+            return self._stream.write(text)
+        self._left_out = not text.endswith("\n")
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
