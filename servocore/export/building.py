@@ -17,7 +17,7 @@ from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
-from servocore.export.directional_derivatives import tangent
+from servocore.export.directional_derivatives import tangent, tangent_of_step
 from servocore.export.estimates import SampledEstimates
 from servocore.export.exported_quantities import Matrix, observation, timed_path, wanted
 from servocore.export.feedback import SampledFeedback
@@ -321,7 +321,8 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
     orders = max(program.start_order + 1, known.orders)
-    read = observation(system, dae, discretized(dae, METHOD), known.wanted, orders - 1)
+    method_step = discretized(dae, METHOD)
+    read = observation(system, dae, method_step, known.wanted, orders - 1)
     margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
@@ -334,13 +335,24 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     ]
     used = ca.horzcat(*[each[:, : program.order + 1] for each in at_nodes])
     after, _, left = program.step(S, used, h, P)
-    stepped, within = known.split(read(after, at_nodes[-1], P), margins(at_nodes[-1], P))
-    step, begin = [S, N, h, P, T], [G, P, T, D]
+
+    def seen(state: ca.MX) -> tuple[ca.MX, ca.MX]:
+        return known.split(read(state, at_nodes[-1], P), margins(at_nodes[-1], P))
+
+    stepped, within = seen(after)
+    step, by, begin = [S, N, h, P, T], [S, N, P], [G, P, T, D]
+    if not dae.x.numel():  # every instant stands alone, but for the branch
+        along = tangent(f"{identifier}_advance_tangent", step, [after, stepped], by)
+    else:
+        givens = ca.vertcat(S, ca.vec(used), h, P)
+        along = tangent_of_step(
+            f"{identifier}_advance_tangent", method_step, step, by, givens, after, lambda state: [seen(state)[0]]
+        )
     functions = {
         "advance": ca.Function(f"{identifier}_advance", step, [after, stepped, within, left]),
         "begin": ca.Function(f"{identifier}_begin", begin, [first, outputs, kept, residual]),
         "begin_tangent": tangent(f"{identifier}_begin_tangent", begin, [first, outputs], [G, P]),
-        "advance_tangent": tangent(f"{identifier}_advance_tangent", step, [after, stepped], [S, N, P]),
+        "advance_tangent": along,
     }
     depends = np.ones((len(known.outputs), G.numel()), dtype=bool)  # also through the state
     return Mathematics(identifier, functions, known.outputs, known.bounds, orders, program.state_size, nodes, depends)
