@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from numbers import Integral
 
 
@@ -65,9 +66,17 @@ _EXTRAS = {
 def missing_package(error: ImportError) -> InvalidSetting | None:
     """Return the refusal for a package that an extra of the installation brings; None for any other import."""
     package = (error.name or "").partition(".")[0]
-    if package not in _EXTRAS:
-        return None
-    return InvalidSetting(f"the package {package} is needed for this: pip install 'servocore[{_EXTRAS[package]}]'")
+    return _needed(package, _EXTRAS[package]) if package in _EXTRAS else None
+
+
+def require_package(package: str, extra: str | None = None) -> None:
+    """Raise `InvalidSetting` unless a package that an extra brings is there: before the work that ends with it."""
+    if find_spec(package) is None:
+        raise _needed(package, extra or _EXTRAS[package])
+
+
+def _needed(package: str, extra: str) -> InvalidSetting:
+    return InvalidSetting(f"the package {package} is needed for this: pip install 'servocore[{extra}]'")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_package
 
 PICTURES = (".png", ".svg", ".pdf")
 """Endings of the files that figures are written to."""
@@ -49,9 +49,12 @@ def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]])
 
 
 def require_picture(file: Path | None) -> None:
-    """Raise `InvalidSetting` if a figure is wanted in a file whose ending is not among `PICTURES`."""
-    if file is not None and file.suffix.lower() not in PICTURES:
+    """Raise `InvalidSetting` if a figure cannot be drawn: an ending that is not in `PICTURES`, or no Matplotlib."""
+    if file is None:
+        return
+    if file.suffix.lower() not in PICTURES:
         raise InvalidSetting(f"cannot draw {file}: the name must end in {', '.join(PICTURES)}")
+    require_package("matplotlib")
 
 
 def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | None] = ()) -> None:

@@ -169,6 +169,13 @@ def test_a_command_works_without_extras_or_names_the_one_that_it_needs(case: Cas
         assert run.returncode == 0, run.stderr
 
 
+def test_a_package_is_asked_for_before_the_work_that_ends_with_it(folder: Path) -> None:
+    """Nothing moves with so little force, which planning finds out."""
+    way = WAY.replace("F=60", "F=0.001")
+    run = without_extras(f"{CRANE}; main()", "plan", *shlex.split(way), "--plot", "new.png", folder=folder)
+    assert run.stderr == "crane-fmu: the package matplotlib is needed for this: pip install 'servocore[report]'\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a stream that takes nothing is a device of Linux")
 @pytest.mark.parametrize("line", ["servocore scenes", "servocore feedforward cars", "servocore --version"])
 def test_a_stream_that_takes_nothing_is_refused_with_a_sentence(line: str) -> None:

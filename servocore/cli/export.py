@@ -11,7 +11,7 @@ import typer
 from servocore.cli.choice import GivenPath, chosen
 from servocore.cli.console import PatientProgress
 from servocore.cli.options import Model, Parameters, SceneName, Tolerance, Waypoints
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_package
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
@@ -144,6 +144,7 @@ def _possible(
     if output is None and (targets is not None or check):
         raise InvalidSetting("--targets and --cross-check are about an FMU: name it with -o FILE.fmu")
     require_version(fmi)
+    require_package("jinja2")
     if output is not None:
         chosen_targets(targets, fmi)
     subject = chosen(scene, parameters)
@@ -177,6 +178,7 @@ def _export_beside(
     output, parameters, carried = files
     if output is None:
         return
+    require_package("jinja2")
     require_built(output, targets, fmi)
     subject = chosen(scene, parameters)
     require_places({"--output": output}, [parameters, carried.reference, carried.waypoints])

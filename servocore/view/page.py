@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidModel, InvalidSetting, require_kind
+from servocore.errors import InvalidModel, InvalidSetting, require_kind, require_package
 from servocore.files import require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.limits import Named
@@ -106,7 +106,8 @@ def page_text(solution: Solution, part: LivePart) -> str:
 
 
 def require_page(path: str | Path) -> Path:
-    """Return where a page goes; raises `InvalidSetting` if it cannot be written there."""
+    """Return where a page goes; raises `InvalidSetting` if it cannot be made or written there."""
+    require_package("jinja2", "report")
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):
         raise InvalidSetting(f"cannot write {file}: the name of a page ends with .html")
@@ -182,10 +183,9 @@ def _problem(solution: Solution, scene: Scene | None, model: str | None) -> Prob
 
 
 def _template(name: str) -> Any:
-    try:
-        import jinja2  # noqa: PLC0415 - an optional dependency
-    except ImportError as error:
-        raise InvalidSetting("pages are made by the package Jinja2: pip install 'servocore[report]'") from error
+    require_package("jinja2", "report")
+    import jinja2  # noqa: PLC0415 - an optional dependency
+
     environment = jinja2.Environment(undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(WEB.joinpath(name).read_text(encoding="utf-8"))
 
