@@ -170,8 +170,8 @@ def test_a_command_works_without_extras_or_names_the_one_that_it_needs(case: Cas
 
 
 def test_a_package_is_asked_for_before_the_work_that_ends_with_it(folder: Path) -> None:
-    """Nothing moves with so little force, which planning finds out."""
-    way = WAY.replace("F=60", "F=0.001")
+    """No smooth law moves a crane with so little force, which planning finds out."""
+    way = WAY.replace("F=60", "F=1e-9")
     run = without_extras(f"{CRANE}; main()", "plan", *shlex.split(way), "--plot", "new.png", folder=folder)
     assert run.stderr == "crane-fmu: the package matplotlib is needed for this: pip install 'servocore[report]'\n"
 
