@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import warnings
 import zipfile
-from _collections_abc import dict_values
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -67,12 +66,12 @@ PUSHED = {"plant.gust[1]": 20.0, "plant.gust_start": 8.03, "plant.gust_duration"
 
 
 @cache
-def systems(connected: str, seed: int | None = None) -> dict_values[bool, Path]:
+def systems(connected: str, seed: int | None = None) -> tuple[Path, ...]:
     """Return the system in Python and the native one whose inverse models are told no more than a derivative.
 
     With a seed, of a crane and with a path by chance.
     """
-    parts, told = {}, connected != "snap" or seed is not None
+    parts, told = list[Path](), connected != "snap" or seed is not None
     wishes: dict[str, Any] = {"parameters": {"connected": connected}} if told else {}
     if seed is not None:
         case = random_case(np.random.default_rng(seed), any_crane=True)
@@ -86,8 +85,8 @@ def systems(connected: str, seed: int | None = None) -> dict_values[bool, Path]:
         folder = scratch() / f"{connected} {native} {seed}"
         if native or told:
             build_ssp(folder, wishes=Wishes(native=native, targets="host" if native else None, **wishes))
-        parts[native] = folder / "Crane.ssp" if native or told else system()
-    return parts.values()
+        parts.append(folder / "Crane.ssp" if native or told else system())
+    return tuple(parts)
 
 
 def by_fmpy(file: Path, stop: float, h: float, settings: dict[str, float]) -> Array:
