@@ -236,15 +236,8 @@ class SteppedRuns(GeneratedCode):
         (states, path, numbers, p) -> what is wanted, from states and path at the same instant.
     positive : range
         Which of that must be positive.
-    native : bool or None
-        See `GeneratedCode`.
-    of_what : str
-        For messages.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no C compiler for `native`, or it does not compile.
+    native, of_what
+        See `GeneratedCode`, also for what is raised.
     """
 
     def __init__(

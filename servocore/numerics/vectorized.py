@@ -29,18 +29,8 @@ class Vectorized(GeneratedCode):
         With dense arguments and results; one of expressions can become machine code.
     along : sequence of bool
         Which arguments go along with the instants.
-    native : bool or None
-        Whether as machine code: True makes it now, False never; with None it is used if it was made before, and made
-        in the background when there is enough to do.
-    of_what : str
-        For messages.
-    again : bool
-        Whether what it is for was evaluated before.
-
-    Raises
-    ------
-    InvalidSetting
-        If there is no C compiler for `native`, or it does not compile.
+    native, of_what, again
+        See `GeneratedCode`, also for what is raised.
     """
 
     def __init__(

@@ -126,7 +126,7 @@ def survey_between(
     beside : callable
         (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
     native : bool or None
-        Whether machine code may look first whether there is something; see `Vectorized`.
+        Whether machine code may look first whether there is something; see `GeneratedCode`.
 
     Raises
     ------

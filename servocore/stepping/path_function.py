@@ -30,7 +30,7 @@ class PathFunction:
     function : casadi.Function
         With dense results; one of expressions can become machine code.
     native : bool or None
-        See `Vectorized`.
+        See `GeneratedCode`.
     """
 
     resolved: ResolvedSystem
