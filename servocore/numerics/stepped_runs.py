@@ -22,7 +22,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.generated_code import GeneratedCode
 from servocore.numerics.run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import LANES, NAME
-from servocore.numerics.vectorized import threads_for
+from servocore.numerics.vectorized import addresses, threads_for
 
 _BYTES = 8
 _MOST_LOOPS = 32  # that are kept, with memory for their arguments
@@ -88,8 +88,7 @@ class Run:
             array.strides[0] // _BYTES if deep else 0 for array, (_, deep) in zip(held, self._arrays, strict=False)
         ]
         sizes = [self.cases or 1, self.count, self.path.shape[-1], *apart]
-        addresses = (ctypes.c_void_p * len(held))(*[_address(array) for array in held])
-        return (ctypes.c_long * len(sizes))(*sizes), addresses, held
+        return (ctypes.c_long * len(sizes))(*sizes), (ctypes.c_void_p * len(held))(*addresses(held)), held
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,12 +172,8 @@ class Instants:
             t, path = t[some], path[..., some]
         t, path = np.ascontiguousarray(t), np.ascontiguousarray(path)
         lane = path.strides[0] // _BYTES if path.ndim > 2 else 0
-        return _InstantsAsC(_address(t), _address(path), len(t), lane, len(t), [t, path])
-
-
-def _address(array: Array) -> int:
-    address: int = array.__array_interface__["data"][0]
-    return address
+        times, places = addresses([t, path])
+        return _InstantsAsC(times, places, len(t), lane, len(t), [t, path])
 
 
 def hermite_weights() -> ca.Function:
@@ -327,7 +322,8 @@ class SteppedRuns(GeneratedCode):
         """Write the values; return whether they are sound."""
         sizes, arrays, _ = run.as_c
         t, path, row, lane, count, _ = instants.as_c
-        answer = self._run(sizes, arrays, t, path, row, lane, count, _address(values))
+        (target,) = addresses([values])
+        answer = self._run(sizes, arrays, t, path, row, lane, count, target)
         if answer == NO_MEMORY:
             raise MemoryError
         return bool(answer == SOUND)

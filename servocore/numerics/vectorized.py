@@ -105,7 +105,7 @@ class Vectorized(GeneratedCode):
             ]
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, size, count)) for size in self._sizes]
-        sources, targets = (_addresses(arrays) for arrays in (held, results))
+        sources, targets = (addresses(arrays) for arrays in (held, results))
         threads = threads_for(cases * count)
         if threads < 2:
             self._run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
@@ -164,7 +164,7 @@ class Extremes(Vectorized):
             return self._in_machine_code(self._widened(arguments, count), cases, LANES)
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, 2, size)) for size in self._sizes]
-        self._run(cases, count, _longs(_addresses(held)), row, _longs(lanes), _longs(_addresses(results)), count)
+        self._run(cases, count, _longs(addresses(held)), row, _longs(lanes), _longs(addresses(results)), count)
         return results
 
 
@@ -175,7 +175,8 @@ def extremes_of(rows: Array) -> Array:
     return extremes
 
 
-def _addresses(arrays: list[Array]) -> list[int]:
+def addresses(arrays: Sequence[Array]) -> list[int]:
+    """Return where arrays begin in memory, as machine code is told."""
     return [array.__array_interface__["data"][0] for array in arrays]
 
 
