@@ -14,8 +14,7 @@ from servocore import BackwardEuler, rest_to_rest
 from servocore.formulations import Projected
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.scenes.rotary_crane import INPUTS, OUTPUTS, PARAMETERS, points, rotary_crane
-from servocore.scenes.rotary_crane_bodies import bodies
+from servocore.scenes.rotary_crane import INPUTS, PARAMETERS, bodies, points, rotary_crane
 from servocore.solvers.solve import solve
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.inversion import compile_inversion
@@ -28,7 +27,7 @@ REFERENCE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 
 @cache
 def crane() -> MechanicalSystem:
-    return bodies(PARAMETERS, INPUTS, OUTPUTS)
+    return bodies()
 
 
 @cache

@@ -91,8 +91,6 @@ class Rails:
         return -_offset(p, effects)[1]
 
 
-PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
-TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
 PHI_MOTOR = Quantity("phi_motor", "rad", "angle of the slewing drive, before the flexible bridge", wraps=True)
 
 

@@ -38,7 +38,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import diagonal
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.scenes import hanging_load, jets
-from servocore.scenes.crane_carriages import PHI, TROLLEY, SlewingBridge
+from servocore.scenes.crane_carriages import SlewingBridge
 from servocore.scenes.crane_effects import Crane, crane_effects, flexible, friction
 from servocore.scenes.hanging_load import ROPE, SWING, TENSION
 
@@ -56,6 +56,9 @@ OUTPUTS = (
     Quantity("y", "m", "load position"),
     Quantity("z", "m", "load position, negative below the girder"),
 )
+
+PHI = Quantity("phi", "rad", "bridge angle", wraps=True)
+TROLLEY = Quantity("s", "m", "distance of the trolley from the slewing axis", positive=True)
 
 HOME = (4.0, 0.0, -5.0)
 SMALLEST_RADIUS = 1e-3
@@ -233,7 +236,7 @@ def bodies() -> MechanicalSystem:
     """Forty-two coordinates, 37 constraints: the rotationless model of the paper."""
     from servocore.scenes.rotary_crane_bodies import bodies as assembled  # noqa: PLC0415 - other models need no parts
 
-    return assembled(PARAMETERS, INPUTS, OUTPUTS)
+    return assembled(PARAMETERS, INPUTS, OUTPUTS, (PHI, TROLLEY))
 
 
 SIGNED_MODELS = {"points": partial(points, SIGNED_TROLLEY), "generalized": partial(generalized, SIGNED_TROLLEY)}

@@ -38,7 +38,6 @@ from servocore.model.rotationless.joints import angle, displacement, distance, p
 from servocore.model.rotationless.parts import GROUND, PointMass, RigidBody, turned
 from servocore.model.symbols import Parameters
 from servocore.scenes import hanging_load
-from servocore.scenes.crane_carriages import PHI, TROLLEY
 
 if TYPE_CHECKING:
     from servocore.model.system import MechanicalSystem
@@ -58,7 +57,12 @@ WINCH_MASS_SHARE = 0.3
 _Z, _ALONG, _ACROSS = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)
 
 
-def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[Quantity, ...]) -> MechanicalSystem:
+def bodies(
+    parameters: Parameters,
+    inputs: tuple[Quantity, ...],
+    outputs: tuple[Quantity, ...],
+    bridge: tuple[Quantity, Quantity],
+) -> MechanicalSystem:
     """Return the crane with n = 42 coordinates and m_h = 37 constraints, section 5 of the paper.
 
     Parameters
@@ -69,6 +73,8 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
         M_b (N m), F (N), M_w (N m).
     outputs : tuple of Quantity
         Load position x, y, z (m).
+    bridge : tuple of Quantity
+        Its angle phi (rad), and how far from the axis the trolley is, s (m).
     """
     crane = Assembly(
         parts=(
@@ -95,8 +101,7 @@ def bodies(parameters: Parameters, inputs: tuple[Quantity, ...], outputs: tuple[
         guess=lambda y: _hanging(parameters, y, y[:2], -y[2]),
         home=(4.0, 0.0, -5.0),
         observables={
-            PHI: phi,
-            TROLLEY: s,
+            **dict(zip(bridge, (phi, s), strict=True)),
             hanging_load.ROPE: length,
             hanging_load.TENSION: 2 * length * lam["rope"],
             hanging_load.SWING: hanging_load.swing_angle(load - winch),
