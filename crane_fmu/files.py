@@ -6,12 +6,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
 import servocore as sc
-from servocore.files import not_written, require_writable
+from servocore.files import made_folder, not_written, require_writable
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -65,42 +65,6 @@ def filled_folder(target: Path) -> Iterator[Path]:
             raise sc.InvalidSetting(str(error).replace(str(draft), str(target))) from error
         finally:
             shutil.rmtree(draft, ignore_errors=True)
-
-
-@contextmanager
-def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
-    """Make a folder and those around it; what was made and holds nothing at the end is gone again.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder to make.
-    wanted : Path
-        What a refusal says cannot be made.
-
-    Yields
-    ------
-    None
-        While the folder is there to be written.
-
-    Raises
-    ------
-    InvalidSetting
-        If the folder cannot be made.
-    """
-    require_writable(folder, wanted)
-    folder = Path(os.path.realpath(folder))
-    try:
-        made = [each for each in (folder, *folder.parents) if not each.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise not_written(wanted, error) from error
-    try:
-        yield
-    finally:
-        with suppress(OSError):
-            for each in made:
-                each.rmdir()
 
 
 def _move(draft: Path, target: Path) -> None:

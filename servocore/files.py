@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +144,41 @@ def not_written(place: Path, error: OSError) -> InvalidSetting:
 def _place(file: Path) -> Path:
     """Return where a file is, symbolic links followed; `Path.resolve` fails where they go in a circle."""
     return Path(os.path.realpath(file))
+
+
+@contextmanager
+def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
+    """Make a folder and those around it; what was made and holds nothing at the end is gone again.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder to make; `require_writable` tells before what stands in its way.
+    wanted : Path
+        What a refusal says cannot be written.
+
+    Yields
+    ------
+    None
+        While the folder is there to be written.
+
+    Raises
+    ------
+    InvalidSetting
+        If the folder cannot be made.
+    """
+    place = _place(folder)
+    try:
+        made = [each for each in (place, *place.parents) if not each.exists()]
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise not_written(wanted, error) from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            for each in made:
+                each.rmdir()
 
 
 def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:

@@ -4,8 +4,10 @@ import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ import servocore as sc
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
 from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
-from crane_fmu.files import filled_folder
+from crane_fmu.files import filled_folder, put
 from crane_fmu.report.study import LoadRun
 from crane_fmu.run import input_rows, run_fmu
 
@@ -236,6 +238,11 @@ def _half_done(folder: Path, failure: type[KeyboardInterrupt] | type[RuntimeErro
         raise failure
 
 
+def _done(folder: Path) -> None:
+    with filled_folder(folder) as draft:
+        put(draft, dict.fromkeys(("figures/crane.svg", "inputs.csv", "report.html", "table.csv"), "new"))
+
+
 class TestWriting:
     def test_a_folder_that_is_not_finished_never_appears(self, tmp_path: Path) -> None:
         with pytest.raises(KeyboardInterrupt):
@@ -249,3 +256,26 @@ class TestWriting:
             _half_done(tmp_path / "out", RuntimeError)
         assert (tmp_path / "out" / "report.html").read_text() == "old"
         assert [each.name for each in tmp_path.iterdir()] == ["out"]
+
+    def test_an_existing_folder_keeps_what_is_not_written_again(self, tmp_path: Path) -> None:
+        (tmp_path / "out" / "mine").mkdir(parents=True)
+        (tmp_path / "out" / "inputs.csv").write_text("old")
+        _done(tmp_path / "out")
+        assert sorted(os.listdir(tmp_path / "out")) == ["figures", "inputs.csv", "mine", "report.html", "table.csv"]
+        assert (tmp_path / "out" / "inputs.csv").read_text() == "new"
+
+    @pytest.mark.parametrize("there", [False, True])
+    def test_whether_a_folder_can_be_written_is_tried_once(
+        self, there: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        trial, tried = tempfile.TemporaryFile, list[object]()
+
+        def counted(**options: Any) -> Any:
+            tried.append(options)
+            return trial(**options)
+
+        monkeypatch.setattr(tempfile, "TemporaryFile", counted)
+        if there:
+            (tmp_path / "out").mkdir()
+        _done(tmp_path / "out")
+        assert tried == [{"dir": tmp_path / "out" if there else tmp_path}]

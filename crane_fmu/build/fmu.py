@@ -14,8 +14,8 @@ from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Progress, collect
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
-from crane_fmu.files import made_folder, put
-from servocore.files import write_together
+from crane_fmu.files import put
+from servocore.files import made_folder, require_writable, write_together
 
 _CHECK = Path(__file__).parent / "resources" / "check_fmu.py"
 _CHECK_SECONDS = 300.0
@@ -57,6 +57,7 @@ def build_fmu(
     """
     directory = Path(directory)
     target = directory / kind.file_name
+    require_writable(directory, directory)
     with made_folder(directory, directory):
         content = collect(kind, progress, path, starts)
         progress(f"packing {kind.file_name}")
