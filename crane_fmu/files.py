@@ -6,12 +6,12 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
 import servocore as sc
-from servocore.files import made_folder, not_written, require_writable
+from servocore.files import made_folder, not_written, rename_together, require_writable
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -74,12 +74,17 @@ def _move(draft: Path, target: Path) -> None:
         if not target.exists():
             draft.rename(target)
             return
-        for source in sorted(draft.rglob("*")):
-            place = target / source.relative_to(draft)
-            if source.is_dir():
-                place.mkdir(exist_ok=True)
-            else:
-                source.replace(place)
+        with ExitStack() as made:
+            files = []
+            for source in sorted(draft.rglob("*")):
+                place = target / source.relative_to(draft)
+                if not source.is_dir():
+                    files.append((source, place, target))
+                elif not place.is_dir():
+                    place.mkdir()
+                    made.callback(place.rmdir)
+            rename_together(files)
+            made.pop_all()
     except OSError as error:
         raise not_written(target, error) from error
 

@@ -182,7 +182,7 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
 
 
 def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:
-    """Write several files: all are written beside their places first and then renamed.
+    """Write several files or none: all are written beside their places first and then renamed.
 
     Parameters
     ----------
@@ -211,7 +211,42 @@ def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None
                         stream.write(piece.encode() if isinstance(piece, str) else piece)
                 part.chmod(0o644)
                 waiting.append((part, file, name))
-            for part, file, name in waiting:  # noqa: B007 - the refusal tells which
-                part.replace(file)
+            rename_together(waiting)
     except OSError as error:
         raise not_written(name, error) from error
+
+
+def rename_together(moves: Sequence[tuple[Path, Path, Path]]) -> None:
+    """Rename several files or none, also over others: if one cannot be renamed, those before it are undone.
+
+    Parameters
+    ----------
+    moves : sequence of tuple of Path
+        The file, its new place, and what a refusal says cannot be written.
+
+    Raises
+    ------
+    InvalidSetting
+        If a file cannot be renamed.
+    """
+    with ExitStack() as leftovers, ExitStack() as undo:
+        for k, (part, file, wanted) in enumerate(moves):
+            try:
+                if k == len(moves) - 1:
+                    pass  # nothing behind it can fail: what it replaces need not be kept, and is never missing
+                elif file.is_symlink() or file.is_file():
+                    old = part.with_name(f"{part.name}.old")
+                    leftovers.callback(old.unlink, missing_ok=True)
+                    undo.callback(_put_back, old, file)
+                    file.replace(old)
+                elif not file.exists():
+                    undo.callback(file.unlink, missing_ok=True)
+                part.replace(file)
+            except OSError as error:
+                raise not_written(wanted, error) from error
+        undo.pop_all()
+
+
+def _put_back(old: Path, file: Path) -> None:
+    if os.path.lexists(old):
+        old.replace(file)

@@ -257,6 +257,15 @@ class TestWriting:
         assert (tmp_path / "out" / "report.html").read_text() == "old"
         assert [each.name for each in tmp_path.iterdir()] == ["out"]
 
+    def test_an_existing_folder_that_does_not_take_a_file_is_left_alone(self, tmp_path: Path) -> None:
+        (tmp_path / "out" / "report.html").mkdir(parents=True)
+        (tmp_path / "out" / "inputs.csv").write_text("old")
+        with pytest.raises(sc.InvalidSetting, match=r"cannot write .*/out: Is a directory"):
+            _done(tmp_path / "out")
+        assert (tmp_path / "out" / "inputs.csv").read_text() == "old"
+        assert sorted(os.listdir(tmp_path / "out")) == ["inputs.csv", "report.html"]
+        assert os.listdir(tmp_path) == ["out"]
+
     def test_an_existing_folder_keeps_what_is_not_written_again(self, tmp_path: Path) -> None:
         (tmp_path / "out" / "mine").mkdir(parents=True)
         (tmp_path / "out" / "inputs.csv").write_text("old")

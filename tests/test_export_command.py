@@ -226,6 +226,30 @@ def test_c_source_does_not_write_over_files_of_others() -> None:
     export_c(scene_called("cars"), "source")  # its own
 
 
+def test_c_source_that_cannot_be_written_leaves_nothing_half_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    cars = scene_called("cars")
+    with pytest.raises(sc.InvalidSetting, match="cannot write no/source: there is no folder no; make it first"):
+        export_c(cars, "no/source")
+    rename = Path.replace
+
+    def interrupted(part: Path, place: Path) -> Path:
+        if place.name == "main.c":
+            raise KeyboardInterrupt
+        return rename(part, place)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            export_c(cars, "source")
+    assert list(Path().iterdir()) == []
+    Path("source/main.c").mkdir(parents=True)
+    write("source/cars.h", "old")
+    with pytest.raises(sc.InvalidSetting, match=r"cannot write source/main.c: Is a directory; name another place"):
+        export_c(cars, "source")
+    assert sorted(each.name for each in Path("source").iterdir()) == ["cars.h", "main.c"]
+    assert Path("source/cars.h").read_text(encoding="utf-8") == "old"
+
+
 def test_without_a_compiler_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.delenv("CC", raising=False)

@@ -1,6 +1,8 @@
 """Files appear complete or not at all."""
 
+import errno
 import os
+from itertools import count
 from pathlib import Path
 
 import pytest
@@ -30,6 +32,43 @@ def test_an_interrupted_write_leaves_no_rest(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(KeyboardInterrupt):
         write_together({tmp_path / "new.txt": "content"})
     assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("failure", [OSError, KeyboardInterrupt])
+def test_whichever_rename_fails_all_files_are_as_they_were(
+    failure: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = {"first": "old", "third": "old", "last": "old"}
+    write_together({tmp_path / name: text for name, text in old.items()})
+    rename, left = Path.replace, 0
+
+    def failing_once(source: Path, place: Path) -> Path:
+        nonlocal left
+        left -= 1
+        if left == 0:
+            raise failure(errno.EACCES, os.strerror(errno.EACCES))
+        return rename(source, place)
+
+    monkeypatch.setattr(Path, "replace", failing_once)
+    new = dict.fromkeys(("first", "second", "third", "last"), "new")
+    for left in count(1):
+        failed = left
+        try:
+            write_together({tmp_path / name: text for name, text in new.items()})
+            break
+        except (sc.InvalidSetting, KeyboardInterrupt):
+            assert {each.name: each.read_text() for each in tmp_path.iterdir()} == old
+    assert failed > len(new)
+    assert {each.name: each.read_text() for each in tmp_path.iterdir()} == new
+
+
+def test_a_folder_where_a_file_shall_be_leaves_the_others_as_they_were(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    write_together({tmp_path / "old": "old"})
+    with pytest.raises(sc.InvalidSetting, match=r"cannot write .*folder: Is a directory"):
+        write_together({tmp_path / name: "new" for name in ("old", "folder", "another")})
+    assert (tmp_path / "old").read_text() == "old"
+    assert sorted(os.listdir(tmp_path)) == ["folder", "old"]
 
 
 def test_a_symbolic_link_stays_one(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from servocore.export.identifiers import identifier_of
 from servocore.export.inverse_model import InverseModel, Mathematics
 from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
-from servocore.files import not_written, require_writable, write_together
+from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
 from servocore.numerics.machine_code import c_compiler
 from servocore.numerics.square_systems import MAX_ITERATIONS
@@ -48,17 +48,8 @@ def export_c(scene: Scene, folder: str | Path, *, model: str | None = None) -> P
     place = Path(folder)
     require_folder(scene, place)
     files = c_files(inverse_model(scene, model))
-    made = not place.exists()
-    try:
-        place.mkdir(exist_ok=True)
-    except OSError as error:
-        raise not_written(place, error) from error
-    try:
+    with made_folder(place, place):
         write_together({place / name: text for name, text in files.items()})
-    except BaseException:
-        if made:
-            place.rmdir()
-        raise
     return place
 
 
