@@ -206,7 +206,7 @@ class Coordinates:
         Returns
         -------
         int
-            CheckedInputs from zero.
+            Counted from zero.
         """
         if name not in self.names:
             raise InvalidModel(f"no coordinate is called {name}; there are {', '.join(self.names)}")
