@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import servocore as sc
-from servocore.files import made_folder, not_written, rename_together, require_writable
+from servocore.files import made_folder, not_written, path_option, rename_together, require_writable
 
 
 def put(folder: Path, contents: Mapping[str, str | bytes]) -> None:
@@ -113,12 +113,7 @@ def path_in_file(
     InvalidSetting
         If options exclude each other.
     """
-    files = [name for name, file in (("--reference", reference), ("--waypoints", waypoints)) if file is not None]
-    given = [*files, *others]
-    if files and len(given) > 1:
-        raise sc.InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
+    path_option(reference, waypoints, tolerance, others)  # refuses what excludes each other
     if reference is not None:
         return partial(sc.from_csv, reference, tolerance)
-    if tolerance is not None:
-        raise sc.InvalidSetting("--tolerance belongs to --reference")
     return None if waypoints is None else partial(sc.waypoints_from_csv, waypoints)

@@ -162,6 +162,7 @@ def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path: Pat
         (("--from", "0", "--to", "1"), "a straight line also needs --duration"),
         (("--from", "0", "--to", "1", "2", "--duration", "3"), "--to 1 2: it needs 1 numbers, y"),
         (("--duration", "3", "--reference", "x.csv"), "either by --reference or by --duration, not by both"),
+        (("--waypoints", "y.csv", "--reference", "x.csv"), "either by --reference or by --waypoints, not by both"),
         (("--tolerance", "1"), "--tolerance belongs to --reference"),
         (("--columns", "u,nothing"), "there is no 'nothing'; there are u, y"),
         (("--from", "0", "--to", "1", "--duration", "3", "--profile", "x"), "there is no profile 'x'"),

@@ -6,10 +6,12 @@ import importlib
 import sys
 import traceback
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning
+from servocore.files import path_option
 from servocore.model.parameter_files import read_parameters
 from servocore.model.scene import Scene
 from servocore.problem import Problem
@@ -65,13 +67,9 @@ class GivenPath:
     waypoints: Path | None = None
     tolerance: float | None = None
 
-    def option(self) -> str | None:
-        """Return which option gives a file, None if none does; raises `InvalidSetting` if they exclude each other."""
-        if self.reference is not None and self.waypoints is not None:
-            raise InvalidSetting("a path is given either by --reference or by --waypoints, not by both")
-        if self.tolerance is not None and self.reference is None:
-            raise InvalidSetting("--tolerance belongs to --reference")
-        return "--reference" if self.reference is not None else "--waypoints" if self.waypoints is not None else None
+    def option(self, others: Sequence[str] = ()) -> str | None:
+        """Return which option gives a file, None if none does; raises `InvalidSetting` as `path_option`."""
+        return path_option(self.reference, self.waypoints, self.tolerance, others)
 
     def path(self, scene: Scene, model: str | None = None) -> Reference | None:
         """Return the path, as smooth as the inputs of a scene need it; None without a file."""

@@ -98,9 +98,8 @@ def feed_forward(
 
 def _path(scene: Scene, model: str | None, file: GivenPath, line: dict[str, str | float | None]) -> Reference | None:
     """Return the path that options describe, None where they describe none; raises `InvalidSetting` for two."""
-    given, option = [name for name, value in line.items() if value is not None], file.option()
-    if option and given:
-        raise InvalidSetting(f"a path is given either by {option} or by {given[0]}, not by both")
+    given = [name for name, value in line.items() if value is not None]
+    file.option(given)  # refuses a line beside a file
     if not given:
         return file.path(scene, model)
     missing = [name for name in ("--from", "--to", "--duration") if name not in given]
