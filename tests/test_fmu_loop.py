@@ -16,7 +16,6 @@ from scipy.linalg import expm, logm
 import servocore as sc
 from crane_fmu.build.feedback_law import hanging
 from crane_fmu.build.quick_functions import function
-from crane_fmu.build.riccati import riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, sampled
 
 MASTERS = ("start", "end")
@@ -200,45 +199,6 @@ def test_the_linearized_crane_over_a_step_is_that_of_the_matrix_exponential() ->
         assert np.abs(A - exact[:10, :10]).max() < 1e-3 * np.abs(exact[:10, :10]).max()
         assert np.abs(first - exact[:10, 10:13]).max() < 1e-3 * np.abs(first).max()
         assert np.abs(second - exact[:10, 13:] / h).max() < 1e-3 * np.abs(second).max()
-
-
-LOAD = slice(2, 5)
-
-
-def random_model(size: float = 1.0) -> tuple[np.ndarray, ...]:
-    """A, B, B', how freely inputs are used, what errors of the load weigh."""
-    A, new, old = (np.random.default_rng(1).normal(size=(10, n)) for n in (10, 3, 3))
-    return size * A, new, old, np.array([3.0, 2.0, 1.0]), np.array([4.0, 5.0, 6.0])
-
-
-def test_a_riccati_step_finds_the_inputs_of_least_cost() -> None:
-    A, new, old, efforts, weights = random_model()
-    cost = np.random.default_rng(2).normal(size=(10, 10))
-    cost = cost @ cost.T
-    shared, step = riccati_step(10, LOAD, 3)
-    alone, goes_on, *others = shared(A, new, old, efforts, weights)
-    earlier, chosen = map(np.array, step(cost, goes_on, *others))
-    gain = np.array(alone) + chosen @ np.array(goes_on)
-    # The cost of z + B w, of w, and of A (z + B w) + B' w is that of one long vector, for any z: least squares.
-    load, root = np.zeros((3, 10)), np.linalg.cholesky(cost).T
-    load[:, LOAD] = np.diag(weights)
-    of_state = np.vstack([load, np.zeros((3, 10)), root @ A])
-    of_inputs = np.vstack([load @ new, np.diag(1 / efforts), root @ (A @ new + old)])
-    best = np.linalg.lstsq(of_inputs, of_state, rcond=None)[0]
-    left = of_state - of_inputs @ best
-    assert np.abs(gain - best).max() < 1e-10 * np.abs(best).max()
-    assert np.abs(earlier - left.T @ left).max() < 1e-10 * np.abs(earlier).max()
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 13, 400])
-def test_many_riccati_steps_are_as_many_single_ones(count: int) -> None:
-    shared, step = riccati_step(10, LOAD, 3)
-    _, *model = shared(*random_model(0.3))
-    cost = 1e-6 * np.eye(10)
-    at_once = np.array(riccati_steps(10, 3, count)(cost, *model))
-    for _ in range(count):
-        cost = step(cost, *model)[0]
-    assert np.abs(at_once - np.array(cost)).max() < 1e-10 * np.abs(at_once).max()
 
 
 def test_what_several_numbers_are_divided_by_is_inverted_once() -> None:

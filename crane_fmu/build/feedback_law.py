@@ -51,8 +51,9 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-RICCATI_STEPS, FIRST_RICCATI_STEPS = 3, 400
-"""By which the cost-to-go is brought up to date in a step, and before the first."""
+RICCATI_STEPS, FIRST_DOUBLINGS = 3, 14
+"""Riccati steps by which the cost-to-go is brought up to date in a step, and how often one is doubled before the first:
+short steps or not, the cost-to-go settles at 4.6 1/s or faster, to 1e-7 in the 3.3 s that these are at 0.2 ms."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
@@ -184,7 +185,7 @@ def _begin(parts: _Parts, time: str) -> ca.Function:
     worth = _inlined("worth", lambda x, p, h: (_efforts(p, x), _weights(h, 0)), about[0], p, h)
     model = *_linear(parts, time, ca.MX(0), *about), *worth
     _, *shared = parts.shared.call(model)
-    found = riccati_steps(_N, _M, FIRST_RICCATI_STEPS)(ca.densify(1e-6 * ca.MX.eye(_N)), *shared)
+    found = riccati_steps(_N, _M, FIRST_DOUBLINGS)(*shared)
     led = ca.vertcat(*offset_at_start(jet, measured, p, h))
     memory = ca.vertcat(ca.vec(found), ca.MX.zeros(sum(SIZES.values()) - _N * _N - led.numel()), led)
     return ca.Function(f"begin_{time}", [jet, measured, p, h], [ca.densify(memory)])

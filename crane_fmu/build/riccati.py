@@ -1,4 +1,4 @@
-"""Riccati steps: the cost-to-go of a model over sampled steps, one by one or by the hundred.
+"""Riccati steps: the cost-to-go of a model over sampled steps, one by one or by the thousand.
 
 A model is what deviations z and the inputs w+ that the law chooses do over a step; see `crane_fmu.build.feedback_law`.
 """
@@ -51,27 +51,25 @@ def _choice(n: int, m: int) -> ca.Function:
     return function("choice", [cost, reach, acting, effort], [left, K])
 
 
-def riccati_steps(n: int, m: int, count: int) -> ca.Function:
-    """Return (cost M, C, C^T, Q, G, R) -> M so many steps of one model earlier, as `riccati_step` has them.
+def riccati_steps(n: int, m: int, doublings: int) -> ca.Function:
+    """Return (C, C^T, Q, G, R) -> M so many doublings of a step before an end that costs nothing.
 
-    Any number of steps is M -> Q + C^T M (1 + H M)^-1 C, at first with H = G R^-1 G^T, and so are two such numbers one
-    after the other. Doubling them takes some ten products in place of hundreds of steps.
+    Any number of steps of one model, as `riccati_step` has them, is M -> Q + C^T M (1 + H M)^-1 C, at first with
+    H = G R^-1 G^T, and so are two such numbers one after the other: k doublings are 2^k steps. The last one is asked
+    for M alone.
     """
     square = ca.Sparsity.dense(n, n)
-    cost, C, H, Q = (ca.MX.sym(name, square) for name in ("M", "C", "H", "Q"))
-    one = ca.MX.eye(n)
-    earlier = ca.Function("earlier", [cost, C, H, Q], [_even(Q + C.T @ cost @ ca.solve(one + H @ cost, C, "qr"))])
-    reached, spread = ca.horzsplit(ca.solve(one + H @ Q, ca.horzcat(C, H), "qr"), n)
+    C, H, Q = (ca.MX.sym(name, square) for name in ("C", "H", "Q"))
+    reached, spread = ca.horzsplit(ca.solve(ca.MX.eye(n) + H @ Q, ca.horzcat(C, H), "qr"), n)
     doubled = [C @ reached, _even(H + C @ spread @ C.T), _even(Q + C.T @ Q @ reached)]
     doubling = ca.Function("doubling", [C, H, Q], doubled)
+    last = ca.Function("last", [C, H, Q], [_even(Q + C.T @ Q @ ca.solve(ca.MX.eye(n) + H @ Q, C, "qr"))])
     C_T, G, R = ca.MX.sym("C_T", square), ca.MX.sym("G", n, m), ca.MX.sym("R", m, m)
-    found, several = cost, [C, G @ _spread(n, m)(G, R), Q]
-    for power in range(count.bit_length()):
-        if power:
-            several = doubling.call(several)
-        if count >> power & 1:
-            found = earlier(found, *several)
-    return ca.Function(f"riccati_{count}", [cost, C, C_T, Q, G, R], [found])
+    several = [C, G @ _spread(n, m)(G, R), Q]
+    for _ in range(doublings - 1):
+        several = doubling.call(several)
+    found = last(*several) if doublings else Q
+    return ca.Function(f"riccati_2_to_{doublings}", [C, C_T, Q, G, R], [found])
 
 
 def _spread(n: int, m: int) -> ca.Function:
