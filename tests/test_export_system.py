@@ -106,6 +106,8 @@ SETTINGS: tuple[dict[str, float], ...] = (
     {"input_time": END},
     {"hold": 2},
     {"brakes": 2, "start.position[1]": 6.0, "start.velocity[2]": 0.1, "start.swing[2]": 0.05},
+    {"start.swing[1]": 0.05},
+    {"start.velocity[1]": 0.1},
     {"mass_error": 0.05, "wind[1]": 3.0, "gust[2]": -8.0, "gust_start": 1.234, "gust_duration": 0.789},
 )
 WATCHED = (

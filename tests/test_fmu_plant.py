@@ -96,6 +96,24 @@ def test_with_nothing_connected_the_brakes_hold_and_the_load_hangs() -> None:
         assert load(host)[2] < -5.001
 
 
+@pytest.mark.parametrize("pushed", [{"wind[1]": 20.0}, {"gust[2]": 20.0}, {"start.swing[1]": 0.1}], ids=str)
+def test_brakes_hold_bridge_trolley_and_winch_of_a_load_that_is_pushed_or_swings(pushed: dict[str, float]) -> None:
+    with plant(**{"gust_duration": 1.0, **pushed}) as host:
+        host.start()
+        before = load(host)
+        for k in range(10):
+            assert host.step(k * 0.1, 0.1)
+        assert (host["phi"], host["s"], host["l"]) == pytest.approx((0.0, 5.0, 5.0), abs=1e-9)
+        assert np.linalg.norm(load(host) - before) > 0.05
+
+
+def test_a_crane_that_starts_with_a_velocity_has_open_brakes() -> None:
+    with plant(**{"start.velocity[1]": 0.5}) as host:
+        host.start()
+        assert host.step(0.0, 0.1)
+        assert load(host)[2] < -5.01
+
+
 def test_without_brakes_a_load_that_nobody_holds_falls_and_drives_the_winch() -> None:
     with plant(brakes="none", hold="zero_order") as host:
         host.start()

@@ -83,6 +83,10 @@ def test_a_steady_wind_leaves_no_lasting_error() -> None:
     assert deviation(6.0, **parameters) < 10.0
 
 
+def test_a_breeze_does_not_let_the_load_fall_before_the_first_inputs_arrive() -> None:
+    assert deviation(4.0, crane__feedback=0.0, **{"plant__wind[1]": 1e-3}) < 0.2
+
+
 ECOS = """
 import sys
 from ecospy import EcosSimulation

@@ -90,8 +90,8 @@ class Slave(TableSlave):
     def _begin(self, time: float) -> PlantState:
         start = self._checked(self._initial)
         state = _hanging(np.array(start[:3]), np.array(start[3:6]), start[6:])
-        u, around = np.array(self._finite_inputs(_INPUTS, time)), self._surroundings()
-        moving = bool(state[5:].any() or around.force(time).any() or state[3:5].any())
+        u = np.array(self._finite_inputs(_INPUTS, time))
+        moving = bool(state[5:].any())  # then they are open: brakes keep velocities as they are, and would stop nothing
         released = bool(u.any()) or moving or not self._brakes
         found = PlantState(time, state, released, u, 0.0, u)
         self._require_well(found)

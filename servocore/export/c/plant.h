@@ -163,7 +163,6 @@ static Outcome first_moment(Instance *instance)
 {
     const double *parameters = instance->state.parameters;
     Moment *work = &instance->work;
-    double force[N_PUSHED];
     prepare(instance);
     instance->arguments[0] = parameters + PLACE_POSITION;
     instance->arguments[1] = parameters + PLACE_VELOCITY;
@@ -174,9 +173,9 @@ static Outcome first_moment(Instance *instance)
     if (!all_finite(work->state, N_STATE))
         return say(instance, DISCARD, "at t = %.6g s no motion has its output where start.position is", work->time);
     memcpy(work->acting, instance->state.inputs, sizeof work->acting);
-    pushed(parameters, work->time, force);
-    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, N_PUSHED + N_OFFSETS) ||
-                     any(force, N_PUSHED) || instance->state.choices[BRAKES] == NO_BRAKES;
+    /* A plant that starts with a velocity has them open: brakes keep velocities as they are, and would stop nothing. */
+    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, N_PUSHED) ||
+                     instance->state.choices[BRAKES] == NO_BRAKES;
     return checked_moment(instance, work, 0.0);
 }
 
