@@ -19,7 +19,7 @@ from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, share
 from crane_fmu.slave.interface import COMPILED, FEEDBACK_FILE
 from crane_fmu.slave.quick_step import usual_step
 
-_OPTIONS = "-O1 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
+_OPTIONS = "-O3 -ffp-contract=off -lm"  # as the interpreter computes: no fused operations, nothing reordered
 
 
 def compiled_feedback(functions: Mapping[str, ca.Function], notice: Callable[[str], None]) -> dict[str, bytes]:
