@@ -180,6 +180,15 @@ def test_no_more_than_two_hundred_instants_are_looked_at(monkeypatch: pytest.Mon
     assert counts == [201]
 
 
+@pytest.mark.parametrize("steps", [4, 6, 40, 400])
+def test_a_crane_in_bodies_that_turns_far_from_home_loses_no_rank(steps: int) -> None:
+    """At home, along the girder, the path's 0.25 m turn directors by a square: no measure of where it goes."""
+    path = sc.rest_to_rest((2.0, 2.0, -2.0), (3.0, 2.25, -2.0), 8.0)
+    crane = sc.scenes.rotary_crane().with_reference(path)
+    solution = sc.solve(crane, step=8.0 / steps, model="bodies")  # warnings are errors
+    assert "lose rank" not in solution.statistics.branch
+
+
 def test_systems_without_holonomic_constraints_are_not_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     crane = sc.scenes.overhead_crane()
     solution = sc.solve(crane, model="generalized")

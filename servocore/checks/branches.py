@@ -76,12 +76,23 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
     """
     if not problem.system.lam.numel() or len(t) < 3 or not np.isfinite(q).all():
         return []
-    entries, nominal = _entries(problem, t, q), np.array(problem.system.coordinates.nominal)
+    entries, magnitudes = _entries(problem, t, q), _magnitudes(problem, q)
     losses = []
     for part in problem.resolved.once(constraint_entries).parts:
         if len(part.rows) and len(part.columns):
-            losses += _losses(problem, t, q, part, part.dense(entries) * nominal[part.columns])
+            losses += _losses(problem, t, q, part, part.dense(entries) * magnitudes[part.columns])
     return sorted(losses, key=lambda loss: loss.time)
+
+
+def _magnitudes(problem: Problem, q: Array) -> Array:
+    """Return how large coordinates count: their nominal values, or how far they go if that is more, up to one unit.
+
+    A nominal value that follows from how far the path goes does so where the model is at home, which may be a special
+    place: there a direction that turns changes by the square of the angle.
+    """
+    nominal = np.array(problem.system.coordinates.nominal)
+    larger: Array = np.maximum(nominal, np.minimum(1.0, np.ptp(q, axis=0)))
+    return larger
 
 
 def _losses(problem: Problem, t: Array, q: Array, part: Part, jacobians: Array) -> list[RankLoss]:
@@ -121,13 +132,13 @@ def _touching(t: Array, determinant: Array) -> npt.NDArray[np.bool_]:
 class _Motion:
     """A motion between its instants: configurations that satisfy constraints, from interpolated ones.
 
-    Of constraints that have coordinates of their own, only these are looked at; q is divided by nominal magnitudes.
+    Of constraints that have coordinates of their own, only these are looked at; q is divided by its magnitudes.
     """
 
     problem: Problem
     t: Array
     q: Array
-    nominal: Array
+    magnitudes: Array
     row_scale: Array
     evaluate: Call
     holonomic: int  # so many of the constraints are
@@ -135,21 +146,14 @@ class _Motion:
     @classmethod
     def of(cls, problem: Problem, t: Array, q: Array, part: Part | None, row_scale: Array) -> _Motion:
         """Prepare to look at a part of the constraints, or at all of them."""
-        nominal, holonomic = np.array(problem.system.coordinates.nominal), problem.system.lam.numel()
+        magnitudes, holonomic = _magnitudes(problem, q), problem.system.lam.numel()
         if part is None:
-            return cls(problem, t, q / nominal, nominal, row_scale, problem.resolved.once(constraint_rows), holonomic)
-        rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
-        evaluate = problem.resolved.once(constraint_rows, rows, columns)
-        magnitudes = nominal[part.columns]
-        return cls(
-            problem,
-            t,
-            q[:, part.columns] / magnitudes,
-            magnitudes,
-            row_scale,
-            evaluate,
-            int(sum(part.rows < holonomic)),
-        )
+            evaluate = problem.resolved.once(constraint_rows)
+        else:
+            rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
+            evaluate, holonomic = problem.resolved.once(constraint_rows, rows, columns), int(sum(part.rows < holonomic))
+            q, magnitudes = q[:, part.columns], magnitudes[part.columns]
+        return cls(problem, t, q / magnitudes, magnitudes, row_scale, evaluate, holonomic)
 
     def configuration(self, time: float, start: Array) -> Array | None:
         """Return q near `start` where the constraints hold at a time; None if there is none."""
@@ -168,9 +172,9 @@ class _Motion:
         jet = self.problem.reference.jet(time, 0).T
 
         def rows(x: Array) -> tuple[Array, Array]:
-            residual, jacobian = self.evaluate(x * self.nominal, jet, self.problem.p)
+            residual, jacobian = self.evaluate(x * self.magnitudes, jet, self.problem.p)
             jacobian = jacobian.reshape(len(self.row_scale), -1)
-            return residual.ravel() / self.row_scale, jacobian * self.nominal / self.row_scale[:, None]
+            return residual.ravel() / self.row_scale, jacobian * self.magnitudes / self.row_scale[:, None]
 
         return rows
 
@@ -301,7 +305,7 @@ def changes_branch(problem: Problem, t: Array, q: Array, time: float) -> bool:
         smooth = _followed(motion, float(t[before[-1]]), time, float(t[after[0]]), first)
         if smooth is not None:
             return bool(np.abs(last - smooth).max() > _ASTRAY * np.abs(smooth - first).max())
-    return _has_kink(t, q / np.array(system.coordinates.nominal), time)
+    return _has_kink(t, q / _magnitudes(problem, q), time)
 
 
 def _followed(motion: _Motion, begin: float, through: float, end: float, first: Array) -> Array | None:
