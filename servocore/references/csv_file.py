@@ -9,7 +9,7 @@ import numpy as np
 from servocore.errors import InvalidReference
 from servocore.files import csv_text
 from servocore.references.bspline import REST_ORDER, require_order
-from servocore.references.csv_table import PREFIXES, Table, read_table
+from servocore.references.csv_table import PREFIXES, Table, doubtful_units, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.splines import fewest_samples, joined_legs, sampled
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-    from servocore.references.base import Reference
+    from servocore.references.base import FloatArray, Reference
 
 COLUMNS = ("x", "y", "z")
 """Position columns if no others are named: of a load in space."""
@@ -27,7 +27,15 @@ SPLINE_AGREEMENT = 0.01
 """A derivative column may differ from the spline through the positions by this fraction of its peak."""
 
 HERMITE_AGREEMENT = 0.5
-"""A row may differ from the path through every second row or fewer by this fraction of its peak."""
+"""A row may differ from the path through every second row or fewer, or its highest derivative from the one that follows
+from the others, by this fraction of its peak."""
+
+RETURNS = 1e-6
+"""Derivatives of a path that was written come back to this fraction of their peaks."""
+
+_FEWEST_EACH, _MOST_EACH = 2, 64
+_NO_STRETCH, _APART = 1e-12, 1e3  # of the duration, and in units of the last digit of a time
+_BETWEEN = (0.06, 0.2, 0.5, 0.8, 0.94)  # of the way from row to row: where a path is compared with what comes back
 
 
 def from_csv(
@@ -112,29 +120,82 @@ def samples_or_waypoints(
     return _path_of(table, tolerance, rest_order), None
 
 
-def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int = 2) -> str:
+def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None = None) -> str:
     """Return a path as the text of a file that `from_csv` reads: positions and four derivatives.
+
+    Of a path with fewer continuous derivatives it has those alone, for no row holds two values at a jump; `from_csv`
+    then reads it with as many as its `rest_order`. What was read is the path between its start and its end.
 
     Parameters
     ----------
     path : Reference
-        With four derivatives or more.
+        Any.
     columns : sequence of str
-        Names of the position columns.
-    each : int
-        Rows for every stretch of the path. A polynomial of degree 9 or less comes back but for round-off, which many
-        rows amplify.
+        Names of the position columns, one for each component of the path.
+    each : int, optional
+        Rows for every stretch of the path, of which fewer than two may be too few to be read. Without it as many, 2 to
+        64, as it takes for every derivative to come back to a millionth of its peak, or as near as round-off lets:
+        polynomials of degree 9 or less take two, and more rows amplify their round-off.
 
     Returns
     -------
     str
         Every number in as many digits as it takes to read back the same one.
+
+    Raises
+    ------
+    InvalidReference
+        If there are more or fewer names than components, or `each` is not a whole number of one or more.
     """
+    if len(columns) != path.dimension:
+        raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
+    if each is not None and not (isinstance(each, int) and each >= 1):
+        raise InvalidReference(f"every stretch of a path has one or more whole rows, not {each}")
+    t, jets = _rows_enough(path) if each is None else _rows_of(path, each)
+    slow, far = doubtful_units(t, jets[:, 0])  # what a reader would ask about, the header says
+    names = [f"{prefix}{name}" for prefix in PREFIXES[: jets.shape[1]] for name in columns]
+    if far and tuple(columns) == COLUMNS:
+        names[: len(columns)] = [f"{name} [m]" for name in columns]
+    return csv_text(["time [s]" if slow else "time", *names], [t, jets.reshape(len(t), -1)])
+
+
+def _rows_of(path: Reference, each: int) -> tuple[FloatArray, FloatArray]:
+    """Return times (n,) and derivatives (n, orders, dimension): those that do not jump where pieces of a path meet."""
     ends = path.stretches
+    shortest = max(_NO_STRETCH * path.duration, _APART * np.spacing(max(abs(path.start_time), abs(path.end_time))))
+    long = np.diff(ends) > shortest  # ramps of half a duration, but for round-off, leave none between them
+    ends = np.array([path.start_time, *ends[1:-1][long[:-1] & (path.end_time - ends[1:-1] > shortest)], path.end_time])
     t = np.append((ends[:-1, None] + np.diff(ends)[:, None] * np.arange(each) / each).ravel(), ends[-1])
-    jets = path.jet(t, len(PREFIXES) - 1)
-    names = ["time", *(f"{prefix}{name}" for prefix in PREFIXES for name in columns)]
-    return csv_text(names, [t, jets.reshape(len(t), -1)])
+    return t, path.jet(t, min(len(PREFIXES) - 1, path.smoothness, path.max_order))
+
+
+def _rows_enough(path: Reference) -> tuple[FloatArray, FloatArray]:
+    """Return the fewest rows that give a path back; the best where round-off grows before they do."""
+    best, least, each, turn = None, np.inf, _FEWEST_EACH, path.start_time
+    while each <= _MOST_EACH:
+        t, jets = rows = _rows_of(path, each)
+        each *= 2
+        order = jets.shape[1] - 1
+        if order < 1:  # a table of positions alone, which nothing but its density makes better
+            best = rows
+            continue
+        read, doubt = hermite(t, jets)
+        if doubt is not None and doubt.fraction > HERMITE_AGREEMENT:
+            turn = t[doubt.row]
+            continue
+        between = np.concatenate([t[:-1] + part * np.diff(t) for part in _BETWEEN])
+        worst = disagreement(path.jet(between, order), read.jet(between, order), path.duration).fraction
+        if worst >= least:  # round-off
+            break
+        best, least = rows, worst
+        if worst <= RETURNS:
+            break
+    if best is None:
+        raise InvalidReference(
+            f"no table holds the path: with {_MOST_EACH} rows for each of its {len(path.stretches) - 1} stretches a"
+            f" derivative still jumps or turns between them, near t = {turn:.6g} s"
+        )
+    return best
 
 
 def waypoints_from_csv(
@@ -199,7 +260,10 @@ def _path_of(table: Table, tolerance: float | None, rest_order: int) -> Piecewis
 
 
 def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
-    _need_rows(table, fewest_samples(rest_order), ", for fewer are waypoints (--waypoints, waypoints_from_csv)")
+    held, why = table.derivatives.shape[1] - 1, ", for fewer are waypoints (--waypoints, waypoints_from_csv)"
+    if held > 1 and tolerance is None:
+        why = f", for its columns hold {held} of the {rest_order} derivatives with which fewer would do"
+    _need_rows(table, fewest_samples(rest_order), why)
     try:
         path = sampled(table.t, table.derivatives[:, 0], tolerance, rest_order=rest_order)
     except InvalidReference as error:

@@ -330,22 +330,37 @@ def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
     return []
 
 
+def doubtful_units(t: FloatArray, positions: FloatArray) -> tuple[bool, bool]:
+    """Say whether times look like milliseconds, and positions (n, columns) like millimetres, where no header names one.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Times in s.
+    positions : ndarray, shape (n, columns)
+        In m.
+    """
+    duration, way = t[-1] - t[0], float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    if not (way > 0.0 and duration > 0.0):
+        return False, False
+    slow = duration >= _LONG and way / duration < _SLOW and bool((t == np.round(t)).all())
+    return slow, bool(np.abs(positions).max() >= _FAR and way / duration > _FAST)
+
+
 def _require_likely_units(table: Table, layout: _Layout) -> None:
     """Refuse times that look like milliseconds and lengths that look like millimetres where no header says so."""
     t, positions = table.t, table.derivatives[:, 0]
+    slow, far = doubtful_units(t, positions)
     duration, way = t[-1] - t[0], float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    if not (way > 0.0 and duration > 0.0):
-        return
-    speed, farthest = way / duration, float(np.abs(positions).max())
     first = table.columns[0]
-    if "time" not in layout.units and duration >= _LONG and speed < _SLOW and (t == np.round(t)).all():
+    if slow and "time" not in layout.units:
         raise InvalidReference(
             f"{table.path}: its times look like milliseconds, for {duration:g} s would make a mean speed of"
-            f" {speed:.2g} m/s: write time [ms] into the header, or time [s] if they are right"
+            f" {way / duration:.2g} m/s: write time [ms] into the header, or time [s] if they are right"
         )
-    if first not in layout.units and farthest >= _FAR and speed > _FAST:
+    if far and first not in layout.units:
         raise InvalidReference(
-            f"{table.path}: its positions look like millimetres, for up to {farthest:g} m at a mean speed of"
-            f" {speed:.3g} m/s are out of reach: write {first} [mm] and so on into the header, or {first} [m] if they"
-            " are right"
+            f"{table.path}: its positions look like millimetres, for up to {np.abs(positions).max():g} m at a mean"
+            f" speed of {way / duration:.3g} m/s are out of reach: write {first} [mm] and so on into the header, or"
+            f" {first} [m] if they are right"
         )

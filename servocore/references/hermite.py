@@ -65,6 +65,9 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     needs only some are used: 1, 2, 4, ... pieces are tried, as long as more of them give the rows left out
     back at least half as well as fewer did. If the densest try is the best one, all rows are used.
 
+    All are used as well where derivative k follows more closely from the lower ones of all rows than any row left out
+    does from the others: rows may be few, and where the polynomials of a path meet none can be left out.
+
     Parameters
     ----------
     t : ndarray, shape (n,)
@@ -77,9 +80,10 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     path : PiecewisePolynomial
         `smoothness` k, `max_order` 2 k + 1. It rests before (after) a first (last) row whose derivatives are zero;
         otherwise the polynomial goes on. `fit_error` is the largest distance of a row left out from the path
-        made without it; None for two rows, which leave nothing out.
+        made without it, or between two rows from the path made without derivative k; None for two rows, which leave
+        nothing out.
     worst : Disagreement or None
-        How well the rows agree with one another: the worst entry of a row left out.
+        How well the rows agree with one another: the worst entry of a row left out, or of derivative k.
     """
     duration = float(t[-1] - t[0])
     rows, rests = _resting_ends(derivatives, duration)
@@ -98,9 +102,29 @@ def hermite(t: FloatArray, derivatives: FloatArray) -> tuple[PiecewisePolynomial
     if best is None:
         return _through_rows(t, rows, rests, taylor), None
     path, worst = best
-    if 2 * len(path.knots) >= pieces and worst.fraction > REDUNDANT:  # the densest try was best: take all
-        path = replace(_through_rows(t, rows, rests, taylor), fit_error=path.fit_error)
+    if worst.fraction <= REDUNDANT:
+        return path, worst
+    every = _through_rows(t, rows, rests, taylor)
+    follows, distance = _without_the_highest(t, rows, every)
+    if follows.fraction < worst.fraction:
+        return replace(every, fit_error=distance), follows
+    if 2 * len(path.knots) >= pieces:  # the densest try was best: take all
+        path = replace(every, fit_error=path.fit_error)
     return path, worst
+
+
+def _without_the_highest(t: FloatArray, rows: FloatArray, path: PiecewisePolynomial) -> tuple[Disagreement, float]:
+    """Compare with the path through all rows but for their highest derivative: there, and in m half-way between rows.
+
+    Between two rows h apart it errs by h^(2 k) in position, and in derivative k by h^k: it has no row to do without.
+    """
+    order = rows.shape[1] - 1
+    lower = _through_rows(t, rows[:, :order], (False, False), _taylor_from_ends(order - 1))
+    between = (t[1:] + t[:-1]) / 2.0
+    apart = np.linalg.norm(lower.jet(between, 0)[:, 0] - path.jet(between, 0)[:, 0], axis=1)
+    found = rows.copy()  # the lower ones are those given but for round-off, which is much beside columns of zeros
+    found[:, order] = lower.jet(t, order)[:, order]
+    return disagreement(rows, found, path.duration), float(apart.max())
 
 
 def _peaks(derivatives: FloatArray, duration: float) -> FloatArray:
@@ -126,6 +150,10 @@ def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], tay
     order = rows.shape[1] - 1
     powers = np.diff(t)[:, None, None] ** np.arange(order + 1)[:, None]  # h^k d/dt^k = d/du^k
     data = np.concatenate([rows[:-1] * powers, rows[1:] * powers], axis=1)
+    origin = rows[:-1, 0]  # of a piece: digits of where it is would be lost in what is left of its derivatives
+    data[:, 0], data[:, order + 1] = 0.0, rows[1:, 0] - origin
+    coefficients = np.einsum("ij,njd->nid", taylor, data)
+    coefficients[:, 0] += origin
     return PiecewisePolynomial(
         start_time=float(t[0]),
         end_time=float(t[-1]),
@@ -133,7 +161,7 @@ def _through_rows(t: FloatArray, rows: FloatArray, rests: tuple[bool, bool], tay
         max_order=2 * order + 1,
         smoothness=order,
         knots=t.copy(),
-        coefficients=np.einsum("ij,njd->nid", taylor, data),
+        coefficients=coefficients,
         ends=rows[[0, -1], 0].copy(),
         rests_before=rests[0],
         rests_after=rests[1],
