@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from command_lines import CommandLine
 
 import servocore as sc
+from crane_fmu.cli import app as crane_app
+from servocore.cli.commands import app
 from servocore.references.rest_to_rest import RestToRest
 
 STRAIGHT = sc.rest_to_rest((5.0, 0.0, -5.0), (-4.0, 0.0, -4.0), 20.0)
@@ -52,3 +57,44 @@ def test_an_instant_on_the_axis_is_refused_with_its_time() -> None:
 def test_without_the_option_the_path_is_refused() -> None:
     with pytest.raises(sc.InvalidReference, match="the trolley reaches the slewing axis"):
         sc.solve(sc.scenes.rotary_crane().with_reference(STRAIGHT))
+
+
+# Commands ------------------------------------------------------------------------------------------------------------
+
+COMMANDS = [
+    ["crane-fmu", "feedforward", "-o", "result.csv"],
+    ["servocore", "feedforward", "SCENE", "-o", "result.csv"],
+    ["servocore", "sensitivities", "SCENE"],
+    ["servocore", "sweep", "SCENE", "--vary", "load_mass=50:100:2", "-o", "result.zarr"],
+    ["servocore", "view", "SCENE", "-o", "result.html"],
+    ["servocore", "export", "SCENE", "--trajectory", "--targets", "host", "-o", "result.fmu"],
+]
+LINES = {"crane-fmu": CommandLine(crane_app, "crane-fmu"), "servocore": CommandLine(app, "servocore")}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_every_command_with_a_path_refuses_one_through_the_axis_in_the_same_sentence(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "path.csv").write_text(sc.csv_of(sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 20.0)))
+    name, *words = ("rotary_crane" if word == "SCENE" else word for word in command)
+    line = LINES[name]
+    line.assert_refused(line(*words, "--reference", "path.csv"), "at t = 10 s the trolley reaches the slewing axis")
+    assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
+
+
+@pytest.mark.usefixtures("compiler")
+@pytest.mark.parametrize("command", [each for each in COMMANDS if "SCENE" in each], ids=" ".join)
+def test_a_scene_that_can_pass_the_axis_is_not_refused(
+    command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CFLAGS", "-O0")
+    (tmp_path / "path.csv").write_text(sc.csv_of(STRAIGHT))
+    (tmp_path / "passing.py").write_text(
+        "import servocore as sc\n\ndef crane():\n    return sc.scenes.rotary_crane(across_axis=True)\n"
+    )
+    name, *words = ("passing:crane" if word == "SCENE" else word for word in command)
+    done = LINES[name](*words, "--reference", "path.csv")
+    assert done.exit_code == 0, done.output

@@ -185,15 +185,6 @@ def test_a_path_that_starts_before_the_run_is_refused(
     assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
 
 
-def test_a_path_through_the_axis_is_refused_with_its_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    write("path.csv", "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n")
-    refused = crane("ssp", "--native", "--targets", "host", "--waypoints", "path.csv")
-    assert refused.exit_code == 2
-    assert "crane-fmu: at t = 5 s the trolley reaches the slewing axis" in refused.stderr  # behind what was being done
-    assert not (tmp_path / "system").exists()
-
-
 def test_platforms_belong_to_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     crane.assert_refused(crane("ssp", "--targets", "host"), "--targets belongs to --native")

@@ -12,6 +12,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from command_lines import CommandLine
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
@@ -20,7 +21,7 @@ from typer.testing import CliRunner
 
 import servocore as sc
 from crane_fmu.build import Wishes, build_ssp
-from crane_fmu.build.ssp import COMPONENTS, connections, table_of
+from crane_fmu.build.ssp import COMPONENTS, connections, read_again
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
 from crane_fmu.run import nothing_left
@@ -172,7 +173,7 @@ def test_cross_check_files_lie_beside_each_fmu_and_can_be_read(name: str) -> Non
 def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = sc.through([[5.0, 0.0, -5.0], [4.0, 1.0, -4.0], [4.0, 2.0, -5.0]], duration=20.0)
-    (tmp_path / "path.csv").write_text(table_of(path))
+    (tmp_path / "path.csv").write_text(sc.csv_of(path))
     result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "path.csv"])
     assert result.exit_code == 0, result.output
     assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == [
@@ -195,6 +196,35 @@ def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("variant", [[], ["--native", "--targets", "host"]], ids=["python", "native"])
+@pytest.mark.parametrize("option", ["--reference", "--waypoints"])
+def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
+    option: str, variant: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (-5.0, 0.0, -5.0), 10.0)
+    text = sc.csv_of(path) if option == "--reference" else "time,x,y,z\n0,5,0,-5\n10,-5,0,-5\n"
+    (tmp_path / "path.csv").write_text(text)
+    line = CommandLine(app, "crane-fmu")
+    refused = line("ssp", "-o", "out", option, "path.csv", *variant)
+    line.assert_refused(refused, "at t = 5 s the trolley reaches the slewing axis")
+    assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
+
+
+def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
+    path = tmp_path / "path.csv"
+    path.write_text(sc.csv_of(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)))
+    with pytest.raises(sc.InvalidReference, match="slack"):
+        build_ssp(tmp_path / "out", wishes=Wishes(path=path, parameters={"gravity": 1.6}))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_path_so_slow_that_its_times_look_like_milliseconds_is_played() -> None:
+    path = sc.rest_to_rest((5.0, 0.0, -5.0), (4.8, 0.0, -5.0), 2000.0)
+    read = read_again(sc.csv_of(path))
+    np.testing.assert_allclose(read.jet(700.0, 4), path.jet(700.0, 4), rtol=1e-9)
+
+
 def test_a_trajectory_without_a_table_says_where_one_belongs() -> None:
     with Host(fmu_file("LoadTrajectory")) as host:
         host.set(profile="file").start()
@@ -211,7 +241,7 @@ def own_system() -> Path:
     folder = scratch() / "own"
     folder.mkdir()
     path = sc.through([[6.0, -1.0, -5.0], [5.0, 1.0, -4.0], GOAL], duration=10.0)
-    files = {"path.csv": table_of(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
+    files = {"path.csv": sc.csv_of(path), "crane.toml": "load_mass = 140.0\nbridge_inertia = 600.0\n"}
     for name, text in files.items():
         (folder / name).write_text(text)
     wishes = ["--reference", str(folder / "path.csv"), "--parameters", str(folder / "crane.toml")]

@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 import servocore as sc
 from crane_fmu.build.archive import zipped
 from crane_fmu.build.bundle import Progress
@@ -24,7 +22,6 @@ from crane_fmu.build.native import NativeWishes, native_fmus
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import filled_folder, path_in_file, put
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, PATH_FILE, Variable, components
-from servocore.files import csv_text
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -33,8 +30,6 @@ COMPONENTS: Mapping[str, str] = {
     CRANE_PLANT.name: "plant",
 }
 """Names of the components by those of their FMUs."""
-
-_ROWS = 200  # at least, in a table made of a path
 
 _SSD, _SSC, _SSV = (
     f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common", "ParameterValues")
@@ -110,7 +105,8 @@ def build_ssp(
     Raises
     ------
     ServocoreError
-        If a file cannot be read or written, wishes exclude each other, or an FMU fails its check.
+        If a file cannot be read or written, wishes exclude each other, the crane cannot follow the path, or an FMU
+        fails its check.
     """
     reference = wishes.reference()
     starts: dict[str, float | str] = dict(wishes.parameters)
@@ -128,9 +124,10 @@ def build_ssp(
         for vector in ("load.position", "start.position"):
             starts |= dict(zip(components(vector), first, strict=True))
         duration = reference.end_time
+    _require_followed(reference, wishes.parameters)
     with filled_folder(directory) as draft:
         if wishes.native:
-            played = None if reference is None else read_again(table_of(reference))
+            played = None if reference is None else read_again(sc.csv_of(reference))
             fmus = native_fmus(draft, NativeWishes(played, starts, wishes.targets), progress)
         else:
             fmus = _python_fmus(draft, reference, starts, progress)
@@ -141,8 +138,14 @@ def build_ssp(
     return tuple(directory / name for name in names)
 
 
+def _require_followed(reference: sc.Reference | None, parameters: Mapping[str, float]) -> None:
+    """Refuse a path that the crane cannot follow before anything is built; preparing the inversion looks at it."""
+    crane = sc.scenes.rotary_crane().with_parameters(**parameters)
+    sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
+
+
 def _python_fmus(draft: Path, reference: sc.Reference | None, starts: Starts, progress: Progress) -> list[Path]:
-    table = None if reference is None else table_of(reference).encode()
+    table = None if reference is None else sc.csv_of(reference).encode()
     fmus = [
         build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None, starts) for kind in KINDS.values()
     ]
@@ -219,20 +222,6 @@ def connections() -> list[Wire]:
         output = name.removeprefix("measured.")
         wires.append(((plant, f"load.{output}" if "[" in output else output), (crane, name)))
     return wires
-
-
-def table_of(path: sc.Reference) -> str:
-    """Return a path as a table with all five groups of columns: it is read without fitting anything.
-
-    Between rows the path is a polynomial of degree nine, as it was between its knots.
-    """
-    knots = getattr(path, "knots", None)
-    if knots is None:
-        raise sc.InvalidReference("only a path made of polynomials can become a table")
-    parts = -(-_ROWS // (len(knots) - 1))  # rows between knots let a reader see that the columns fit together
-    t = np.interp(np.arange((len(knots) - 1) * parts + 1) / parts, np.arange(len(knots)), knots)
-    names = ["time", *(prefix + axis for prefix in ("", "v", "a", "j", "s") for axis in "xyz")]
-    return csv_text(names, [t, path.jet(t, 4).reshape(len(t), -1)])
 
 
 def read_again(table: str) -> sc.Reference:

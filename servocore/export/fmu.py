@@ -170,7 +170,7 @@ def export_trajectory(
     Raises
     ------
     InvalidReference
-        If the path has other components than the scene, or too few derivatives.
+        If the path has other components than the scene or too few derivatives, or breaks a limit of the scene.
     InvalidSetting
         As `export_fmu`.
     """

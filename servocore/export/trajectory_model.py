@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidReference
 from servocore.export import variables as rows
 from servocore.export.identifiers import identifier_of, require_different
@@ -76,7 +77,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     Raises
     ------
     InvalidReference
-        If the path has other components than the scene, or fewer derivatives than its inputs need.
+        If the path has other components than the scene, or fewer derivatives than its inputs need, or breaks a limit.
     """
     wishes = wishes or TrajectoryWishes()
     problem = Problem.of(scene, model)
@@ -85,6 +86,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     baked = wishes.path if wishes.path is not None or line is not None else scene.reference
     if baked is not None and baked.dimension != len(servo):
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
+    require_feasible(replace(problem, reference=baked or scene.reference))
     identifier = wishes.identifier or identifier_of(f"{scene.name}_trajectory")
     variables = _variables(scene, servo, orders, line, wishes)
     choice = _choice(baked is not None, wishes.profile)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
+from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidSetting, ServocoreError, described, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
@@ -180,8 +181,12 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
     """Compile what is computed of every case; None where cases have to be solved one by one."""
     problem = swept.problem
     if problem.flat and not (problem.follow_branch or problem.system.time.numel()):
-        with causes_explained(problem):
-            table = prepared_table(problem)
+        try:
+            with causes_explained(problem):
+                table = prepared_table(problem)
+        except ServocoreError:
+            require_feasible(problem)  # a limit says more than a singular matrix
+            raise
         if table is None:
             return work_of(problem, swept.limits, swept.inputs, native)
     rates = [limit.quantity for limit in swept.limits if limit.rate]
