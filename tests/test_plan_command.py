@@ -124,12 +124,19 @@ def test_a_file_that_would_lack_derivatives_is_refused_before_the_work() -> None
     assert not list(Path().iterdir())
 
 
+FREE = ["--limit", "M_b=1000", "--limit", "F=60", "--limit", "M_w=-108..-88", "--free"]
+
+
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
         (["--limit", "F=60", "--keep-out", "sphere 1 2 -3 1"], "--keep-out belongs to --free"),
         (["--limit", "F=60", "--free"], "needs a limit of every input, and M_b has none"),
         (["--limit", "F=60", "--free", "--keep-out", "cone 1 2 -3 1"], "'cone 1 2 -3 1' is neither"),
+        (["--limit", "F=60", "--free", "--parts", "load"], "--parts belongs to --keep-out"),
+        ([*FREE, "--keep-out", "sphere 3 0 0 1", "--parts", "load,hook"], "'hook' is no part that can keep clear"),
+        ([*FREE, "--keep-out", "sphere 3 0 0 1", "--parts", "load, bridge"], "a point of load, bridge is 1 m inside"),
+        ([*FREE, "--keep-out", "sphere 5 0 -3 1"], "a point of load, rope is 1 m inside"),
         (["--limit", "F=60", "-o", "way.csv", "--path", "way.csv"], "both name way.csv"),
     ],
 )
@@ -152,6 +159,7 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--free"], "needs a limit of every input, and M_w has none"),
         ([*LEVEL, "--limit", "F=200", "--free", "--keep-out", "box 1 2 3"], "'box 1 2 3' is neither"),
         ([*LEVEL, "--limit", "F=200", "--keep-out", "sphere 1 2 3"], "--keep-out belongs to --free"),
+        ([*LEVEL, "--limit", "F=200", "--free", "--parts", "load"], "--parts belongs to --keep-out"),
         ([*LEVEL, "--by", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
         ([*LEVEL, "--limit", "F=1e-9"], "keeps them in no 1e+06 s are not planned"),
         ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step must be a positive time, not nan s"),
@@ -162,6 +170,19 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
 def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Sequence[str], sentence: str) -> None:
     run.assert_refused(run("plan", "overhead_crane", *options, "-o", "p.csv"), sentence)
     assert os.listdir() == []
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        ([], "height zero, nor a bridge: plan with parts=('load',) (--parts load)"),
+        (["--parts", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
+    ],
+)
+def test_the_load_alone_keeps_clear_where_no_rope_is_known(options: list[str], sentence: str) -> None:
+    limits = ["--limit", "M_s=3000", "--limit", "M_l=-2e4..2e4", "--limit", "M_w=-150..-50"]
+    way = ["--from", 5, 0, 1, "--to", 4, 3, 1, "--free", "--keep-out", "sphere 5 0 1 0.5"]
+    run.assert_refused(run("plan", "boom_crane", *way, *limits, *options), sentence)
 
 
 def test_sensitivities_are_a_table_a_file_and_a_picture() -> None:

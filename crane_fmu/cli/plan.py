@@ -93,6 +93,11 @@ KeepOut = Annotated[
                  help="With --free: 'sphere X Y Z RADIUS' or 'box X Y Z HALF HALF HALF' (m) that load and rope keep"
                  " clear of, as many as there are."),
 ]  # fmt: skip
+Parts = Annotated[
+    str | None,
+    typer.Option("--parts", metavar="LIST", rich_help_panel=LINE,
+                 help="With --keep-out: what keeps clear, of load,rope,bridge. Default: load,rope."),
+]  # fmt: skip
 LargestStep = Annotated[
     float | None,
     typer.Option("--step", metavar="H", rich_help_panel=CRANE,
@@ -127,6 +132,7 @@ def plan_motion(
     robust: Robust = None,
     free: Free = False,
     keep_out: KeepOut = None,
+    parts: Parts = None,
     step: LargestStep = None,
     output: OutputFile = None,
     path_file: PathFile = None,
@@ -143,6 +149,8 @@ def plan_motion(
     read = path_in_file(reference, waypoints, tolerance)
     if keep_out and not free:
         raise sc.InvalidSetting("--keep-out belongs to --free")
+    if parts is not None and not keep_out:
+        raise sc.InvalidSetting("--parts belongs to --keep-out")
     require_places(
         {"--output": output, "--path": path_file, "--plot": plot}, [reference, waypoints, parameters, limits]
     )
@@ -151,7 +159,7 @@ def plan_motion(
     if parameters is not None:
         scene = scene.with_parameters(**sc.read_parameters(parameters, scene))
     way: Any = (start, end) if read is None else read()
-    space = sc.Space.of_texts(keep_out or (), dimension=3) if free else None
+    space = sc.Space.of_texts(keep_out or (), 3, parts) if free else None
     wanted = Plan(way, sc.limits_given(limit, limits), sc.factors_of_texts(robust or ()), space, step)
     contents: dict[Path, str | bytes] = {}
     with PatientProgress("planning") as progress:

@@ -82,6 +82,14 @@ KeepOut = Annotated[
         " are.",
     ),
 ]
+Parts = Annotated[
+    str | None,
+    typer.Option(
+        "--parts",
+        metavar="LIST",
+        help="With --keep-out: what keeps clear, of load,rope,bridge. Default: load,rope.",
+    ),
+]
 Step = Annotated[
     float | None, typer.Option("--step", metavar="H", help=f"Largest time between rows (s). Default: duration/{_ROWS}.")
 ]
@@ -114,6 +122,7 @@ def plan_scene(
     robust: Robust = None,
     free: Free = False,
     keep_out: KeepOut = None,
+    parts: Parts = None,
     step: Step = None,
     output: Output = None,
     path_file: PathFile = None,
@@ -139,9 +148,7 @@ def plan_scene(
     bounds = limits_given(limit, limits)
     points = [("--from", start), *(("--by", each) for each in between or ()), ("--to", end)]
     way = _way(subject, model, [(option, text) for option, text in points if text], file)
-    if keep_out and not free:
-        raise InvalidSetting("--keep-out belongs to --free")
-    space = Space.of_texts(keep_out or (), dimension=len(subject.model(model).outputs)) if free else None
+    space = _keep_clear(free, keep_out, parts, len(subject.model(model).outputs))
     ranges = factors_of_texts(robust or ())
     with PatientProgress("planning") as progress:
         path, report = fastest(subject, way, bounds, free=space, robust=ranges, model=model, progress=progress.describe)
@@ -154,6 +161,21 @@ def plan_scene(
     if path_file is not None:
         contents[path_file] = csv_of(path, [quantity.name for quantity in subject.model(model).outputs])
     deliver(_table(subject, solution, model), output, contents, report)
+
+
+def _keep_clear(free: bool, keep_out: Sequence[str] | None, parts: str | None, dimension: int) -> Space | None:
+    """Return what a free way keeps clear of; None unless it is free.
+
+    Raises
+    ------
+    InvalidSetting
+        If one option lacks another, or there is no such body or part.
+    """
+    if keep_out and not free:
+        raise InvalidSetting("--keep-out belongs to --free")
+    if parts is not None and not keep_out:
+        raise InvalidSetting("--parts belongs to --keep-out")
+    return Space.of_texts(keep_out or (), dimension, parts) if free else None
 
 
 def _require_a_path_file(scene: Scene, model: str | None) -> None:

@@ -43,10 +43,10 @@ class Space:
             raise InvalidSetting("what a plan keeps out of must be a tuple of Sphere and Box")
         for part in self.parts:
             if part not in _PARTS:
-                raise InvalidSetting(f"{part} is no part that can keep clear; there are {', '.join(_PARTS)}")
+                raise InvalidSetting(f"{part!r} is no part that can keep clear; there are {', '.join(_PARTS)}")
 
     @classmethod
-    def of_texts(cls, texts: Iterable[str], dimension: int) -> Space:
+    def of_texts(cls, texts: Iterable[str], dimension: int, parts: str | None = None) -> Space:
         """Return the space that texts describe, such as ``sphere 1 2 -3 0.5`` or ``box 1 2 -3 0.4 3 1.2``.
 
         Parameters
@@ -55,18 +55,21 @@ class Space:
             A body each: its kind, its centre, then a radius or half sizes; m.
         dimension : int
             How many coordinates a centre has.
+        parts : str, optional
+            What keeps clear, with commas between: ``load,rope,bridge``.
 
         Returns
         -------
         Space
-            With the parts that a plan keeps clear by default.
+            With the parts that a plan keeps clear by default if none are given.
 
         Raises
         ------
         InvalidSetting
-            If a text is no body.
+            If a text is no body, or there is no such part.
         """
-        return cls(tuple(_body(text, dimension) for text in texts))
+        bodies = tuple(_body(text, dimension) for text in texts)
+        return cls(bodies) if parts is None else cls(bodies, tuple(each.strip() for each in parts.split(",")))
 
     def require(self, system: MechanicalSystem, *, hangs: bool) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
@@ -85,7 +88,7 @@ class Space:
         if self.keep_out and not hangs and set(self.parts) - {"load"}:
             raise InvalidSetting(
                 f"{system.name} has no rope that is known to hang from a trolley at height zero, nor a bridge: plan"
-                " with parts=('load',)"
+                " with parts=('load',) (--parts load)"
             )
 
     def thickened(self, size: float) -> Space:
