@@ -84,6 +84,8 @@ CLEAR = {
         dated(ROWS, "+01:00", header="time;x;y;z", delimiter=";", point=","),
         "semicolons between cells, dates as times, of which the first becomes 0, decimal commas",
     ),
+    "a line for spreadsheets above": ("sep=;\r\n" + text(ROWS, "time;x;y;z", ";"), "semicolons between cells"),
+    "the Greek letter for micro": (text(ROWS * [1e6, 1, 1, 1], "time [\u03bcs],x,y,z"), "time in µs"),
     "capitals": (text(ROWS, "Time,X,Y,Z"), "Time,X,Y,Z as time,x,y,z"),
     "capitals and units": (
         text(MILLI, "TIME [ms],X [mm],y [mm],Z [mm]"), "TIME,X,y,Z as time,x,y,z, time in ms, x, y, z in mm"
@@ -126,6 +128,19 @@ def test_units_of_derivatives_are_converted_too(tmp_path: Path) -> None:
 UNCLEAR = {
     "milliseconds": (text(np.round(ROWS * [1e3, 1, 1, 1], 6)), "its times look like milliseconds, .* write time .ms."),
     "millimetres": (text(ROWS * [1, 1e3, 1e3, 1e3]), "its positions look like millimetres, .* write x .mm."),
+    "parts of milliseconds": (text(ROWS * [1e3, 1, 1, 1] + [0.1, 0, 0, 0]), "its times look like milliseconds"),
+    "nanoseconds": (text(ROWS * [1e9, 1, 1, 1]), "line 42, column time: 20000000000 s is more than 1e.09 s from zero"),
+    "seconds since long ago": (text(np.add(ROWS, [5e9, 0, 0, 0])), "5000000020 s is more than 1e.09 s from zero: let"),
+    "millimetres beside named ones": (
+        text(ROWS * [1, 1e3, 1e3, 1e3], "time,x [mm],y,z"),
+        "its positions look like millimetres, .* write y .mm.",
+    ),
+    "an underscore in a number": (text(ROWS).replace("5.0,0", "5_0,0"), "column x: '5_0' is not a finite number"),
+    "an archive": (b"PK\x03\x04" + bytes(5000), r"was expected, but '.{,400}\.\.\.' was found$"),
+    "a step back": (
+        text(ROWS[[0, 1, 3, 2, 4]] * [0.2, 1, 1, 1]),
+        "time: 0.2 s does not come after 0.30000000000000004",
+    ),
     "commas between cells and digits": (text(ROWS, point=","), "line 2: 8 cells .* decimal commas need semicolons"),
     "grouped digits": ("time;x;y;z\n0;1.234,5;0;1\n", "column x: '1.234,5' is not a finite number; digits are not"),
     "a clock": ("time,x,y,z\n12:00:00,1,0,1\n", "column time: '12:00:00' .*; times are numbers of seconds, or dates"),

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from servocore.errors import InvalidReference, ServocoreWarning, require_kind
+from servocore.references.base import LONGEST_TIME
 from servocore.references.time_stamps import EXAMPLE, with_seconds
 
 if TYPE_CHECKING:
@@ -43,6 +44,9 @@ _RATE = re.compile(r"/s(?:\^?(\d)|([²³⁴]))?")
 _POWERS = {"²": 2, "³": 3, "⁴": 4}
 _SLOW, _FAST = 1e-3, 20.0  # m/s: mean speeds beside which one asks whether units are what they seem
 _LONG, _FAR = 1000.0, 300.0  # s and m
+_RARE = 0.999  # s: rows that lie so far apart or farther may be milliseconds apart
+_SEPARATOR = re.compile(r"sep=.", re.IGNORECASE)  # what spreadsheets write above a header
+_SHOWN = 80  # letters of a header that is none
 _YES, _NO = ("1", "1.0", "yes", "true", "x", "stop"), ("", "0", "0.0", "no", "false")
 
 
@@ -120,14 +124,25 @@ def read_table(
     if stuck.size:
         late = stuck[0] + 1
         raise InvalidReference(
-            f"{file}, line {lines[late]}, column time: {numbers[late, 0]:.17g} s does not come after "
-            f"{numbers[late - 1, 0]:.17g} s of the row before"
+            f"{file}, line {lines[late]}, column time: {_digits(numbers[late, 0])} s does not come after "
+            f"{_digits(numbers[late - 1, 0])} s of the row before"
+        )
+    far = int(np.abs(numbers[:, 0]).argmax())
+    if abs(numbers[far, 0]) > LONGEST_TIME:
+        raise InvalidReference(
+            f"{file}, line {lines[far]}, column time: {_digits(numbers[far, 0])} s is more than {LONGEST_TIME:g} s from"
+            " zero: let times begin near it, or write their unit into the header, as time [ns]"
         )
     table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
     _require_likely_units(table, layout)
     if told:
         warnings.warn(f"{file} is read with {', '.join(told)}", ServocoreWarning, stacklevel=2)
     return table
+
+
+def _digits(value: float) -> str:
+    """Return as many digits of a number as tell it from all others."""
+    return repr(float(value)).removesuffix(".0")
 
 
 def _grouped(numbers: FloatArray, components: Sequence[str]) -> FloatArray:
@@ -172,7 +187,7 @@ def _layout(
     wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
     shortest = ",".join(wanted[0])
     first, line, header = 0, 0, ""
-    while first < len(data) and not header:
+    while first < len(data) and (not header or _SEPARATOR.fullmatch(header)):
         end = data.find(b"\n", first) % (len(data) + 1)
         header, first, line = data[first:end].decode(errors="replace").strip(), end + 1, line + 1
     if not header:
@@ -182,13 +197,14 @@ def _layout(
     found = [_WITH_UNIT.fullmatch(cell) for cell in cells]
     written = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
     names = _without_capitals(written, [*wanted[-1], *([STOP] if waypoints else [])])
-    units = {name: unit[2] for name, unit in zip(names, found, strict=True) if unit}
+    units = {name: unit[2].replace("\u03bc", "µ") for name, unit in zip(names, found, strict=True) if unit}
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:
         more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
         more += f", then {STOP}" if waypoints else ""
+        shown = header if len(header) <= _SHOWN else f"{header[:_SHOWN]}..."
         raise InvalidReference(
-            f"{file}, line {line}: the header {shortest}{more} was expected, but {','.join(written)!r} was found"
+            f"{file}, line {line}: the header {shortest}{more} was expected, but {shown!r} was found"
         )
     factors = [_factor(file, line, name, units.get(name), k, list(components.values())) for k, name in enumerate(names)]
     told = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
@@ -297,7 +313,7 @@ def _numbers(file: Path, line: int, cells: Sequence[str], layout: _Layout) -> li
         if name == STOP and layout.stops:
             continue
         try:
-            value = float(cell)
+            value = float(cell) if "_" not in cell else float("nan")  # what Python reads is no number elsewhere
         except ValueError:
             value = float("nan")
         if cell == "" and k >= layout.free:
@@ -340,27 +356,31 @@ def doubtful_units(t: FloatArray, positions: FloatArray) -> tuple[bool, bool]:
     positions : ndarray, shape (n, columns)
         In m.
     """
-    duration, way = t[-1] - t[0], float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    if not (way > 0.0 and duration > 0.0):
+    speed = _mean_speed(t, positions)
+    if not speed > 0.0:
         return False, False
-    slow = duration >= _LONG and way / duration < _SLOW and bool((t == np.round(t)).all())
-    return slow, bool(np.abs(positions).max() >= _FAR and way / duration > _FAST)
+    slow = bool(t[-1] - t[0] >= _LONG and speed < _SLOW and np.diff(t).min() >= _RARE)
+    return slow, bool(np.abs(positions).max() >= _FAR and speed > _FAST)
+
+
+def _mean_speed(t: FloatArray, positions: FloatArray) -> float:
+    way = float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+    return way / float(t[-1] - t[0]) if t[-1] > t[0] else 0.0
 
 
 def _require_likely_units(table: Table, layout: _Layout) -> None:
     """Refuse times that look like milliseconds and lengths that look like millimetres where no header says so."""
     t, positions = table.t, table.derivatives[:, 0]
-    slow, far = doubtful_units(t, positions)
-    duration, way = t[-1] - t[0], float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
-    first = table.columns[0]
-    if slow and "time" not in layout.units:
+    unnamed = [k for k, name in enumerate(table.columns) if name not in layout.units]
+    if "time" not in layout.units and doubtful_units(t, positions)[0]:
         raise InvalidReference(
-            f"{table.path}: its times look like milliseconds, for {duration:g} s would make a mean speed of"
-            f" {way / duration:.2g} m/s: write time [ms] into the header, or time [s] if they are right"
+            f"{table.path}: its times look like milliseconds, for {t[-1] - t[0]:g} s would make a mean speed of"
+            f" {_mean_speed(t, positions):.2g} m/s: write time [ms] into the header, or time [s] if they are right"
         )
-    if far and first not in layout.units:
+    if doubtful_units(t, positions[:, unnamed])[1]:
+        first, own = table.columns[unnamed[0]], positions[:, unnamed]
         raise InvalidReference(
-            f"{table.path}: its positions look like millimetres, for up to {np.abs(positions).max():g} m at a mean"
-            f" speed of {way / duration:.3g} m/s are out of reach: write {first} [mm] and so on into the header, or"
+            f"{table.path}: its positions look like millimetres, for up to {np.abs(own).max():g} m at a mean speed of"
+            f" {_mean_speed(t, own):.3g} m/s are out of reach: write {first} [mm] and so on into the header, or"
             f" {first} [m] if they are right"
         )
