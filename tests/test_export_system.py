@@ -13,17 +13,21 @@ import fmpy
 import numpy as np
 import pytest
 from command_lines import CommandLine, write
+from fmpy import read_model_description
 from fmpy.validation import validate_fmu
 from fmu_host import fmu_file
 from native_fmu import DISCARD, END, OK, START, Native, began, exported, native_file, path_of
-from present import present
+from present import of_kind, present
 
 import servocore as sc
 from crane_fmu.cli import app as crane_app
 from servocore.cli.commands import app
 from servocore.export.plant_model import plant_model
+from servocore.export.trajectory_model import trajectory_model
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of
+from servocore.references.profiles import polynomial
+from servocore.references.rest_to_rest import RestToRest
 
 FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 CRANE = sc.scenes.rotary_crane()
@@ -45,9 +49,9 @@ def test_a_checker_has_nothing_to_say(name: str, fmi: int) -> None:
 # Trajectory ----------------------------------------------------------------------------------------------------------
 
 
-def played(instants: Array, **parameters: Any) -> Array:
-    """Return jets (N, orders, m) of the crane's trajectory, whose steps end at some instants."""
-    with Native("rotary_crane trajectory", 2) as host:
+def played(instants: Array, file: Path | None = None, **parameters: Any) -> Array:
+    """Return jets (N, orders, m) of the crane's trajectory, or of a file, whose steps end at some instants."""
+    with Native("rotary_crane trajectory", 2, file) as host:
         host.start(time=float(instants[0]), **parameters)
         found = [host.values()]
         for before, after in pairwise(instants):
@@ -76,6 +80,45 @@ def test_time_laws_are_those_of_the_library(number: int, profile: sc.Profile) ->
 def test_a_path_that_is_baked_in_is_that_path() -> None:
     t = np.linspace(-1.0, 21.0, 221)
     assert_as(played(t, profile=4), present(path_of("rotary_crane")).jet(t, 4))
+
+
+LINE = partial(sc.rest_to_rest, (5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 17.9)
+OWN: dict[str, tuple[sc.Reference, float]] = {  # with what may be lost of the peaks
+    "degree 13": (LINE(sc.DEGREE13), 0.0),
+    "a ramp, from before the run": (LINE(sc.three_phase(3.0), start_time=-4.0), 0.0),
+    "no law of the choices": (LINE(polynomial(15), start_time=3.0), 1e-7),
+    "periodic": (sc.figure_of_eight((8.0, 0.0, -5.0), (2.0, 0.0, 0.0), (0.0, 1.0, 0.5), 12.0, 2, 1.0), 1e-7),
+}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_a_trajectory_begins_with_the_path_of_its_scene(name: str, tmp_path: Path) -> None:
+    path, within = OWN[name]
+    file = sc.export_trajectory(CRANE.with_reference(path), tmp_path / "path.fmu", fmi=2, targets="host")
+    t = np.arange(path.start_time - 3.0, path.end_time + 9.0, 0.25)  # outside of its times too
+    expected = path.jet(t, 4)
+    found = played(t, file)
+    if within:
+        assert_as(found, expected, within)
+        np.testing.assert_allclose(found[:, 0], expected[:, 0], rtol=0.0, atol=1e-12)
+    else:
+        np.testing.assert_array_equal(found, expected)
+    experiment = read_model_description(str(file)).defaultExperiment
+    assert float(experiment.startTime) == min(0.0, path.start_time)
+    assert float(experiment.stopTime) == pytest.approx(path.end_time)
+
+
+@pytest.mark.parametrize("name", sc.scenes.REGISTRY)
+def test_a_trajectory_begins_with_the_law_of_its_scene(name: str) -> None:
+    scene = sc.scenes.REGISTRY[name]()
+    (choice,) = trajectory_model(scene).choices
+    law = sc.TIME_LAWS[choice.items[choice.start - 1][0]]
+    assert law == of_kind(RestToRest, scene.reference).profile
+
+
+def test_a_profile_that_is_none_is_refused() -> None:
+    with pytest.raises(sc.InvalidSetting, match="there is no profile 'degree8'; there are degree9, degree13, three-p"):
+        trajectory_model(CRANE, None, sc.TrajectoryWishes(profile="degree8"))
 
 
 def test_a_ramp_that_does_not_fit_is_refused_with_a_sentence() -> None:

@@ -148,7 +148,7 @@ def export_trajectory(
     Parameters
     ----------
     scene : Scene
-        Its own path gives the start values, and is baked in where it is no line.
+        Its own path gives the start values, and is baked in where it is no line by a time law of `TIME_LAWS`.
     path : str or Path
         The file.
     wishes : TrajectoryWishes, optional

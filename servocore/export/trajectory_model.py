@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, InvalidSetting
 from servocore.export import variables as rows
 from servocore.export.identifiers import identifier_of, require_different
 from servocore.export.native_model import NativeModel
@@ -20,6 +20,7 @@ from servocore.model.scene import Scene
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.hermite import hermite
+from servocore.references.periodic import Periodic
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import DEFAULT_RAMP, TIME_LAWS, PolynomialProfile, ThreePhaseProfile
 from servocore.references.rest_to_rest import RestToRest, rest_to_rest
@@ -49,7 +50,7 @@ class TrajectoryWishes:
     path : Reference, optional
         A path to bake in and to begin with, in place of the scene's own.
     profile : str, optional
-        One of `LAWS` to begin with.
+        One of `LAWS` to begin with, in place of the path or of the law of the scene's own line.
     start : mapping of str to float
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
@@ -63,7 +64,7 @@ class TrajectoryWishes:
 
 
 def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryWishes | None = None) -> NativeModel:
-    """Compile the time laws for a scene's path, and bake in a path where it is no straight line.
+    """Compile the time laws for a scene's path, and bake in a path where it is no line by one of them.
 
     Parameters
     ----------
@@ -78,18 +79,22 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     ------
     InvalidReference
         If the path has other components than the scene, or fewer derivatives than its inputs need, or breaks a limit.
+    InvalidSetting
+        If there is no such profile.
     """
     wishes = wishes or TrajectoryWishes()
     problem = Problem.of(scene, model)
     orders, servo = problem.array.reference_order + 1, problem.system.outputs
-    line = scene.reference if isinstance(scene.reference, RestToRest) else None
+    line = _line(scene.reference)
     baked = wishes.path if wishes.path is not None or line is not None else scene.reference
     if baked is not None and baked.dimension != len(servo):
         raise InvalidReference(f"the path has {baked.dimension} components, {scene.name} has {len(servo)}")
     require_feasible(replace(problem, reference=baked or scene.reference))
     identifier = wishes.identifier or identifier_of(f"{scene.name}_trajectory")
-    variables = _variables(scene, servo, orders, line, wishes)
-    choice = _choice(baked is not None, wishes.profile)
+    profile = wishes.profile or (FROM_FILE if line is None or baked is not None else line.law)
+    variables = _variables(scene, servo, orders, line, replace(wishes, profile=profile))
+    choice = _choice(baked is not None, profile)
+    start_time = min(0.0, (baked or scene.reference).start_time)  # a run begins at zero where the path lets it
     require_different(problem, variables, (choice.name, "time"))
     outputs = [
         Quantity(name, variable.unit, variable.description)
@@ -110,6 +115,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
             "laws": [f"law_{k}" for k in range(1, len(LAWS) + 1)],
             "ramped": 1 + list(LAWS).index("three-phase"),
             **_table(None if baked is None else _polynomial(baked, orders), orders),
+            "period": baked.period if isinstance(baked, Periodic) else 0.0,
         },
         functions={
             f"law_{k}": _law(name, f"{identifier}_law_{k}", len(servo), orders) for k, name in enumerate(LAWS, start=1)
@@ -120,28 +126,51 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
         limits=(),
         depends=np.zeros((len(outputs), 0), dtype=bool),
         timed=True,
-        start_time=0.0,
-        duration=(baked or scene.reference).end_time,
+        start_time=start_time,
+        duration=(baked or scene.reference).end_time - start_time,
         differentiable=False,
         terminals=TERMINALS,
     )
 
 
-def _choice(has_path: bool, profile: str | None) -> Choice:
+class _Line(NamedTuple):
+    """A scene's own path as settings: which of `LAWS`, from when on, and its ramp, 0 for the usual one."""
+
+    law: str
+    start_time: float
+    ramp: float
+
+
+def _line(path: Reference) -> _Line | None:
+    """Return a path as one of the lines that the kernel has, or None if it is none of them."""
+    if not isinstance(path, RestToRest):
+        return None
+    for name, law in TIME_LAWS.items():
+        if isinstance(law, ThreePhaseProfile) and isinstance(path.profile, ThreePhaseProfile):
+            return _Line(name, path.start_time, path.profile.ramp or 0.0)
+        if path.profile == law:
+            return _Line(name, path.start_time, 0.0)
+    return None
+
+
+def _choice(has_path: bool, profile: str) -> Choice:
     items = [*LAWS.items(), *([(FROM_FILE, "the path that is baked in")] if has_path else [])]
-    start = list(LAWS).index(profile) + 1 if profile is not None else len(items) if has_path else 1
-    return Choice("profile", "time law along the line, or a path", tuple(items), start)
+    names = [name for name, _ in items]
+    if profile not in names:
+        raise InvalidSetting(f"there is no profile {profile!r}; there are {', '.join(names)}")
+    return Choice("profile", "time law along the line, or a path", tuple(items), names.index(profile) + 1)
 
 
 def _variables(
-    scene: Scene, servo: Sequence[Quantity], orders: int, line: RestToRest | None, wishes: TrajectoryWishes
+    scene: Scene, servo: Sequence[Quantity], orders: int, line: _Line | None, wishes: TrajectoryWishes
 ) -> list[Variable]:
     path = scene.reference
     ends = path.jet([path.start_time, path.end_time], 0)[:, 0]
     variables = rows.path_outputs(servo, scene.tracked, orders)
     place = sum(each.size or 1 for each in variables)
     begin = line.start_time if line is not None else 0.0
-    for setting in rows.line_settings(servo, scene.tracked, ends, path.duration, begin):
+    ramp = line.ramp if line is not None and line.law == wishes.profile else 0.0
+    for setting in rows.line_settings(servo, scene.tracked, ends, (begin, path.duration, ramp)):
         variables.append(rows.with_starts(rows.placed(setting, place), wishes.start))
         place += setting.size or 1
     return variables
@@ -173,7 +202,7 @@ def _law(name: str, function_name: str, m: int, orders: int) -> ca.Function:
 
 
 def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
-    """Return a path as polynomials; one that is none becomes one through many of its instants."""
+    """Return a path as polynomials; one that is none becomes one through many of its instants, of a single period."""
     order = max(4, orders - 1)
     if path.max_order < orders - 1:
         raise InvalidReference(
@@ -181,6 +210,8 @@ def _polynomial(path: Reference, orders: int) -> PiecewisePolynomial:
         )
     if isinstance(path, PiecewisePolynomial):
         return path
+    if isinstance(path, Periodic):
+        path = replace(path, end_time=path.start_time + path.period)
     ends = path.stretches
     parts = -(-_ROWS // (len(ends) - 1))
     t = np.interp(np.arange((len(ends) - 1) * parts + 1) / parts, np.arange(len(ends)), ends)

@@ -330,10 +330,13 @@ def path_outputs(outputs: Sequence[Quantity], tracked: str, orders: int) -> list
 
 
 def line_settings(
-    outputs: Sequence[Quantity], tracked: str, ends: Array, duration: float, start_time: float
+    outputs: Sequence[Quantity], tracked: str, ends: Array, times: tuple[float, float, float]
 ) -> list[Variable]:
-    """Return the parameters of a line from rest to rest, in the order in which the kernel finds them."""
-    variables = []
+    """Return the parameters of a line from rest to rest, in the order in which the kernel finds them.
+
+    Its times are when it starts, how long it takes, and its ramp.
+    """
+    variables, (start_time, duration, ramp) = [], times
     for name, values in zip(("start", "end"), ends, strict=True):
         text = f"{name} of the path"
         if together(outputs, tracked):
@@ -347,7 +350,7 @@ def line_settings(
     variables += [
         _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9),
         _setting("start_time", "s", "when the motion starts; the path rests before", (start_time,), -1e9, 1e9),
-        _setting("ramp", "s", "time to accelerate, for three-phase; 0: a quarter of the duration", (0.0,), 0.0, 1e9),
+        _setting("ramp", "s", "time to accelerate, for three-phase; 0: a quarter of the duration", (ramp,), 0.0, 1e9),
     ]
     return [replace(each, fixed=True) for each in variables]
 

@@ -42,8 +42,16 @@ static size_t piece_of(double time)
     return low;
 }
 
-static void follow_table(double time, double *found)
+/* The instant of the first period at which a path that repeats itself is where it is at another one. */
+static double within_period(double time)
 {
+    const double since = time - KNOTS[0];
+    return PERIOD > 0.0 ? KNOTS[0] + fmod(since, PERIOD) + (since < 0.0 ? PERIOD : 0.0) : time;
+}
+
+static void follow_table(double instant, double *found)
+{
+    const double time = within_period(instant);
     const size_t piece = piece_of(time);
     const double left = KNOTS[piece], right = KNOTS[piece + 1], length = right - left;
     const double u = ((time - left) - (right - time)) / (2.0 * length);
