@@ -58,6 +58,7 @@ OTHERS: dict[str, Callable[[], sc.Scene]] = {
     "elastic_hoist": users_scene,
     "limited": lambda: replace(users_scene().with_limits(F=(-60.0, 1300.0), **{"w.rate": 2.0}), name="limited"),
     "ship": lambda: timed.load_below_a_ship().scene,
+    "waves": timed.mass_in_waves,
     "wind": lambda: timed.pendulum_in_the_wind().scene,
 }
 

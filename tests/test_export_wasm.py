@@ -148,6 +148,19 @@ def test_marching_ends_where_a_step_is_not_solved() -> None:
     assert np.isnan(found["F"][7:]).all()
 
 
+@needs_wasmtime
+def test_marching_ends_with_a_step_onto_another_branch() -> None:
+    beside_axis, h = sc.rest_to_rest((5.0, 0.02, -5.0), (-5.0, 0.02, -5.0), 10.0), 0.2
+    crane = module("rotary_crane")
+    times = h * np.concatenate([crane.about["instants"], np.arange(1, 51)])
+    found, verdicts = crane.march(beside_axis.jet(times, 4), h)
+    beyond = int(np.argmax(verdicts != 0))
+    assert 20 < beyond < 30  # where the bridge would have to turn within a step
+    assert crane.about["verdicts"][verdicts[beyond]] == "the solution is another one than the one wanted"
+    assert {crane.about["verdicts"][k] for k in verdicts[beyond + 1 :]} == {"the equations are not solved"}
+    assert np.isnan(found["F"][beyond:]).all()
+
+
 @needs_zig
 @pytest.mark.parametrize("name", sorted(sc.scenes.REGISTRY) if FULL else ["passive_joint_arm", "rotary_crane"])
 def test_a_module_imports_nothing_and_is_small(name: str) -> None:
@@ -159,9 +172,21 @@ def test_a_module_imports_nothing_and_is_small(name: str) -> None:
 SCRIPT = """
 import { load } from "./rotary_crane.mjs";
 export async function asked(bytes, path, past) {
-  const crane = await load(bytes), refused = [];
-  for (const call of [() => crane.invert(path.slice(1)), () => crane.invert(path, { parameters: { mass: 1 } })])
-    try { call(); } catch (error) { refused.push(error.message); }
+  const crane = await load(bytes), refused = [], one = path.slice(0, 15);
+  for (const call of [
+    () => crane.invert(path.slice(1)),
+    () => crane.invert(path, { parameters: { mass: 1 } }),
+    () => crane.invert(one, { parameters: { load_mass: -80 } }),
+    () => crane.march(past, 0.1, { parameters: { gravity: NaN } }),
+    () => crane.invert(one, { times: [0, 1] }),
+    () => crane.march(one, 0.1),
+    () => crane.march(past),
+    () => crane.march(past, -0.1),
+    () => crane.march(past, 0.1, { start: NaN }),
+    () => load(new Response("", { status: 404, statusText: "Not Found" })),
+    () => load(new Uint8Array([0, 97, 115, 109, 1, 0, 0, 0])),
+  ])
+    try { await call(); } catch (error) { refused.push(error.message); }
   const heavy = crane.invert(path, { parameters: { load_mass: 80 } });
   const { outputs, verdicts, solved } = crane.invert(path);
   const stepped = crane.march(past, 0.1);
@@ -196,8 +221,17 @@ def assert_as_in_the_library(found: Mapping[str, Array]) -> None:
     stepped = sc.solve(scene, sc.Projected(), sc.BackwardEuler(), step=0.1, checks=False)["F"]
     np.testing.assert_allclose(found["stepped"], stepped, rtol=0.0, atol=1e-9 * np.abs(stepped).max())
     assert found["refused"] == [
-        "a path has 15 values at each instant, 75014 do not fit",
+        "a path has 15 values at each instant, at least at 1: 75014 do not fit",
         "rotary_crane has no parameter mass",
+        "load_mass = -80 kg is outside its range [0.001, 1000000000] kg",
+        "gravity = NaN m/s2 is outside its range [0.001, 1000] m/s2",
+        "a path of 1 instants needs as many times, not 2",
+        "a path has 15 values at each instant, at least at 2: 15 do not fit",
+        "steps are above 0 s, not undefined s from 0 s on",
+        "steps are above 0 s, not -0.1 s from 0 s on",
+        "steps are above 0 s, not 0.1 s from NaN s on",
+        ": 404 Not Found",
+        "this module is none of `servocore export --wasm`",
     ]
 
 
@@ -213,6 +247,23 @@ def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path: Path) ->
     )
     done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
     assert_as_in_the_library(json.loads(done.stdout))
+
+
+@needs_zig
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+def test_the_loader_asks_for_times_where_equations_hold_the_time(tmp_path: Path) -> None:
+    sc.export_wasm(scene_called("waves"), tmp_path / "waves.wasm")
+    (tmp_path / "main.mjs").write_text(
+        'import fs from "node:fs"; import { load } from "./waves.mjs";\n'
+        'const waves = await load(fs.readFileSync("waves.wasm")), path = new Float64Array(6);\n'
+        "let refused = null; try { waves.invert(path); } catch (error) { refused = error.message; }\n"
+        "console.log(JSON.stringify({ refused, F: [...waves.invert(path, { times: [1, 2] }).outputs.F] }));\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+    found = json.loads(done.stdout)
+    assert found["refused"] == "the equations of waves contain the time: times are needed"
+    np.testing.assert_allclose(found["F"], -np.sin([1.0, 2.0]), rtol=1e-15)
 
 
 @needs_zig

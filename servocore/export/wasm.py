@@ -120,12 +120,13 @@ def described(model: InverseModel, path: Sequence[Variable], marched: Marching |
         "path": [{"name": name, "unit": each.unit} for each in path for name in each.scalar_names],
         "outputs": [{"name": e.name, "unit": e.unit, "description": e.description} for e in model.mathematics.outputs],
         "parameters": [
-            {"name": e.name, "unit": e.unit, "start": e.starts[0], "description": e.description}
+            {"name": e.name, "unit": e.unit, "start": e.starts[0], **e.bounds, "description": e.description}
             for e in model.of("parameter")
             if e not in model.settings
         ],
         "verdicts": [*_VERDICTS, *(limit.text for limit in model.limits)],
-        "instants": [] if marched is None else list(marched.instants),
+        "timed": model.timed,
+        "instants": [] if marched is None else [k + 0.0 for k in marched.instants],  # without -0
     }
 
 

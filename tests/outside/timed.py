@@ -1,4 +1,4 @@
-"""Systems whose equations hold the time: a ship that heaves, a pivot that shakes, a wind that blows."""
+"""Systems whose equations hold the time: a ship that heaves, a pivot that shakes, a wind, waves that push."""
 
 from __future__ import annotations
 
@@ -76,6 +76,19 @@ def pendulum_in_the_wind() -> Case:
 
     scene = sc.Scene("wind", {"cart": cart_in_the_wind}, sc.rest_to_rest((0.0,), (1.5,), 2.0))
     return Case(scene, exact, index=3, internal=2, steps=400, tolerance=1e-9)
+
+
+def mass_in_waves() -> sc.Scene:
+    """A mass of 2 kg that waves push with sin t, at rest F = -sin t: each instant by itself."""
+
+    def system() -> sc.MechanicalSystem:
+        q, t = coordinates("x"), ca.SX.sym("t")
+        return lagrange(
+            "mass in waves", q, q.v[0] ** 2, {"X": q.q[0]}, {"F": q.q[0]}, potential=-q.q[0] * ca.sin(t), time=t,
+            guess=lambda at: (at[0],), home=(0.0,),
+        )  # fmt: skip
+
+    return sc.Scene("waves", {"mass": system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
 
 
 @cache
