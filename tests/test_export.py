@@ -300,14 +300,15 @@ def test_a_call_that_makes_no_sense_is_an_error(time: float, h: float, sentence:
         assert host.step(0.0, 0.1) == OK
 
 
-def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once() -> None:
+@pytest.mark.parametrize(("input_time", "instant"), [(START, "0.1"), (END, "0.2")])
+def test_a_path_whose_derivatives_are_not_connected_is_remarked_upon_once(input_time: int, instant: str) -> None:
     with Native("rotary_crane", 2) as host:
-        host.start()
+        host.start(input_time=input_time)
         for k in range(4):
             host.set(**{"load.position[1]": 5.0 + 0.01 * k})
             assert host.step(0.1 * k, 0.1) == OK  # a warning is no exception
     assert [message.partition(":")[0] for message in host.messages] == [
-        "at t = 0.1 s the path moves, but all its derivatives are zero (load.velocity[1] and further)"
+        f"at t = {instant} s the path moves, but all its derivatives are zero (load.velocity[1] and further)"
     ]
 
 

@@ -228,9 +228,11 @@ static Outcome remark_path(Instance *instance, double time)
 
 static Outcome remark_step(Instance *instance, double time)
 {
-    const Outcome outcome = remark_path(instance, time);
+    /* The instant that the inputs belong to. */
+    const double instant = AT_START_OF_STEP(&instance->state) ? time : instance->work.time;
+    const Outcome outcome = remark_path(instance, instant);
 #if HAS_ESTIMATES
-    if (remark_estimates(instance, time) != GOOD) return WARNING;
+    if (remark_estimates(instance, instant) != GOOD) return WARNING;
 #endif
     return outcome;
 }
