@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 
 import servocore as sc
 from crane_fmu.build import Wishes, build_ssp
-from crane_fmu.build.ssp import COMPONENTS, connections, read_again
+from crane_fmu.build.ssp import COMPONENTS, connections, description, read_again
 from crane_fmu.catalogue import KINDS
 from crane_fmu.cli import app
 from crane_fmu.run import nothing_left
@@ -152,6 +152,11 @@ def test_the_system_has_the_form_that_all_masters_read() -> None:
         root = ET.fromstring(archive.read("SystemStructure.ssd"))
     assert root.get("version") == "1.0"
     assert not [each for each in root.iter() if "ParameterBinding" in each.tag]
+
+
+def test_the_default_experiment_ends_with_the_path_to_the_last_digit() -> None:
+    (experiment,) = (e for e in ET.fromstring(description(duration=1234567.125)) if e.tag.endswith("DefaultExperiment"))
+    assert float(experiment.attrib["stopTime"]) == 1234567.125
 
 
 def test_two_builds_are_equal_byte_by_byte(tmp_path: Path) -> None:

@@ -184,7 +184,7 @@ def description(starts: Starts = NO_STARTS, duration: float = 20.0) -> bytes:
     joints = _child(system, "Connections")
     for (source, output), (sink, given) in wires:
         _child(joints, "Connection", startElement=source, startConnector=output, endElement=sink, endConnector=given)
-    _child(root, "DefaultExperiment", startTime="0", stopTime=f"{duration:g}")
+    _child(root, "DefaultExperiment", startTime="0", stopTime=repr(float(duration)))
     return document(root)
 
 
