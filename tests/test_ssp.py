@@ -8,6 +8,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -266,6 +267,19 @@ def test_a_path_and_a_crane_of_ones_own_need_nothing_set_in_the_master() -> None
     bound = {each.get("name"): each[0].get("value") for each in root.iter() if each.tag.endswith("}Parameter")}
     assert bound["load_mass"] == "140.0"
     assert bound["start.position[1]"] == "6.0"
+
+
+@pytest.mark.usefixtures("compiler")
+def test_start_values_that_are_none_of_the_crane_are_taken_too(tmp_path: Path) -> None:
+    own: dict[str, Any] = {"connected": "velocity", "load_mass": 140.0}
+    build_ssp(tmp_path, wishes=Wishes(parameters=own, native=True, targets="host"))
+    with zipfile.ZipFile(tmp_path / "RotaryCrane.fmu") as archive:
+        root = ET.fromstring(archive.read("modelDescription.xml"))
+    values = {each.get("name"): each[0] for each in root.iter("ScalarVariable")}
+    kinds = {kind.get("name"): [each.get("name") for each in kind.iter("Item")] for kind in root.iter("SimpleType")}
+    connected = values["connected"]
+    assert kinds[connected.get("declaredType")][int(connected.get("start", "0")) - 1] == "velocity"
+    assert float(values["load_mass"].get("start", "0")) == 140.0
 
 
 @pytest.mark.parametrize("package", MASTERS)

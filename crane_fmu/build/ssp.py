@@ -140,7 +140,9 @@ def build_ssp(
 
 def _require_followed(reference: sc.Reference | None, parameters: Mapping[str, float]) -> None:
     """Refuse a path that the crane cannot follow before anything is built; preparing the inversion looks at it."""
-    crane = sc.scenes.rotary_crane().with_parameters(**parameters)
+    crane = sc.scenes.rotary_crane()
+    own = crane.model().parameters.names  # others are those of the FMUs: what is connected, where a line starts
+    crane = crane.with_parameters(**{name: value for name, value in parameters.items() if name in own})
     sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
 
 
