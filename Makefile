@@ -80,7 +80,7 @@ bench: $(INSTALLED)  ## measure what a step costs on this machine
 	$(BIN)/python benchmarks/fmu_cost.py
 	$(BIN)/python benchmarks/native_cost.py
 	$(BIN)/python benchmarks/wasm_cost.py
-	OMP_NUM_THREADS=1 $(RUN) benchmarks.scale
+	OMP_NUM_THREADS=1 $(RUN) benchmarks.size_cost
 	$(BIN)/python benchmarks/energy_momentum.py
 
 chart: $(PEERS)/.installed  ## measure speed and accuracy beside other solvers, into docs/speed-accuracy (a quarter of an hour)

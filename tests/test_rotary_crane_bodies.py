@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import servocore as sc
-from servocore import BackwardEuler, rest_to_rest
+from servocore import BackwardEuler
 from servocore.formulations import Projected
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -22,7 +22,6 @@ from servocore.structure.signature import signature
 from servocore.structure.structural_analysis import second_order_equations
 
 INPUT_NAMES = ("u.M_b", "u.F", "u.M_w")
-REFERENCE = rest_to_rest((5.0, 0.0, -5.0), (-2.0, 2.0, -2.0), 20.0)
 
 
 @cache

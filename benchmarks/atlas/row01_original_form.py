@@ -9,7 +9,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, amplified, error_at, slope
 from benchmarks.atlas.style import label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore.references.profiles import polynomial
 
 NAME = "original-form"
@@ -91,11 +91,11 @@ def draw(found: Findings) -> Figure:
         h, errors = found.curves[name]
         for form, values in errors.items():
             words = form if form == "reduced" else f"{form}, backward-euler"
-            ax.loglog(h, values, label=words, **look(words))
+            ax.loglog(h, values, label=words, **line_style(words))
         guide = h[h < 3e-3]
         ax.loglog(guide, found.facts[f"{name}_floor"] * ROUND_OFF / guide**4, "k:", lw=0.8, label="$h^{-4}$")
         if name == "cars":
-            ax.loglog(*found.curves["floor"], label="projected, bdf4, path of degree 17", **look("bdf4"))
+            ax.loglog(*found.curves["floor"], label="projected, bdf4, path of degree 17", **line_style("bdf4"))
         label(ax, "step $h$ (s)", "largest input error / peak" if ax is axes[0] else "", titles[name])
     legend_below(figure, *axes)
     return figure

@@ -11,7 +11,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, disturbed, error_at, march, slope
 from benchmarks.atlas.style import label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 
 NAME = "undamped-methods"
 UNDAMPED = (sc.Trapezoidal(), sc.GeneralizedAlpha(1.0), sc.Gauss(1), sc.Gauss(2))
@@ -106,14 +106,14 @@ def draw(found: Findings) -> Figure:
     figure, (left, right) = panels(2, height=3.1)
     for name in ("trapezoidal", "gauss1", "gauss2", "generalized-alpha-0.8", "backward-euler", "reduced"):
         words = name if name == "reduced" else f"projected, {name}"
-        left.loglog(found.curves["h"], found.curves[name], label=words, **look(words, **_of_two(name)))
+        left.loglog(found.curves["h"], found.curves[name], label=words, **line_style(words, **_of_two(name)))
     label(left, "step $h$ (s)", "largest input error / peak", "two cars, path of degree 9")
     shown = ("original, trapezoidal", "projected, gauss2", "projected, trapezoidal", "projected, generalized-alpha-0.9",
              "projected, generalized-alpha-0.5")  # fmt: skip
     for name in shown:
         size = found.curves["start", name]
         n = np.arange(1, len(size))
-        line = look(name, **_of_two(name))
+        line = line_style(name, **_of_two(name))
         right.loglog(n, np.maximum(size[1:], 1e-12), label=name, markevery=0.12, **line)
     right.set_ylim(bottom=1e-7)
     label(right, "steps since the start", "change of the input (N)", "first $x_2$ off by 1 µm, h = 2 ms")

@@ -10,7 +10,7 @@ from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_mo
 from benchmarks.atlas.row02_undamped_methods import input_disturbance
 from benchmarks.atlas.runs import disturbed, march, slope
 from benchmarks.atlas.style import label, legend_below, panels, steps_in_ms
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore.methods.bdf import coefficients
 from servocore.methods.collocation import tableau
 
@@ -127,13 +127,13 @@ def draw(found: Findings) -> Figure:
     figure, (left, right) = panels(2, height=3.1)
     for name in ("backward-euler", "bdf3", "radau3", "generalized-alpha-0.8", "trapezoidal"):
         size = found.curves["projected", name, STEPS[-1]][1:41]
-        line = look(name, markersize=3)
+        line = line_style(name, markersize=3)
         left.semilogy(np.arange(1, len(size) + 1), np.maximum(size, 1e-12), label=f"projected, {name}", **line)
     left.set(ylim=(1e-6, 1e2), xlim=(0, 40))
     label(left, "step number", "change of the input (N)", f"first $x_2$ off by 1 µm, h = {4 / STEPS[-1] * 1e3:g} ms")
     h = 4.0 / np.array(STEPS)
     for name in ("backward-euler", "bdf2", "bdf3", "radau2", "radau3"):
-        line = look(name, **({"markerfacecolor": "white"} if name.endswith("2") else {}))
+        line = line_style(name, **({"markerfacecolor": "white"} if name.endswith("2") else {}))
         sizes = [found.curves["projected", name, steps].max() for steps in STEPS]
         right.loglog(h, sizes, label=f"projected, {name}", **line)
     right.loglog(h, 0.6e-6 / h**2, "k:", lw=0.8, label="$h^{-2}$")

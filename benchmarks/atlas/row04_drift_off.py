@@ -12,7 +12,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, legend_below, panels
-from benchmarks.route_looks import FAILING, look
+from benchmarks.route_styles import FAILING, line_style
 from servocore import periodic
 from servocore.stepping.forward_dynamics import STABILIZATION_RATE
 
@@ -151,7 +151,7 @@ def draw(found: Findings) -> Figure:
     figure, ax = panels(1, width=5.6, height=3.2)
     lowered, sizes = iter(_INDEX_REDUCED), iter((9.0, 6.0, 3.0))  # three routes on one line
     for name, (t, g) in found.curves.items():
-        line = next(lowered) if name.startswith("index") else look(name, ms=next(sizes))
+        line = next(lowered) if name.startswith("index") else line_style(name, ms=next(sizes))
         ax.loglog(t, g, label=name, markevery=0.12, **line)
     label(ax, "time (s)", "$|g|$ (m²)", "pendulum: violation of the rod's length")
     legend_below(figure, ax, columns=2)

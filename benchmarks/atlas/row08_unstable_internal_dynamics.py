@@ -14,7 +14,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_most
 from benchmarks.atlas.runs import Array, march, quietly
 from benchmarks.atlas.style import GOOD, label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 
 NAME = "unstable-internal-dynamics"
 TOLERABLE_RATE = 0.1
@@ -31,7 +31,6 @@ class Case:
     coordinate: str
     step: float
     window: tuple[float, float]
-    path_length: float
 
 
 def cases() -> tuple[Case, ...]:
@@ -40,8 +39,8 @@ def cases() -> tuple[Case, ...]:
     small = arm.with_reference(sc.rest_to_rest((0.0,), (1e-4,), 2.0))
     car = sc.scenes.mass_on_car().with_parameters(stiffness=-5.0)
     return (
-        Case("arm", "arm, tip, 0.1 mrad", small, "b", 2e-3, (0.3, 0.45), 2e-4),
-        Case("car", "mass on car, k < 0", car, "s", 0.01, (1.5, 4.0), 2.0),
+        Case("arm", "arm, tip, 0.1 mrad", small, "b", 2e-3, (0.3, 0.45)),
+        Case("car", "mass on car, k < 0", car, "s", 0.01, (1.5, 4.0)),
     )
 
 
@@ -151,7 +150,7 @@ def draw(found: Findings) -> Figure:
             if key[0] == case.key and "forward" in key[1]:
                 t, size = found.curves[key]
                 # Three routes on one line: a wide one, a thinner one, and marks alone.
-                line = look(key[1], **_LINES[key[1].removesuffix(", forward")])
+                line = line_style(key[1], **_LINES[key[1].removesuffix(", forward")])
                 ax.semilogy(t[1:], size[1:], label=key[1], markevery=0.15, **line)
         rate = found.curves[case.key, "eigenvalue"]
         ax.semilogy(t, size[-1] * np.exp(rate * (t - t[-1])) * 0.3, "k:", lw=1, label="as predicted")

@@ -9,7 +9,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, quietly, slope
 from benchmarks.atlas.style import GOOD, label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore.references.bspline import Ends, fit, interpolation_knots, to_path
 
 NAME = "noisy-references"
@@ -134,9 +134,11 @@ def draw(found: Findings) -> Figure:
     for key, errors in found.curves.items():
         if key[0] == "unguarded":
             known = np.where(np.isfinite(errors), errors, np.nan)
-            left.loglog(UNGUARDED, known, label=f"interpolated, {key[1]}", **look(key[1], markerfacecolor="white"))
+            left.loglog(
+                UNGUARDED, known, label=f"interpolated, {key[1]}", **line_style(key[1], markerfacecolor="white")
+            )
     fitted = [found.curves["fitted"][sigma] for sigma in NOISE]
-    left.loglog(NOISE, fitted, label="sampled with tolerance, reduced", **look("reduced"))
+    left.loglog(NOISE, fitted, label="sampled with tolerance, reduced", **line_style("reduced"))
     left.axhline(1.0, color="0.5", lw=0.7)
     label(left, "noise of the samples (m)", "error of $M_b$ / peak", f"{SAMPLES} samples in 20 s")
     errors = [found.curves["fit_error"][sigma] for sigma in NOISE]

@@ -12,7 +12,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, begin, slope
 from benchmarks.atlas.style import label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 
 NAME = "variable-steps"
 CHANGE = 1.2
@@ -125,7 +125,7 @@ def draw(found: Findings) -> Figure:
     """Input error over the mean step."""
     figure, ax = panels(1, width=5.6, height=3.2)
     for (scene, route), (h, errors) in found.curves.items():
-        line = look(route, **_VARIANTS[route.rpartition(", ")[2]])
+        line = line_style(route, **_VARIANTS[route.rpartition(", ")[2]])
         if scene == "mass_on_car":
             line |= {"ls": "--", "markerfacecolor": "white"}
         ax.loglog(h, np.maximum(errors, 1e-17), label=f"{scene.replace('_', ' ')}: {route}", **line)

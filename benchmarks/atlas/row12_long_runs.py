@@ -12,7 +12,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, long_march, slope
 from benchmarks.atlas.style import label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore import figure_of_eight
 
 NAME = "long-runs"
@@ -100,8 +100,8 @@ def draw(found: Findings) -> Figure:
     figure, (left, right) = panels(2, height=3.0)
     for route, (errors, violations, _) in found.curves.items():
         rounds = np.arange(1, len(errors) + 1)
-        left.loglog(rounds, np.maximum(errors, 1e-17), label=route, markevery=0.12, **look(route))
-        right.loglog(rounds, np.maximum(violations, 1e-17), label=route, markevery=0.12, **look(route))
+        left.loglog(rounds, np.maximum(errors, 1e-17), label=route, markevery=0.12, **line_style(route))
+        right.loglog(rounds, np.maximum(violations, 1e-17), label=route, markevery=0.12, **line_style(route))
     right.set_ylim(1e-16, 1e-12)
     label(left, "round of 1000 steps", "largest input error / peak", "rotary crane, figure of eight")
     label(right, "round of 1000 steps", "largest $|c|$, $|g|$ (m, m²)", "constraint violation")

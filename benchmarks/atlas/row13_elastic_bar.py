@@ -10,7 +10,7 @@ import servocore as sc
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, amplified, error_at, slope
 from benchmarks.atlas.style import BAD, GOOD, label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore.references.profiles import polynomial
 from servocore.scenes.bar_marching import march_bar
 from servocore.scenes.elastic_bar import dalembert, wave_time
@@ -125,7 +125,7 @@ def draw(found: Findings) -> Figure:
     label(middle, "pieces $N - 1$", "force error / peak", "against d'Alembert")
     stepped = [(key[1], values) for key, values in found.curves.items() if key[0] == "stepped"]
     for (count, (h, values)), dash, mark in zip(stepped, DASHES, "ovx", strict=False):
-        line = look("original", ls=dash, marker=mark)
+        line = line_style("original", ls=dash, marker=mark)
         right.loglog(h, values, label=f"original, backward-euler, {count} masses, index {2 * count + 1}", **line)
     label(right, "step $h$ (s)", "input error / peak", "original form by steps")
     legend_below(figure, left, middle, right)

@@ -11,7 +11,7 @@ from benchmarks.atlas.conserving import Drift, Mechanism
 from benchmarks.atlas.record import FAILS, REFUSED, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import slope
 from benchmarks.atlas.style import label, legend_below, panels, steps_in_ms
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 
 NAME = "conserved-quantities"
 STEPS = 10_000
@@ -135,12 +135,12 @@ def draw(found: Findings) -> Figure:
     for route, drift in drifts.items():
         for axes, values in ((left, drift.energy), (middle, drift.momentum)):
             k = np.unique(np.geomspace(1, len(values) - 1, 200).astype(int))
-            axes.loglog(k, np.clip(values[k], 1e-17, 1e4), label=route, markevery=[-1], **look(route))
+            axes.loglog(k, np.clip(values[k], 1e-17, 1e4), label=route, markevery=[-1], **line_style(route))
     for axes, what in ((left, "energy"), (middle, "momentum")):
         label(axes, "step", f"change of {what}, relative", f"crane, 9 coordinates, $h$ = {SHOWN[1]:g} s")
     steps = {key[1]: value for key, value in found.curves.items() if isinstance(key, tuple)}
     for route, values in steps.items():
-        right.loglog(*values, label=route, **look(route))
+        right.loglog(*values, label=route, **line_style(route))
     steps_in_ms(right, steps["midpoint"][0])
     label(right, "step $h$ (ms)", "change of energy, relative", "the same, over equal times")
     legend_below(figure, left, middle, right)

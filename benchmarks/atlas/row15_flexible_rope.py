@@ -13,7 +13,7 @@ from benchmarks.atlas.conserving import Drift, Mechanism
 from benchmarks.atlas.record import FAILS, SURVIVES, Findings, Row, about, at_least, at_most
 from benchmarks.atlas.runs import Array, slope
 from benchmarks.atlas.style import GOOD, label, legend_below, panels
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 from servocore.scenes.rotary_crane_rope import at_rest
 
 NAME = "flexible-rope"
@@ -153,7 +153,7 @@ def draw(found: Findings) -> Figure:
         k = np.unique(np.geomspace(1, max(len(drift.energy) - 1, 1), 200).astype(int))
         k = k[k < len(drift.energy)]
         shown = np.clip(drift.energy[k], 1e-17, 1e5)
-        right.loglog(k, shown, label=route, markevery=[-1] if len(k) else None, **look(route))
+        right.loglog(k, shown, label=route, markevery=[-1] if len(k) else None, **line_style(route))
     label(right, "step", "change of energy, relative", f"swinging, $h$ = {1e3 * STEP:g} ms")
     legend_below(figure, left, middle, right)
     return figure

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from benchmarks.atlas.record import Findings, Row
-from benchmarks.route_looks import EXACT, FAILING
+from benchmarks.route_styles import EXACT, FAILING
 
 STYLE: Any = {
     "font.size": 8, "axes.titlesize": 8, "axes.titlelocation": "left", "axes.labelsize": 8, "legend.fontsize": 7,

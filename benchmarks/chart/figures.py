@@ -19,7 +19,7 @@ from benchmarks.chart.own import CLOSED_FORM, COMPILED, INVERTED, NAME, SOLVED
 from benchmarks.chart.record import OrderLine, Record
 from benchmarks.chart.rows import Row
 from benchmarks.chart.selection import front
-from benchmarks.route_looks import look
+from benchmarks.route_styles import line_style
 
 STYLE: Any = {
     "font.size": 9, "axes.titlesize": 9.5, "axes.labelsize": 9, "legend.fontsize": 8, "axes.grid": True,
@@ -163,7 +163,7 @@ def _family(method: str) -> dict[str, Any]:
     adaptive = method.endswith("adaptive")
     for k, (start, dash) in enumerate(FAMILIES.items()):
         if method.startswith(start):
-            own = look(start)["color"]
+            own = line_style(start)["color"]
             member = "".join(each for each in method.removesuffix(", adaptive") if each.isdigit())
             return {
                 "color": own,

@@ -1,6 +1,6 @@
-"""A million rows in and out of both commands: seconds of the processor and peak memory of each.
+"""What tables of a million rows cost: processor time and peak memory of reading a path and of writing inputs.
 
-``python -m benchmarks.rows`` prints a table; ``python -m benchmarks.rows 10000`` does it with so many rows.
+``python -m benchmarks.csv_cost`` prints a table; ``python -m benchmarks.csv_cost 10000`` does it with so many rows.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ def measured(arguments: list[str], folder: Path) -> tuple[float, float]:
     with subprocess.Popen(
         [sys.executable, "-m", *arguments], cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
     ) as running:
-        told = running.stderr.read().decode() if running.stderr else ""
+        message = running.stderr.read().decode() if running.stderr else ""
         _, status, used = os.wait4(running.pid, 0)
         running.returncode = os.waitstatus_to_exitcode(status)
     if running.returncode:
-        raise SystemExit(told)
+        raise SystemExit(message)
     return used.ru_utime + used.ru_stime, used.ru_maxrss / 1e3
 
 

@@ -1,4 +1,4 @@
-"""What size costs: `make bench`, or `python benchmarks/scale.py [numbers of cranes]`.
+"""What size costs: `make bench`, or `python -m benchmarks.size_cost [numbers of cranes]`.
 
 Gantry cranes of 6 coordinates each stand side by side in one system, independent of one another. What they cost
 together should be what they cost one by one: an exponent of one. Times are processor times, the smallest of several;

@@ -1,4 +1,4 @@
-"""One colour, dash and mark a route on all pages: blue for exact inversion, orange for the scheme of the paper.
+"""Colour, dash and marker of each route in all figures: exact inversion is blue, the scheme of the paper orange.
 
 The report and the live page use the same blue and orange. Reds belong to what the atlas shows to fail:
 original equations, and methods that damp nothing.
@@ -12,7 +12,7 @@ EXACT, PAPER = "#0072b2", "#d55e00"
 FAILING = "#a50f2b"
 """Of what fails."""
 
-_LOOKS: dict[str, tuple[str, Any, str]] = {
+_STYLES: dict[str, tuple[str, Any, str]] = {
     "reduced": (EXACT, "-", "s"),
     "exact": (EXACT, "-", "s"),
     "original": (FAILING, "-", "x"),
@@ -29,7 +29,7 @@ _LOOKS: dict[str, tuple[str, Any, str]] = {
 """By the first of these words that the name of a route contains: a form that decides alone, else the method."""
 
 
-def look(route: str, **more: Any) -> dict[str, Any]:
+def line_style(route: str, **more: Any) -> dict[str, Any]:
     """Return how `Axes.plot` draws a route; keywords replace a part of it.
 
     Raises
@@ -37,7 +37,7 @@ def look(route: str, **more: Any) -> dict[str, Any]:
     KeyError
         If the route contains no known word.
     """
-    for word, (colour, dash, mark) in _LOOKS.items():
+    for word, (colour, dash, mark) in _STYLES.items():
         if word in route:
             return {"color": colour, "ls": dash, "marker": mark} | more
     raise KeyError(route)

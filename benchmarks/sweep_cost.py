@@ -1,4 +1,4 @@
-"""What a sweep costs beside its compiled functions: `python -m benchmarks.sweep [CASES]` (a million when not given).
+"""What a sweep costs beside its compiled functions: `python -m benchmarks.sweep_cost [CASES]`, by default a million.
 
 The same cases of the rotary crane, 201 instants each: by `sc.sweep` into a Zarr store, and in memory by two processes
 that call a compiled function on the same arrays and keep nothing. That function is `sc.Batch`, which gives inputs and
