@@ -71,10 +71,10 @@ if TYPE_CHECKING:
     from servocore.export.wasm import export_wasm
     from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
     from servocore.model.parameter_files import read_parameters
-    from servocore.planning.bodies import Box, Sphere
     from servocore.planning.durations import shortest_duration
     from servocore.planning.fastest import fastest
     from servocore.planning.flat_system import to_control
+    from servocore.planning.obstacles import Box, Sphere
     from servocore.planning.report import PlanReport
     from servocore.planning.sensitivities import Sensitivities, sensitivities
     from servocore.planning.space import Space
@@ -83,8 +83,8 @@ if TYPE_CHECKING:
     from servocore.references.periodic import figure_of_eight, periodic
     from servocore.references.splines import sampled, through
     from servocore.solvers.batch import Batch
-    from servocore.solvers.conserving import EnergyMomentum
     from servocore.solvers.dynamic_inversion import DynamicInversion
+    from servocore.solvers.energy_momentum import EnergyMomentum
     from servocore.solvers.simulate import simulate
     from servocore.solvers.sundials import Sundials
     from servocore.stepping.forward_dynamics import compile_plant
@@ -215,12 +215,12 @@ __all__ += [
 # These are half of what there is to import, and most programs analyse and solve.
 _LATER = {
     "Batch": "servocore.solvers.batch",
-    "Box": "servocore.planning.bodies",
+    "Box": "servocore.planning.obstacles",
     "Drives": "servocore.effects.drives",
     "DynamicInversion": "servocore.solvers.dynamic_inversion",
     "EffectRow": "servocore.effects.report",
     "EffectsReport": "servocore.effects.report",
-    "EnergyMomentum": "servocore.solvers.conserving",
+    "EnergyMomentum": "servocore.solvers.energy_momentum",
     "LivePart": "servocore.view.page",
     "PlanReport": "servocore.planning.report",
     "Plant": "servocore.stepping.plant",
@@ -230,7 +230,7 @@ _LATER = {
     "SampledFeedback": "servocore.export.feedback",
     "Sensitivities": "servocore.planning.sensitivities",
     "Space": "servocore.planning.space",
-    "Sphere": "servocore.planning.bodies",
+    "Sphere": "servocore.planning.obstacles",
     "Stepper": "servocore.stepping.stepper",
     "Sundials": "servocore.solvers.sundials",
     "TrajectoryWishes": "servocore.export.trajectory_model",

@@ -26,7 +26,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import filled
 from servocore.references.base import FloatArray, Reference
-from servocore.references.clocked import Clocked
+from servocore.references.time_augmented import TimeAugmented
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
 
@@ -237,7 +237,7 @@ class Problem:
         left_out = system.listed_constraints(resolved.redundant)
         reference = scene.reference
         if system.time.numel() and reference.dimension == len(system.outputs):
-            reference = Clocked.of(reference)
+            reference = TimeAugmented.of(reference)
         return cls(
             scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {}, scene.drawing
         )

@@ -16,7 +16,7 @@ from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
 from servocore.cli.choice import GivenPath
 from servocore.cli.commands import NAME, app
-from servocore.cli.telling import summary
+from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY
 
 servocore_command = CommandLine(app, NAME)

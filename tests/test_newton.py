@@ -15,6 +15,7 @@ from hypothesis.strategies import DataObject
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.linear_solutions import symbolic_solution
 from servocore.numerics.square_systems import (
     MAX_ITERATIONS,
     NEWTON_TOLERANCE,
@@ -22,7 +23,6 @@ from servocore.numerics.square_systems import (
     compile_flat_solver,
     compile_solver,
 )
-from servocore.numerics.written_out import solution_written_out
 
 
 def solve(
@@ -132,7 +132,7 @@ def test_sparse_blocks_are_written_out_with_fewer_operations_than_a_factorizatio
     matrix, right = ca.SX.sym("A", ca.sparsify(ca.DM(numbers)).sparsity()), ca.SX.sym("b", size)
     solved, factorized = (
         ca.Function("sc_solved", [matrix, right], [each], {"cse": True})
-        for each in (solution_written_out(matrix, right), ca.solve(matrix, right))
+        for each in (symbolic_solution(matrix, right), ca.solve(matrix, right))
     )
     assert solved.n_instructions() < factorized.n_instructions()
     side = rng.normal(size=size)
@@ -145,7 +145,7 @@ def test_dense_blocks_are_written_out_to_round_off(size: int) -> None:
     rng = np.random.default_rng(size)
     numbers, side = rng.normal(size=(size, size)) + 3.0 * np.eye(size), rng.normal(size=size)
     matrix, right = ca.SX.sym("A", size, size), ca.SX.sym("b", size)
-    solved = ca.Function("sc_solved", [matrix, right], [solution_written_out(matrix, right)])
+    solved = ca.Function("sc_solved", [matrix, right], [symbolic_solution(matrix, right)])
     found = np.asarray(solved(numbers, side)).ravel()
     np.testing.assert_allclose(found, np.linalg.solve(numbers, side), rtol=1e-12, atol=1e-12)
 

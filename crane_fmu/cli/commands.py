@@ -49,7 +49,7 @@ from servocore.cli.console import (
     held_notes,
     table_console,
 )
-from servocore.cli.telling import Columns, Verbose, chosen_columns, details, summary, tell, timed
+from servocore.cli.run_summary import Columns, Verbose, chosen_columns, details, summary, tell, timed
 from servocore.files import require_picture, require_places, write_together
 
 # What draws, builds or runs FMUs is imported by the commands that need it: the others start in half the time.

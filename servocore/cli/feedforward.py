@@ -24,7 +24,7 @@ from servocore.cli.options import (
     Waypoints,
     point,
 )
-from servocore.cli.telling import Columns, Verbose, chosen_columns, column_names, details, summary, tell, timed
+from servocore.cli.run_summary import Columns, Verbose, chosen_columns, column_names, details, summary, tell, timed
 from servocore.errors import InvalidSetting
 from servocore.files import csv_pieces, require_places
 from servocore.model.limit_files import limits_given

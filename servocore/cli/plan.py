@@ -25,7 +25,7 @@ from servocore.cli.options import (
     Waypoints,
     point,
 )
-from servocore.cli.telling import column_names
+from servocore.cli.run_summary import column_names
 from servocore.errors import InvalidSetting
 from servocore.files import PICTURES, csv_text, require_picture, require_places
 from servocore.model.limit_files import factors_of_texts, limits_given

@@ -75,8 +75,8 @@ class Call:
                 result.fill(np.nan)
 
 
-class WhenAsked:
-    """An attribute of a dataclass: a function, or what compiles it, which is then called when it is first asked for.
+class CompiledWhenUsed:
+    """Descriptor of a dataclass field that holds a CasADi function, or a callable that compiles it at the first access.
 
     Newton's method for a system takes longer to compile than anything else, and an exact inversion seldom needs it.
     """

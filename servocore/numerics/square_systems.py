@@ -27,8 +27,8 @@ from servocore.errors import InvalidModel
 from servocore.numerics.expressions import constants_kept, largest
 from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
 from servocore.numerics.known_values import KnownValues, substituted
+from servocore.numerics.linear_solutions import small_inverse_times, symbolic_solution
 from servocore.numerics.tearing import dependence, tear
-from servocore.numerics.written_out import small_inverse_times, solution_written_out
 
 NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -292,7 +292,7 @@ def _solve_linear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
     constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
     known.linear_blocks += 1
     if flat:
-        known.learn(block.unknowns, *known.evaluated("sc_linear", solution_written_out(jacobian, -constant)))
+        known.learn(block.unknowns, *known.evaluated("sc_linear", symbolic_solution(jacobian, -constant)))
         return
     matrix, right = known.evaluated("sc_linear", jacobian, -constant)
     known.learn(block.unknowns, ca.solve(matrix, right, "qr"))
@@ -373,7 +373,7 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     better = _with_forces(block)
     jacobian = ca.jacobian(block.residual, unknowns)
     residual, jacobian = ca.substitute([block.residual, jacobian], [unknowns], [better])
-    correction = solution_written_out(jacobian, residual)
+    correction = symbolic_solution(jacobian, residual)
     moved = ca.sumsqr(correction / block.unknown_scale)
     (start,) = known.evaluated("sc_prepare", block.guess)
     symbols, values = known.needed(block.residual, block.unknown_scale)

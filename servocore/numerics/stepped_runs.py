@@ -1,4 +1,4 @@
-"""Runs of steps evenly apart, read at any instants: by CasADi's interpreter, or by one call of machine code.
+"""Integrations at constant step, evaluated at any instants by CasADi's interpreter or by one call of machine code.
 
 States between the steps come from the polynomial of degree seven through values and rates at four of them.
 """
@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.generated_code import GeneratedCode
-from servocore.numerics.run_code import NO_MEMORY, NODES, SOUND, run_source
+from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import LANES, NAME
 from servocore.numerics.vectorized import addresses, threads_for
 

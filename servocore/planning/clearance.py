@@ -1,4 +1,4 @@
-"""How near something straight comes to a body: exactly along it, and between instants by how far it moves."""
+"""Distance of a moving straight segment from a convex obstacle: along the segment, and bounded between instants."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from servocore.numerics.compiled_calls import Array
 
 _GOLDEN = (np.sqrt(5.0) - 1.0) / 2.0
 _SHRINKS = 32  # of the part of a segment where a body is nearest: to 2e-7 of it
-_INSTANTS, _SPLIT, _LEVELS, _MOST = 20_001, 16, 4, 1_000_000
+_INSTANTS = 20_001  # of the first grid
+_SPLIT, _LEVELS, _MOST = 16, 4, 1_000_000  # pieces of a doubtful interval, how often it is split, pieces at the most
 
 Ends = Callable[[Array], tuple[Array, Array]]
 """Instants (N,) -> where a segment begins and ends, (N, m) each."""
@@ -43,15 +44,16 @@ def least_distance(ends: Ends, distance: Distance, begin: float, end: float) -> 
         pieces = 1 if level == 0 else _SPLIT
         edges = spans[:, :1] + np.diff(spans, axis=1) * np.linspace(0.0, 1.0, pieces + 1)
         instants, places = np.unique(edges, return_inverse=True)
-        here = ends(instants)
-        away = segment_distance(*here, distance)
-        least = min(least, float(away.min()))
+        begins_and_ends = ends(instants)
+        distances = segment_distance(*begins_and_ends, distance)
+        least = min(least, float(distances.min()))
         if least < 0.0:
             return least
         places = places.reshape(edges.shape)
         first, second = places[:, :-1].ravel(), places[:, 1:].ravel()
-        moved = np.max([np.linalg.norm(each[second] - each[first], axis=1) for each in here], axis=0)
-        room = (away[first] + away[second] - moved) / 2.0
+        moved = np.max([np.linalg.norm(points[second] - points[first], axis=1) for points in begins_and_ends], axis=0)
+        # Between two instants no point moves farther than the ends do, so that no distance can fall below this.
+        room = (distances[first] + distances[second] - moved) / 2.0
         doubtful = room <= 0.0
         if not doubtful.any():
             return least
@@ -82,7 +84,7 @@ def segment_distance(begin: Array, end: Array, distance: Distance) -> Array:
         return least
     for _ in range(_SHRINKS):
         inner = high - _GOLDEN * (high - low), low + _GOLDEN * (high - low)
-        values = [distance(begin + each * (end - begin)) for each in inner]
+        values = [distance(begin + fraction * (end - begin)) for fraction in inner]
         least = np.minimum(least, np.minimum(*values))
         rises = (values[0] < values[1])[:, None]
         low, high = np.where(rises, low, inner[0]), np.where(rises, inner[1], high)

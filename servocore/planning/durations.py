@@ -16,7 +16,7 @@ from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.time_laws import shortest_kept
 from servocore.problem import Problem
-from servocore.references.stretched import Stretched
+from servocore.references.time_scaled import TimeScaled
 from servocore.solvers.exact_inversion import ExactInversion
 
 _DIGITS = 4
@@ -64,7 +64,7 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
         step = 10.0 ** (math.floor(math.log10(duration)) + 1 - _DIGITS)
         rounded = round(math.ceil(duration / step) * step, 12)
         try:
-            ExactInversion(scene.with_reference(Stretched.to(path, rounded)), model)
+            ExactInversion(scene.with_reference(TimeScaled.to(path, rounded)), model)
         except LimitBroken:  # between two of the instants looked at
             duration = rounded + 0.5 * step
         else:

@@ -1,4 +1,4 @@
-"""What load, rope and bridge keep clear of, and how near they come."""
+"""`Space`: the obstacles of a plan, the parts that keep clear of them, and the clearance along a path."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from servocore.errors import InvalidReference, InvalidSetting
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
-from servocore.planning.bodies import Body, Box, Sphere
 from servocore.planning.clearance import least_distance
+from servocore.planning.obstacles import Box, Obstacle, Sphere
 from servocore.references.base import Reference
 
 _NEAR = 2e-4  # of a body's size: so near at an end leaves a plan no room
@@ -35,7 +35,7 @@ class Space:
         trolley). Rope and bridge are those of a load that hangs from a trolley at height zero.
     """
 
-    keep_out: tuple[Body, ...] = ()
+    keep_out: tuple[Obstacle, ...] = ()
     parts: tuple[str, ...] = ("load", "rope")
 
     def __post_init__(self) -> None:
@@ -68,8 +68,8 @@ class Space:
         InvalidSetting
             If a text is no body, or there is no such part.
         """
-        bodies = tuple(_body(text, dimension) for text in texts)
-        return cls(bodies) if parts is None else cls(bodies, tuple(each.strip() for each in parts.split(",")))
+        bodies = tuple(_obstacle(text, dimension) for text in texts)
+        return cls(bodies) if parts is None else cls(bodies, tuple(part.strip() for part in parts.split(",")))
 
     def require(self, system: MechanicalSystem, *, hangs: bool) -> None:
         """Raise `InvalidSetting` unless a system has the parts, and as many dimensions as the bodies.
@@ -116,17 +116,17 @@ class Space:
         place : ndarray, shape (m,)
             Of what follows the path, m.
         """
-        here, still = ca.SX(ca.DM(place)), ca.SX.zeros(len(place))
+        load, at_rest = ca.SX(ca.DM(place)), ca.SX.zeros(len(place))
         for body in self.keep_out:
-            for begin, end in self._segments(here, still, 1.0):
+            for begin, end in self._segments(load, at_rest, 1.0):
                 near = body.nearest(begin, end)
                 if float(body.row(near)) < 1.0 - _NEAR:
                     continue
-                away = float(body.distance(np.asarray(ca.DM(near)).ravel()))
-                where = f"{-away:.3g} m inside {body}"
-                if away > 0.0:
-                    where = f"{away:.3g} m from {body}, within the rounded body that plans keep out of"
-                at = ", ".join(f"{each:.4g}" for each in place)
+                distance = float(body.distance(np.asarray(ca.DM(near)).ravel()))
+                where = f"{-distance:.3g} m inside {body}"
+                if distance > 0.0:
+                    where = f"{distance:.3g} m from {body}, within the rounded body that plans keep out of"
+                at = ", ".join(f"{coordinate:.4g}" for coordinate in place)
                 raise InvalidReference(
                     f"{name}: no way keeps clear: at rest at ({at}) a point of {', '.join(self.parts)} is {where}"
                 )
@@ -150,7 +150,7 @@ class Space:
             return ca.SX(0, 1)
         gravity = parameters["gravity"] if "gravity" in parameters.names else ca.SX(0)
         segments = self._segments(gamma[:, 0], gamma[:, 2], gravity)
-        return ca.vertcat(*[body.row(body.nearest(*each)) for body in self.keep_out for each in segments])
+        return ca.vertcat(*[body.row(body.nearest(*segment)) for body in self.keep_out for segment in segments])
 
     def clearance(self, path: Reference, gravity: float) -> float:
         """Return the least distance of anything from a body along a path, in m; infinite without any.
@@ -173,42 +173,45 @@ class Space:
 
         def ends(t: Array) -> list[tuple[Array, Array]]:
             jets = path.jet(t, 2)
-            load, force = jets[:, 0].T, jets[:, 2].T
-            return [(begin.T, end.T) for begin, end in self._segments(load, force, gravity)]
+            load, acceleration = jets[:, 0].T, jets[:, 2].T
+            return [(begin.T, end.T) for begin, end in self._segments(load, acceleration, gravity)]
 
-        found = [
-            least_distance(partial(_part, ends, k), body.distance, path.start_time, path.end_time)
+        distances = [
+            least_distance(partial(_ends_of_part, ends, k), body.distance, path.start_time, path.end_time)
             for body in self.keep_out
             for k in range(len(ends(np.zeros(1))))
         ]
-        return min(found, default=np.inf)
+        return min(distances, default=np.inf)
 
-    def _segments(self, load: Any, force: Any, gravity: Any) -> list[tuple[Any, Any]]:
-        """Return the ends of the parts, by coordinates: expressions, or arrays (m, N) for many instants."""
+    def _segments(self, load: Any, acceleration: Any, gravity: Any) -> list[tuple[Any, Any]]:
+        """Return the ends of the parts, by coordinates: expressions, or arrays (m, N) for many instants.
+
+        The rope lies along the load's acceleration less gravity, up to the trolley at height zero.
+        """
         last = load.shape[0] - 1
-        here = [load[k] for k in range(last + 1)]
+        place = [load[k] for k in range(last + 1)]
         if not set(self.parts) - {"load"}:
-            return [(_column(here), _column(here))] if self.parts else []
-        reach = -here[last] / (gravity + force[last])
-        above = _column([*(here[k] + reach * force[k] for k in range(last)), 0.0 * here[last]])
-        segments = [(_column([0.0 * each for each in here]), above)] if "bridge" in self.parts else []
+            return [(_column(place), _column(place))] if self.parts else []
+        slope = -place[last] / (gravity + acceleration[last])
+        trolley = _column([*(place[k] + slope * acceleration[k] for k in range(last)), 0.0 * place[last]])
+        segments = [(_column([0.0 * x for x in place]), trolley)] if "bridge" in self.parts else []
         if "rope" in self.parts:  # it ends at the load
-            return [(_column(here), above), *segments]
-        return [(_column(here), _column(here)), *segments] if "load" in self.parts else segments
+            return [(_column(place), trolley), *segments]
+        return [(_column(place), _column(place)), *segments] if "load" in self.parts else segments
 
 
 def _column(rows: list[Any]) -> Any:
     return ca.vertcat(*rows) if isinstance(rows[0], ca.SX) else np.stack(rows)
 
 
-def _part(ends: Callable[[Array], list[tuple[Array, Array]]], k: int, t: Array) -> tuple[Array, Array]:
+def _ends_of_part(ends: Callable[[Array], list[tuple[Array, Array]]], k: int, t: Array) -> tuple[Array, Array]:
     return ends(t)[k]
 
 
-def _body(text: str, dimension: int) -> Body:
-    kind, *rest = text.replace(",", " ").split() or [""]
+def _obstacle(text: str, dimension: int) -> Obstacle:
+    kind, *words = text.replace(",", " ").split() or [""]
     try:
-        numbers = tuple(float(each) for each in rest)
+        numbers = tuple(float(word) for word in words)
     except ValueError:
         numbers = ()
     centre, sizes = numbers[:dimension], numbers[dimension:]

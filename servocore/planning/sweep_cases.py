@@ -116,10 +116,10 @@ def _in_time(function: ca.Function) -> ca.Function:
 
     Thus all cases of a path share its jets: d^k gamma/dt^k is theirs over factor^k.
     """
-    return _stretched(function, ca.SX) if function.is_a("SXFunction") else _stretched(function, ca.MX)
+    return _time_scaled(function, ca.SX) if function.is_a("SXFunction") else _time_scaled(function, ca.MX)
 
 
-def _stretched(function: ca.Function, kind: type[_Expression]) -> ca.Function:
+def _time_scaled(function: ca.Function, kind: type[_Expression]) -> ca.Function:
     gamma, numbers = kind.sym("gamma", *function.size_in(0)), kind.sym("given", 1 + function.numel_in(1))
     rate, powers = 1.0 / numbers[0], [kind(1.0)]
     for _ in range(gamma.size2() - 1):

@@ -15,7 +15,7 @@ from servocore.model.scene import Scene, require_scene
 from servocore.planning.grid import DURATION, Grid
 from servocore.problem import Problem
 from servocore.references.base import Reference
-from servocore.references.stretched import Stretched
+from servocore.references.time_scaled import TimeScaled
 
 _LOOKED_AT = 7  # instants, to tell whether a law is the same in another time
 
@@ -107,7 +107,7 @@ def settings_of(swept: SweepSettings) -> dict[str, Any]:
 
 def in_time(path: Reference, duration: float) -> Reference:
     """Return the same path with the same law in another time."""
-    stretched = Stretched.to(path, duration)
+    stretched = TimeScaled.to(path, duration)
     if path.formula is None:
         return stretched
     same: Reference = replace(path, end_time=stretched.end_time)

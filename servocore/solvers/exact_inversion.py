@@ -16,7 +16,7 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method, instantaneous
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, WhenAsked, at_instants, mapped, side_by_side
+from servocore.numerics.compiled_calls import Array, CompiledWhenUsed, at_instants, mapped, side_by_side
 from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
@@ -342,7 +342,7 @@ class Inputs:
     """
 
     quick: PathFunction
-    seeking: WhenAsked = WhenAsked()
+    seeking: CompiledWhenUsed = CompiledWhenUsed()
     read: ca.Function
 
 

@@ -15,7 +15,7 @@ from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
-from servocore.solvers.conserving import BALANCE, EnergyMomentum, conserved_motion, scheme_of
+from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
 from servocore.stepping.argument_checks import require_callable, require_number

@@ -13,7 +13,7 @@ import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, Call, WhenAsked
+from servocore.numerics.compiled_calls import Array, Call, CompiledWhenUsed
 from servocore.numerics.serialization import from_json, to_json
 
 _FORMAT = "servocore program 3"
@@ -92,13 +92,13 @@ class Program:
     """
 
     name: str
-    start: WhenAsked = WhenAsked()
-    step: WhenAsked = WhenAsked()
-    observe: WhenAsked = WhenAsked()
-    margins: WhenAsked = WhenAsked()
-    guess_residual: WhenAsked = WhenAsked()
-    rescale: WhenAsked = WhenAsked()
-    between: WhenAsked = WhenAsked()
+    start: CompiledWhenUsed = CompiledWhenUsed()
+    step: CompiledWhenUsed = CompiledWhenUsed()
+    observe: CompiledWhenUsed = CompiledWhenUsed()
+    margins: CompiledWhenUsed = CompiledWhenUsed()
+    guess_residual: CompiledWhenUsed = CompiledWhenUsed()
+    rescale: CompiledWhenUsed = CompiledWhenUsed()
+    between: CompiledWhenUsed = CompiledWhenUsed()
     index: int
     smaller_steps_help: bool
     order: int

@@ -11,9 +11,9 @@ import numpy as np
 
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
-from servocore.references.clocked import Clocked
 from servocore.references.profiles import TIME_LAWS, Profile
 from servocore.references.rest_to_rest import RestToRest
+from servocore.references.time_augmented import TimeAugmented
 from servocore.view.javascript import written
 
 
@@ -34,7 +34,7 @@ def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any]
     orders : int
         How many derivatives, the path itself included.
     """
-    told = reference.path if isinstance(reference, Clocked) else reference
+    told = reference.path if isinstance(reference, TimeAugmented) else reference
     about = {"start_time": told.start_time, "duration": told.duration, "dimension": told.dimension}
     if not isinstance(told, RestToRest):
         return {**about, "kind": "table", "times": packed(t), "jets": packed(told.jet(t, orders - 1))}, {}

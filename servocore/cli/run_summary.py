@@ -1,4 +1,4 @@
-"""What is told of a run on the error stream, and which columns a table has; shared by the project's command lines."""
+"""The summary of a run on the error stream, and the columns of its table; shared by the project's command lines."""
 
 from __future__ import annotations
 

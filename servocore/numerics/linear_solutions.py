@@ -1,4 +1,4 @@
-"""Systems of linear equations solved by expressions: by Cramer's rule where they are small, and by QR."""
+"""Solutions of small linear systems as expressions: Cramer's rule, determinants by Laplace's expansion, or QR."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many produ
 _Columns = frozenset[int]
 
 
-def solution_written_out(matrix: ca.SX, right: ca.SX) -> ca.SX:
+def symbolic_solution(matrix: ca.SX, right: ca.SX) -> ca.SX:
     """Return matrix^-1 right as an expression.
 
     Parameters

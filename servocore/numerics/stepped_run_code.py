@@ -1,4 +1,4 @@
-"""C source of a run of steps that is read at instants: one call for all steps, instants and cases.
+"""C source of the runs in `stepped_runs`: all steps, instants and cases in one call.
 
     int sc_run(const long *sizes, const double *const *in, const double *t, const double *path, long row, long lane,
                long count, double *out)

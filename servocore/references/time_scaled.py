@@ -1,4 +1,4 @@
-"""Another reference in more time or less: the same curve, every law slowed down evenly."""
+"""`TimeScaled`: the same curve in another duration, by uniform time scaling."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from servocore.references.base import FloatArray, Reference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stretched(Reference):
+class TimeScaled(Reference):
     """gamma(t) = path(t0 + (t - t0)/factor): `factor` times as long.
 
     Attributes
     ----------
     path : Reference
-        What is stretched.
+        The original path.
     factor : float
-        Positive.
+        New duration divided by the original one; positive.
     """
 
     path: Reference
     factor: float
 
     @classmethod
-    def to(cls, path: Reference, duration: float) -> Stretched:
-        """Stretch a path to a duration in s."""
+    def to(cls, path: Reference, duration: float) -> TimeScaled:
+        """Return a path scaled to a duration in s."""
         return cls(
             start_time=path.start_time,
             end_time=path.start_time + duration,

@@ -1,4 +1,4 @@
-"""Bodies to keep out of: how far away they are, as numbers and as smooth expressions, and where they are nearest."""
+"""`Sphere` and `Box`: obstacles of a plan, with their distances as numbers and as smooth expressions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from servocore.errors import InvalidSetting
 from servocore.numerics.compiled_calls import Array
 
-_POWER = 8
-_TIP = 1e-6
-_HALVINGS = 24  # where along a rope a box is nearest: the error counts by its square
+_POWER = 8  # of the norm whose unit ball rounds the edges of a box: a larger one is nearer to the box, but stiffer
+_TIP = 1e-6  # relative; keeps roots differentiable where a distance is zero
+_HALVINGS = 24  # of a segment, to find its point nearest to a box: the error of the distance is of second order
 
 
 @dataclass(frozen=True)
@@ -50,25 +50,25 @@ class Sphere:
         casadi.SX
             A number without unit.
         """
-        away = (place - ca.DM(self.centre)) / self.radius
-        return 2.0 - ca.sqrt(ca.sumsqr(away) + _TIP**2)
+        offset = (place - ca.DM(self.centre)) / self.radius
+        return 2.0 - ca.sqrt(ca.sumsqr(offset) + _TIP**2)
 
     def nearest(self, begin: ca.SX, end: ca.SX) -> ca.SX:
-        """Return the place between two others whose `row` is largest.
+        """Return the point of a segment that is nearest to the sphere, where `row` is largest.
 
         Parameters
         ----------
         begin, end : casadi.SX, shape (m,)
-            Places, in m.
+            Ends of the segment, in m.
 
         Returns
         -------
         casadi.SX, shape (m,)
             In m.
         """
-        way = end - begin
-        part = ca.dot(ca.DM(self.centre) - begin, way) / (ca.sumsqr(way) + _TIP**2)
-        return begin + ca.fmin(ca.fmax(part, 0.0), 1.0) * way
+        segment = end - begin
+        fraction = ca.dot(ca.DM(self.centre) - begin, segment) / (ca.sumsqr(segment) + _TIP**2)
+        return begin + ca.fmin(ca.fmax(fraction, 0.0), 1.0) * segment
 
     def thickened(self, size: float) -> Sphere:
         """Return the sphere with a radius of at least a size in m.
@@ -132,8 +132,8 @@ class Box:
         casadi.SX
             A number without unit.
         """
-        away = (place - ca.DM(self.centre)) / self._sizes
-        return 2.0 - (ca.sum1(away**_POWER) + _TIP**_POWER) ** (1.0 / _POWER)
+        offset = (place - ca.DM(self.centre)) / self._sizes
+        return 2.0 - (ca.sum1(offset**_POWER) + _TIP**_POWER) ** (1.0 / _POWER)
 
     @property
     def _sizes(self) -> ca.DM:
@@ -141,25 +141,26 @@ class Box:
         return ca.DM(np.array(self.half) * len(self.half) ** (1.0 / _POWER))
 
     def nearest(self, begin: ca.SX, end: ca.SX) -> ca.SX:
-        """Return the place between two others whose `row` is largest, but for what hardly counts.
+        """Return the point of a segment that is nearest to the smooth body, where `row` is largest, by bisection.
 
         Parameters
         ----------
         begin, end : casadi.SX, shape (m,)
-            Places, in m.
+            Ends of the segment, in m.
 
         Returns
         -------
         casadi.SX, shape (m,)
             In m.
         """
-        away, way = (begin - ca.DM(self.centre)) / self._sizes, (end - begin) / self._sizes
-        low, part = ca.SX(0.0), ca.SX(0.5)
-        for k in range(1, _HALVINGS + 1):  # the norm is convex along the way: its slope changes sign once
-            low = ca.if_else(ca.dot((away + part * way) ** (_POWER - 1), way) < 0.0, part, low)
-            part = low + 0.5 ** (k + 1)
-        # Where the norm is least it does not change with the part to first order: the part may count as a constant.
-        return begin + part * (end - begin)
+        offset, segment = (begin - ca.DM(self.centre)) / self._sizes, (end - begin) / self._sizes
+        low, fraction = ca.SX(0.0), ca.SX(0.5)
+        for k in range(1, _HALVINGS + 1):  # the norm is convex along a segment: its slope changes sign once
+            slope = ca.dot((offset + fraction * segment) ** (_POWER - 1), segment)
+            low = ca.if_else(slope < 0.0, fraction, low)
+            fraction = low + 0.5 ** (k + 1)
+        # The norm is stationary there, so that its derivatives are right although the bisection is not differentiated.
+        return begin + fraction * (end - begin)
 
     def thickened(self, size: float) -> Box:
         """Return the box with half sizes of at least a size in m.
@@ -174,7 +175,7 @@ class Box:
         Box
             Around the same centre.
         """
-        return replace(self, half=tuple(max(each, size) for each in self.half))
+        return replace(self, half=tuple(max(half, size) for half in self.half))
 
     def distance(self, places: Array) -> Array:
         """Return how far places (..., m) are outside, in m; negative within.
@@ -194,10 +195,10 @@ class Box:
         return np.asarray(outside + np.minimum(over.max(axis=-1), 0.0))
 
 
-Body: TypeAlias = Sphere | Box
+Obstacle: TypeAlias = Sphere | Box
 
 
 def _require_finite(numbers: Iterable[float]) -> None:
-    for each in numbers:
-        if not np.isfinite(each):
-            raise InvalidSetting(f"a body to keep out of needs finite numbers, not {each}")
+    for number in numbers:
+        if not np.isfinite(number):
+            raise InvalidSetting(f"a body to keep out of needs finite numbers, not {number}")

@@ -65,7 +65,7 @@ class EnergyMomentum:
 
 
 @dataclass(frozen=True, eq=False)
-class Conserved:
+class ConservedMotion:
     """A motion by the scheme, at the instants that are asked for.
 
     Attributes
@@ -92,7 +92,7 @@ class Conserved:
 
 def conserved_motion(
     problem: Problem, method: EnergyMomentum, start: Array, inputs: Inputs, t: Array, step: float
-) -> Conserved:
+) -> ConservedMotion:
     """Integrate by the energy-momentum scheme.
 
     Parameters
@@ -133,7 +133,7 @@ def conserved_motion(
     energy, turning = mapped(scheme.energy, len(at))(q, v, np.tile(problem.p[:, None], len(at)))
     balance = np.column_stack([energy.ravel(), run.work[now], turning.reshape(3, -1, order="F").T])
     forces = (scaled[:, now] + scaled[:, after]) / 2
-    return Conserved(run.states[: 2 * n, now], forces.T, balance, count, int(run.iterations), run.worst)
+    return ConservedMotion(run.states[: 2 * n, now], forces.T, balance, count, int(run.iterations), run.worst)
 
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:

@@ -1,4 +1,4 @@
-"""A path with the time itself as last component: what a system needs whose equations hold the time."""
+"""`TimeAugmented`: a path with the time as its last component, for systems whose equations depend on time."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from servocore.references.base import FloatArray, Reference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Clocked(Reference):
-    """Another path, and beside it the time with its derivatives 1, 0, 0, ...
+class TimeAugmented(Reference):
+    """(gamma(t), t): a path with the time below it, whose derivatives are 1, 0, 0, ...
 
     Attributes
     ----------
@@ -22,8 +22,8 @@ class Clocked(Reference):
     path: Reference
 
     @classmethod
-    def of(cls, path: Reference) -> Clocked:
-        """Put the time beside a path."""
+    def of(cls, path: Reference) -> TimeAugmented:
+        """Append the time to a path."""
         return cls(
             start_time=path.start_time,
             end_time=path.end_time,
