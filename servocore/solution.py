@@ -97,7 +97,7 @@ class ErrorEstimate(Mapping[str, "float | None"]):
     @property
     def largest(self) -> float | None:
         """Largest of the relative errors that are known; None if none is."""
-        return max((each for each in self.relative.values() if each is not None), default=None)
+        return max((error for error in self.relative.values() if error is not None), default=None)
 
     def __getitem__(self, name: str) -> float | None:
         return self.absolute[name]
@@ -216,14 +216,14 @@ class Solution:
         return self.names.index(name)
 
     def __repr__(self) -> str:
-        return f"<Solution of {self._told}: {', '.join(self.names)}>"
+        return f"<Solution of {self._heading}: {', '.join(self.names)}>"
 
     def _repr_html_(self) -> str:
-        known = self.statistics.branch
-        return html_table(self.t, self._curves(None), (f"Solution of {self._told}", self.advice, known))
+        branch = self.statistics.branch
+        return html_table(self.t, self._curves(None), (f"Solution of {self._heading}", self.advice, branch))
 
     @property
-    def _told(self) -> str:
+    def _heading(self) -> str:
         return f"{self.route}, {len(self.t)} instants from {self.t[0]:g} s to {self.t[-1]:g} s"
 
     def _curves(self, names: Sequence[str] | None) -> list[Curve]:
@@ -299,9 +299,9 @@ class Solution:
         if not picture.points:
             raise InvalidModel(f"{system.name}: nothing of it can be drawn")
         places = ca.Function("sc_places", [picture.reported, system.p], [picture.coordinates])
-        found = filled(places(self.values.T, self.origin.p)).T.reshape(len(self.t), picture.points, 3)
+        points = filled(places(self.values.T, self.origin.p)).T.reshape(len(self.t), picture.points, 3)
         colours = {k: self.values[:, e["colour"]] for k, e in enumerate(picture.parts) if e["colour"] is not None}
-        return Motion(self.t, found, picture.parts, colours, picture.tracked, picture.flat)
+        return Motion(self.t, points, picture.parts, colours, picture.tracked, picture.flat)
 
     def to_pandas(self, names: Sequence[str] | None = None) -> Any:
         """Return trajectories as a pandas DataFrame over the time in s; units are in ``attrs["units"]``.

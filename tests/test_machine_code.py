@@ -334,7 +334,7 @@ def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its
     inputs(t)
     BACKGROUND.wait()
     np.testing.assert_array_equal(inputs(t), first)
-    quick = Problem.of(crane).resolved.once(compile_inputs, None).quick
+    quick = Problem.of(crane).resolved.once(compile_inputs, None).by_expression
     assert quick.ready(Problem.of(crane), len(t))
 
 

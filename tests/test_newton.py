@@ -20,8 +20,8 @@ from servocore.numerics.square_systems import (
     MAX_ITERATIONS,
     NEWTON_TOLERANCE,
     SquareSystem,
-    compile_flat_solver,
     compile_solver,
+    compile_unrolled_solver,
 )
 
 
@@ -117,10 +117,10 @@ def test_written_out_linear_blocks_are_as_accurate_with_rows_of_any_units() -> N
     x, right = ca.SX.sym("x", size), ca.SX.sym("right", size)
     ones = ca.SX.ones(size)
     system = SquareSystem(x, right, ca.mtimes(ca.SX(matrix), x) - right, ca.SX.zeros(size), ones, ones)
-    flat = compile_flat_solver("sc_flat", system, [x])
-    assert flat is not None
+    unrolled = compile_unrolled_solver("sc_flat", system, [x])
+    assert unrolled is not None
     expected = np.array([0.3, -1.1, 0.7, 2.0, -0.4])
-    np.testing.assert_allclose(np.asarray(flat(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(np.asarray(unrolled(matrix @ expected)[0]).ravel(), expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("size", [4, 5, 6])

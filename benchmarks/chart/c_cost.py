@@ -72,7 +72,7 @@ def functions_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> 
     problem = sc.Problem.of(scene, model)
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)[1:]
     jets = scene.reference.jet(t, problem.array.reference_order)
-    functions = compile_inputs(problem.resolved, False).quick.function.map(
+    functions = compile_inputs(problem.resolved, False).by_expression.function.map(
         f"sc_{model}_inputs", "serial", steps, [], []
     )
     return functions, (side_by_side(jets), np.tile(problem.p[:, None], steps))

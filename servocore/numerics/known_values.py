@@ -1,4 +1,4 @@
-"""What is known while a square system is solved block by block: symbols, and their values in the compiled graph."""
+"""Symbols with their values in the compiled graph, while a square system is solved block by block."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class KnownValues:
         By the hash of a symbol: the symbol and its expression in symbols that are evaluated.
     iterations : list of casadi.MX
         Counts of Newton's method.
-    alike : list of casadi.MX
-        Counts of parts that were solved by one function, shape (2, parts) each.
-    moved : list of casadi.MX
+    isomorphic_counts : list of casadi.MX
+        Counts of isomorphic parts that were solved by one mapped function, shape (2, parts) each.
+    corrections : list of casadi.MX
         Squared scaled corrections of guesses that should be exact.
     linear_blocks : int
         Blocks that needed no iterations.
@@ -30,20 +30,20 @@ class KnownValues:
 
     explicit: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)
     iterations: list[ca.MX] = field(default_factory=list)
-    alike: list[ca.MX] = field(default_factory=list)
-    moved: list[ca.MX] = field(default_factory=list)
+    isomorphic_counts: list[ca.MX] = field(default_factory=list)
+    corrections: list[ca.MX] = field(default_factory=list)
     linear_blocks: int = 0
     _pieces: list[tuple[ca.SX, ca.MX]] = field(default_factory=list)
     _places: dict[int, tuple[int, int]] = field(default_factory=dict)
 
-    def learn(self, symbols: ca.SX, values: ca.MX) -> None:
-        """Take in a column of symbols with their values."""
+    def add_values(self, symbols: ca.SX, values: ca.MX) -> None:
+        """Add a column of symbols with their values."""
         for position, symbol in enumerate(ca.vertsplit(symbols) if symbols.numel() else ()):
             self._places[symbol.element_hash()] = len(self._pieces), position
         self._pieces.append((symbols, values))
 
-    def state(self, symbol: ca.SX, expression: ca.SX) -> None:
-        """Take in an unknown as an expression of what is known."""
+    def add_explicit(self, symbol: ca.SX, expression: ca.SX) -> None:
+        """Add an unknown as an expression of symbols that are known."""
         self.explicit[symbol.element_hash()] = symbol, self.resolved(expression)[0]
 
     def resolved(self, *expressions: ca.SX) -> list[ca.SX]:
@@ -51,13 +51,13 @@ class KnownValues:
         pairs = [self.explicit[key] for key in _symbols(expressions) if key in self.explicit]
         return substituted(pairs, *expressions)
 
-    def flush(self) -> None:
+    def evaluate_explicit(self) -> None:
         """Evaluate the explicit unknowns found so far, so that later iterations need not repeat them."""
         if self.explicit:
             # All at once in one function: their common subexpressions are computed once.
             symbols, expressions = (ca.vertcat(*column) for column in zip(*self.explicit.values(), strict=True))
             self.explicit = {}
-            self.learn(symbols, *self.evaluated("sc_explicit", expressions))
+            self.add_values(symbols, *self.evaluated("sc_explicit", expressions))
 
     def evaluated(self, name: str, *expressions: ca.SX, common: bool = True) -> list[ca.MX]:
         """Return the values of `expressions` of evaluated symbols, by one compiled function.
@@ -73,7 +73,7 @@ class KnownValues:
         most, total = ca.MX(0), ca.MX(self.linear_blocks)
         for count in self.iterations:
             most, total = ca.fmax(most, count), total + count
-        for counts in self.alike:
+        for counts in self.isomorphic_counts:
             most, total = ca.fmax(most, ca.mmax(counts[0, :])), total + ca.sum2(counts[1, :])
         return ca.vertcat(most, total)
 

@@ -96,12 +96,12 @@ class SquareSystem:
         return isomorphic_parts(self.residual, self.unknowns, self.givens, beside)
 
 
-def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
-    """Compile `system` like `compile_solver`, but as one expression with a single Newton iteration in every block.
+def compile_unrolled_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca.Function | None:
+    """Compile `system` like `compile_solver`, but unrolled: one expression, with one Newton iteration in every block.
 
-    What is common to subexpressions is not sought: that is for whoever puts the guess in. For guesses that are exact
-    already: where the iteration corrects anything that counts, the results are NaN. An
-    expression spares what the interpreter spends on calling functions, which is most of what a small block costs.
+    Its results hold where the guess is exact; they are NaN where the iteration corrects it by more than the tolerance.
+    An expression spares the interpreter's calls of functions, which are most of what a small block costs. Common
+    subexpressions are left to the caller, who substitutes the guess.
 
     Returns
     -------
@@ -109,7 +109,7 @@ def compile_flat_solver(name: str, system: SquareSystem, outputs: list[ca.SX]) -
         None if a block is too large to be written out.
     """
     try:
-        return compile_solver(name, system, outputs, flat=True).expand()
+        return compile_solver(name, system, outputs, unrolled=True).expand()
     except _TooLargeError:
         return None
 
@@ -124,16 +124,16 @@ def compile_formula(name: str, system: SquareSystem, outputs: list[ca.SX]) -> ca
     """
     givens = ca.MX.sym("givens", system.givens.numel())
     try:
-        known = _solved(system, givens, flat=True)
+        known = _solved(system, givens, unrolled=True)
     except _TooLargeError:
         return None
-    if known.iterations or known.alike:
+    if known.iterations or known.isomorphic_counts:
         return None
     wanted = [ca.densify(output) for output in known.resolved(*outputs)]
     return ca.Function(name, [givens], known.evaluated("sc_finish", *wanted)).expand()
 
 
-def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, flat: bool = False) -> ca.Function:
+def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unrolled: bool = False) -> ca.Function:
     r"""Compile `system` into a function that solves it.
 
     Parameters
@@ -144,8 +144,8 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         The equations; must be structurally nonsingular.
     outputs : list of casadi.SX
         Expressions of unknowns and givens to return.
-    flat : bool
-        See `compile_flat_solver`.
+    unrolled : bool
+        See `compile_unrolled_solver`.
 
     Returns
     -------
@@ -159,25 +159,25 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, fla
         If the equations are structurally singular.
     """
     givens = ca.MX.sym("givens", system.givens.numel())
-    known = _solved(system, givens, flat)
+    known = _solved(system, givens, unrolled)
     worst = largest(system.residual / system.residual_scale)
     wanted = [ca.densify(output) for output in known.resolved(*outputs, worst)]
-    *results, residual = known.evaluated("sc_finish", *wanted, common=not flat)
-    if known.moved:
+    *results, residual = known.evaluated("sc_finish", *wanted, common=not unrolled)
+    if known.corrections:
         # Where nothing waits for it. A sum of squares that is NaN is below no tolerance.
-        exact = ca.sum1(ca.vertcat(*known.moved)) < NEWTON_TOLERANCE**2
+        exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
         verdict = ca.if_else(exact, 0.0, np.nan)
         *results, residual = (each + verdict for each in (*results, residual))
     return ca.Function(name, [givens], [*results, known.counts(), residual])
 
 
-def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> KnownValues:
+def _solved(system: SquareSystem, givens: ca.MX, unrolled: bool) -> KnownValues:
     """Solve a system block by block for values of its givens; parts that are alike are compiled once."""
     known = KnownValues()
-    known.learn(system.givens, givens)
+    known.add_values(system.givens, givens)
     rows, columns = set(range(system.unknowns.numel())), set(range(system.unknowns.numel()))
     for group in system.alike:
-        _solve_isomorphic(known, system, givens, group, flat)
+        _solve_isomorphic(known, system, givens, group, unrolled)
         rows -= {row for part in group.parts for row in part.rows.tolist()}
         columns -= {column for part in group.parts for column in part.columns.tolist()}
     if not columns:
@@ -186,34 +186,34 @@ def _solved(system: SquareSystem, givens: ca.MX, flat: bool) -> KnownValues:
         system = _part(system, sorted(rows), sorted(columns))
     system, constants = _without_constants(system)
     for symbol, number in constants:
-        known.state(symbol, number)
-    for block in _blocks(system, flat):
-        if flat and len(block[0]) > _MOST_UNROLLED:
+        known.add_explicit(symbol, number)
+    for block in _blocks(system, unrolled):
+        if unrolled and len(block[0]) > _MOST_UNROLLED:
             raise _TooLargeError
-        _solve_block(known, _part(system, *block), flat)
+        _solve_block(known, _part(system, *block), unrolled)
     return known
 
 
 def _solve_isomorphic(
-    known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, flat: bool
+    known: KnownValues, system: SquareSystem, givens: ca.MX, group: IsomorphicParts, unrolled: bool
 ) -> None:
     """Solve parts that are alike by one function, mapped."""
     first, count, size = group.parts[0], len(group.parts), len(group.givens[0])
     part = _part(system, first.rows.tolist(), first.columns.tolist())
     part = replace(part, givens=system.givens[group.givens[0]])
     part_givens = ca.MX.sym("givens", size)
-    inner = _solved(part, part_givens, flat)
+    inner = _solved(part, part_givens, unrolled)
     values = inner.evaluated("sc_part", *inner.resolved(part.unknowns))
-    moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.moved))
+    moved = ca.sum1(ca.vertcat(ca.MX(0), *inner.corrections))
     solve = ca.Function("sc_alike", [part_givens], [*values, inner.counts(), moved]).map(count)
     solved, counts, squared = solve(
         ca.reshape(givens[[k for given_places in group.givens for k in given_places]], size, count)
     )
     columns = [column for isomorphic in group.parts for column in isomorphic.columns.tolist()]
-    known.learn(system.unknowns[columns], ca.vec(solved))
-    known.alike.append(counts)
-    if inner.moved:
-        known.moved.append(ca.sum2(squared))
+    known.add_values(system.unknowns[columns], ca.vec(solved))
+    known.isomorphic_counts.append(counts)
+    if inner.corrections:
+        known.corrections.append(ca.sum2(squared))
 
 
 def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[ca.SX, ca.SX]]]:
@@ -254,7 +254,7 @@ def _part(system: SquareSystem, rows: list[int], columns: list[int]) -> SquareSy
     )
 
 
-def _blocks(system: SquareSystem, flat: bool) -> list[tuple[list[int], list[int]]]:
+def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[int]]]:
     """Rows and columns of the diagonal blocks, in the order in which they can be solved."""
     if not system.unknowns.numel():
         return []
@@ -262,14 +262,14 @@ def _blocks(system: SquareSystem, flat: bool) -> list[tuple[list[int], list[int]
     if ca.sprank(ca.DM(pattern, 1)) < pattern.size1():
         raise InvalidModel("the equations are structurally singular: they cannot fix all unknowns")
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
-    order = sorted if flat else list  # derivatives repeat blocks: sorted, they share their minors
+    order = sorted if unrolled else list  # derivatives repeat blocks: sorted, they share their minors
     return [
         (order(rows[row_starts[k] : row_starts[k + 1]]), order(columns[column_starts[k] : column_starts[k + 1]]))
         for k in range(count)
     ]
 
 
-def _solve_block(known: KnownValues, block: SquareSystem, flat: bool) -> None:
+def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
     linear = not ca.depends_on(jacobian, unknowns)
@@ -277,34 +277,34 @@ def _solve_block(known: KnownValues, block: SquareSystem, flat: bool) -> None:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
         solution = -small_inverse_times(jacobian, constant)
         for k in range(size):
-            known.state(unknowns[k], solution[k])
+            known.add_explicit(unknowns[k], solution[k])
         known.linear_blocks += 1
         return
-    known.flush()
+    known.evaluate_explicit()
     if linear:
-        _solve_linear(known, block, flat)
+        _solve_linear(known, block, unrolled)
     else:
-        _solve_nonlinear(known, block, flat)
+        _solve_nonlinear(known, block, unrolled)
 
 
-def _solve_linear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
+def _solve_linear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     jacobian = ca.jacobian(block.residual, block.unknowns)
     constant = ca.substitute(block.residual, block.unknowns, ca.SX.zeros(block.unknowns.numel()))
     known.linear_blocks += 1
-    if flat:
-        known.learn(block.unknowns, *known.evaluated("sc_linear", symbolic_solution(jacobian, -constant)))
+    if unrolled:
+        known.add_values(block.unknowns, *known.evaluated("sc_linear", symbolic_solution(jacobian, -constant)))
         return
     matrix, right = known.evaluated("sc_linear", jacobian, -constant)
-    known.learn(block.unknowns, ca.solve(matrix, right, "qr"))
+    known.add_values(block.unknowns, ca.solve(matrix, right, "qr"))
 
 
-def _solve_nonlinear(known: KnownValues, block: SquareSystem, flat: bool) -> None:
+def _solve_nonlinear(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     core, kept_rows, torn = tear(block.unknowns, block.residual)
     block = _part(block, kept_rows, core)
     block = replace(block, residual=substituted(torn, block.residual)[0])
-    known.learn(block.unknowns, (_iterated_once if flat else _iterated)(known, block))
+    known.add_values(block.unknowns, (_iterated_once if unrolled else _iterated)(known, block))
     for symbol, expression in torn:
-        known.state(symbol, expression)
+        known.add_explicit(symbol, expression)
 
 
 def _iterated(known: KnownValues, block: SquareSystem) -> ca.MX:
@@ -380,7 +380,7 @@ def _iterated_once(known: KnownValues, block: SquareSystem) -> ca.MX:
     iterate = ca.Function("sc_iterate", [symbols, unknowns], [better - correction, moved], {"cse": True})
     solution, squared = iterate(values, start)
     known.iterations.append(ca.MX(1))
-    known.moved.append(squared)
+    known.corrections.append(squared)
     return solution
 
 

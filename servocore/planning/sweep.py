@@ -120,7 +120,7 @@ def sweep(
     work = _work(swept, native)
     fitting = min(max(swept.grid.size // _BLOCKS, _FEWEST), _WITH_INPUTS if swept.inputs else _MOST) if work else _SLOW
     shape = swept.grid.block(chunk or fitting)
-    settings = {**settings_of(swept), "function": sha256(work.quick.encode()).hexdigest() if work else None}
+    settings = {**settings_of(swept), "function": sha256(work.by_expression.encode()).hexdigest() if work else None}
     sink = _sink(swept, settings, shape, store, resume)
     if distributed is not None:
         executor = distributed.get_executor()

@@ -41,7 +41,7 @@ class Work:
     ----------
     title : str
         Of the scene, for messages.
-    quick, seeking : str
+    by_expression, by_newton : str
         Functions (gamma, [factor, *p]) -> rows on the path in `factor` times its duration, as texts; the second by
         Newton's method. They may be the same.
     inputs : int
@@ -59,8 +59,8 @@ class Work:
     """
 
     title: str
-    quick: str
-    seeking: str
+    by_expression: str
+    by_newton: str
     inputs: int
     swing: bool
     bounds: tuple[tuple[float, float], ...]
@@ -103,8 +103,8 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += [each for each in known.values() if each[0].positive]
-    quick, seeking = compile_inverted_quantities(problem.resolved, wanted)
-    texts = [_in_time(each).serialize() for each in (quick or seeking, seeking)]
+    by_expression, by_newton = compile_inverted_quantities(problem.resolved, wanted)
+    texts = [_in_time(each).serialize() for each in (by_expression or by_newton, by_newton)]
     bounds = tuple((limit.bound, limit.upper) for limit in limits)
     first = len(system.inputs) + swing
     turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))
@@ -196,8 +196,8 @@ def _rows(functions: _Functions, jets: Array, numbers: Array) -> Array:
     left = np.asarray(~np.isfinite(rows).all(axis=1))
     for case in np.flatnonzero(left.any(axis=1)):
         at = np.flatnonzero(left[case])
-        gamma = jets.T[at].reshape(len(at), -1, functions.seeking.size1_in(0))
-        rows[case][:, at] = at_instants(functions.seeking, jets=gamma, p=numbers[case])[0]
+        gamma = jets.T[at].reshape(len(at), -1, functions.by_newton.size1_in(0))
+        rows[case][:, at] = at_instants(functions.by_newton, jets=gamma, p=numbers[case])[0]
     return rows
 
 
@@ -207,14 +207,14 @@ class _Functions:
 
     rows: Vectorized
     extremes: Extremes | None
-    seeking: ca.Function
+    by_newton: ca.Function
 
 
 @lru_cache(maxsize=4)  # a process gets the same work with every block, and nothing else lives as long as it does
 def _rebuilt(work: Work) -> _Functions:
     """Return the functions of a work: made once in every process."""
-    quick, seeking = (ca.Function.deserialize(each) for each in (work.quick, work.seeking))
-    how = (quick, (True, False))
+    by_expression, by_newton = (ca.Function.deserialize(each) for each in (work.by_expression, work.by_newton))
+    how = (by_expression, (True, False))
     if work.kept or work.turns:
-        return _Functions(Vectorized(*how, work.native, work.title), None, seeking)
-    return _Functions(Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), seeking)
+        return _Functions(Vectorized(*how, work.native, work.title), None, by_newton)
+    return _Functions(Vectorized(*how, False, work.title), Extremes(*how, work.native, work.title), by_newton)

@@ -84,7 +84,7 @@ class Batch:
     ) -> None:
         require_scene(scene, "Batch")
         self._problem = problem = Problem.of(scene, model, start)
-        self._scene, self._alone = scene, partial(solve, model=model, start=start, native=native)
+        self._scene, self._solve_case = scene, partial(solve, model=model, start=start, native=native)
         if problem.follow_branch:
             raise InvalidModel(f"{scene.name} follows a branch: its cases are solved one by one, with solve")
         if problem.start:
@@ -96,8 +96,8 @@ class Batch:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
         self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
         if problem.flat:
-            self._quick, self._seeking = problem.resolved.once(_compile_cases, self.names, native)
-            self._quick.prepare(problem.reference)
+            self._by_expression, self._by_newton = problem.resolved.once(_compile_cases, self.names, native)
+            self._by_expression.prepare(problem.reference)
 
     def __call__(
         self,
@@ -135,9 +135,9 @@ class Batch:
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
             return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
-        inputs = self._quick.of_cases(references or [self._problem.reference], times, p)[0]
+        inputs = self._by_expression.of_cases(references or [self._problem.reference], times, p)[0]
         if not np.isfinite(inputs).all():
-            inputs = self._searched(inputs, references, times, p)
+            inputs = self._solved_by_newton(inputs, references, times, p)
         values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.
         if not (signs > 0.0).all():
@@ -185,7 +185,7 @@ class Batch:
             path = references[case] if references else self._scene.reference
             scene = replace(self._scene, parameters=dict(values), reference=path)
             try:
-                solution = self._alone(scene, step=path.duration / steps)
+                solution = self._solve_case(scene, step=path.duration / steps)
             except ServocoreError as error:
                 raise type(error)(f"case {case} of a batch: {error}") from None
             found[case] = np.column_stack([solution[name] for name in self.names])
@@ -219,15 +219,14 @@ class Batch:
             p[..., quantities[name]] = values
         return p
 
-    def _searched(self, inputs: Array, references: list[Reference], t: Array, p: Array) -> Array:
-        """Solve by Newton's method the instants that the quick function left open."""
-        # The quick function is NaN exactly where its guess was not good enough: only those instants pay for Newton.
+    def _solved_by_newton(self, inputs: Array, references: list[Reference], t: Array, p: Array) -> Array:
+        """Solve by Newton's method the instants where the expression gave NaN."""
         left = np.asarray(~np.isfinite(inputs).all(axis=1))
         for case in np.flatnonzero(left.any(axis=1)):
             reference = references[case % len(references)] if references else self._problem.reference
             at = np.flatnonzero(left[case])
-            jets = reference.jet(t[at], self._quick.order)
-            inputs[case][:, at] = at_instants(self._seeking, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
+            jets = reference.jet(t[at], self._by_expression.order)
+            inputs[case][:, at] = at_instants(self._by_newton, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
         return inputs
 
 
@@ -249,10 +248,10 @@ def _require_allowed(parameter: Parameter, values: Array) -> None:
 def _compile_cases(
     resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None
 ) -> tuple[PathFunction, ca.Function]:
-    """Compile (gamma, p) -> named quantities and what must be positive: quick, and by Newton's method."""
+    """Compile (gamma, p) -> named quantities and positive observables: as one expression, and by Newton's method."""
     known = observed(resolved.system)
     by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
-    quick, seeking = compile_inverted_quantities(
+    by_expression, by_newton = compile_inverted_quantities(
         resolved, [*(by_name[name] for name in names), *(pair for pair in known if pair[0].positive)]
     )
-    return PathFunction(resolved, quick or seeking, native), seeking
+    return PathFunction(resolved, by_expression or by_newton, native), by_newton

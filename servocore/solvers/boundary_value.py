@@ -321,7 +321,7 @@ def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, array.reference_order)
     start = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     start[array.places(array.states)] = states.T
-    unknowns = inverse.searched(side_by_side(jets), problem.p, start)
+    unknowns = inverse.search_at_instants(side_by_side(jets), problem.p, start)
     values: Array = unknowns[array.places((*array.states, *array.determined))]
     return values
 

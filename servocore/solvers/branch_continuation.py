@@ -372,7 +372,7 @@ class BranchTable:
         near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
         first, h = self.states[:, near], t - self.t[near]
         problem, taylor = self.branch.problem, self.branch.taylor
-        unknowns = problem.resolved.once(inversion).searched(jets, problem.p, taylor.ahead(first, h)).copy()
+        unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, taylor.ahead(first, h)).copy()
         for k in np.flatnonzero(taylor.apart(first, unknowns, h, self.branch.scale)):
             unknowns[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
         return unknowns
@@ -384,13 +384,13 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     each = max(1, -(-_SURVEYED // (len(ends) - 1)))
     t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
     jets = problem.reference.jet(t, problem.array.reference_order)
-    quick = inverse.expression is not None
+    by_expression = inverse.expression is not None
     states, _, residual = at_instants(inverse.expression or inverse.function, jets=jets, p=problem.p)
-    if quick and not (residual < LARGEST_RESIDUAL).all():
-        quick = False
+    if by_expression and not (residual < LARGEST_RESIDUAL).all():
+        by_expression = False
         states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
     branch = Branch.along(problem, kept)
-    if not how.startswith(FOLLOWED) and (quick or branch.is_closed_form(t, kept)):
+    if not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept)):
         return None
     return BranchTable(branch, t, kept)

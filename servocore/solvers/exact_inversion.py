@@ -56,13 +56,13 @@ class Pointwise:
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        quick = self._quick(problem)
-        program = program_of(problem, self.formulation, self.method, bool(self.native) and quick is None)
+        by_expression = self._by_expression(problem)
+        program = program_of(problem, self.formulation, self.method, bool(self.native) and by_expression is None)
         if problem.follow_branch:
             done = run_steps(problem, program, times, prescribed_start_of(self.formulation, self.method), progress)
             require_followed(problem, times, done.states)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
-        done, observed = _at_every_instant(problem, program, times, quick, progress)
+        done, observed = _at_every_instant(problem, program, times, by_expression, progress)
         try:
             states, how = on_one_branch(problem, times, done.states, self.native)
         except IntegrationFailed as error:
@@ -77,62 +77,64 @@ class Pointwise:
             done, observed = replace(done, states=states), None
         return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)
 
-    def _quick(self, problem: Problem) -> _Quick | None:
-        """Return what answers without a search where the guess of the model is exact; None if nothing does."""
+    def _by_expression(self, problem: Problem) -> _ByExpression | None:
+        """Return the inversion as one expression; None if the form has none, or a branch is followed."""
         if self.formulation != Reduced() or problem.follow_branch:
             return None
-        flat = problem.resolved.once(inversion).expression
-        if flat is None:
+        expression = problem.resolved.once(inversion).expression
+        if expression is None:
             return None
         program = program_of(problem, self.formulation, self.method)
-        quick = problem.resolved.once(_compile_quick, flat, program, self.native)
-        quick.exact.prepare(problem.reference)
-        return quick
+        by_expression = problem.resolved.once(_compile_by_expression, expression, program, self.native)
+        by_expression.function.prepare(problem.reference)
+        return by_expression
 
 
 @dataclass(frozen=True, eq=False)
-class _Quick:
-    """A function (gamma, p) -> state, counts, residual and what is observed there.
+class _ByExpression:
+    """A function (gamma, p) -> state, counts, residual and observed values, as one expression.
 
-    It gives NaN where the guess of the model is not exact: Newton's method, which takes longest of all to compile, is
-    compiled where that happens.
+    It gives NaN where the guess of the model is not exact. Newton's method takes those instants, and is compiled only
+    then: no other function takes longer to compile.
     """
 
-    exact: PathFunction
+    function: PathFunction
     program: Program
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return all results at some instants, shape (rows, N) each."""
-        results = self.exact(problem, t)
+        results = self.function(problem, t)
         left = np.flatnonzero(~(results[2][0] < LARGEST_RESIDUAL))
         if len(left):
-            jets = problem.reference.jet(t[left], self.exact.order)
-            sought = problem.resolved.once(_compile_sought, self.program)
-            for result, searched in zip(results, at_instants(sought, jets=jets, p=problem.p), strict=True):
-                result[:, left] = searched.reshape(-1, len(left), order="F")
+            jets = problem.reference.jet(t[left], self.function.order)
+            by_newton = problem.resolved.once(_compile_by_newton, self.program)
+            for result, solved in zip(results, at_instants(by_newton, jets=jets, p=problem.p), strict=True):
+                result[:, left] = solved.reshape(-1, len(left), order="F")
         return results
 
 
-def _compile_quick(resolved: ResolvedSystem, flat: ca.Function, program: Program, native: bool | None) -> _Quick:
-    """Compile exact inversion together with what is observed."""
+def _compile_by_expression(
+    resolved: ResolvedSystem, expression: ca.Function, program: Program, native: bool | None
+) -> _ByExpression:
+    """Compile the exact inversion together with the observed values."""
     system, order = resolved.system, resolved.array.reference_order + 1
     arguments = ca.SX.sym("gamma", system.gamma.size1(), program.order + 1), ca.SX.sym("p", system.p.numel())
-    exact = flat(arguments[0][:, :order], arguments[1])
+    exact = expression(arguments[0][:, :order], arguments[1])
     results = [*exact, *program.observe(exact[0], *arguments)]
-    quick = ca.Function("sc_quick", arguments, results, {"cse": True})
-    return _Quick(PathFunction(resolved, quick, native), program)
+    function = ca.Function("sc_quick", arguments, results, {"cse": True})
+    return _ByExpression(PathFunction(resolved, function, native), program)
 
 
-def _compile_sought(resolved: ResolvedSystem, program: Program) -> ca.Function:
-    """Compile the same by Newton's method."""
+def _compile_by_newton(resolved: ResolvedSystem, program: Program) -> ca.Function:
+    """Compile (gamma, p) -> the same results by Newton's method from the guess of the model."""
     system, order = resolved.system, resolved.array.reference_order + 1
     gamma, p = ca.MX.sym("gamma", system.gamma.size1(), program.order + 1), ca.MX.sym("p", system.p.numel())
-    found = resolved.once(inversion).sought(gamma[:, :order], p)
-    return ca.Function("sc_sought", [gamma, p], [*found, *program.observe(found[0], gamma, p)])
+    results = resolved.once(inversion).search_from_guess(gamma[:, :order], p)
+    return ca.Function("sc_sought", [gamma, p], [*results, *program.observe(results[0], gamma, p)])
 
 
 def _at_every_instant(
-    problem: Problem, program: Program, times: Array, quick: _Quick | None, progress: Progress | None
+    problem: Problem, program: Program, times: Array, by_expression: _ByExpression | None, progress: Progress | None
 ) -> tuple[Run, tuple[Array, Array] | None]:
     """Solve every instant from the guess of the model, NaN where that fails; with what is observed if that is known."""
     if problem.reference.max_order < program.start_order:
@@ -140,7 +142,7 @@ def _at_every_instant(
             f"the path has derivatives up to order {problem.reference.max_order},"
             f" {program.name} needs order {program.start_order}"
         )
-    results = _all_results(problem, program, times, quick, progress)
+    results = _all_results(problem, program, times, by_expression, progress)
     states, counts, residuals, *observed = results
     good = np.isfinite(residuals[0])
     if not good.all():
@@ -151,20 +153,20 @@ def _at_every_instant(
 
 
 def _all_results(
-    problem: Problem, program: Program, times: Array, quick: _Quick | None, progress: Progress | None
+    problem: Problem, program: Program, times: Array, by_expression: _ByExpression | None, progress: Progress | None
 ) -> list[Array]:
     """Return states, counts and residuals, and what is observed if that is known, shape (rows, N) each."""
     count, p = len(times), problem.p
-    if quick is not None and quick.exact.ready(problem, count):
-        results = quick(problem, times)
+    if by_expression is not None and by_expression.function.ready(problem, count):
+        results = by_expression(problem, times)
         if progress is not None:
             progress(count - 1, count - 1)
         return results
     results = []
     for k in range(0, count, _CHUNK):
         t = times[k : k + _CHUNK]
-        if quick is not None:
-            columns = quick(problem, t)
+        if by_expression is not None:
+            columns = by_expression(problem, t)
         else:
             size = len(t)
             jets = side_by_side(problem.reference.jet(t, program.order))
@@ -239,7 +241,7 @@ class ExactInversion:
         require_feasible(problem)
         self._problem, self._order = problem, array.reference_order
         self._functions = problem.resolved.once(compile_inputs, native)
-        self._functions.quick.prepare(scene.reference)
+        self._functions.by_expression.prepare(scene.reference)
         self._table: BranchTable | IntegrationFailed | None
         try:
             self._table = prepared_table(problem)
@@ -271,41 +273,41 @@ class ExactInversion:
             If an instant is not solved, or on another branch of the equations than the one wanted.
         """
         times = numbers_of(t, "the times of inputs")
-        flat = times.reshape(-1)
+        instants = times.reshape(-1)
         followed = self._table if isinstance(self._table, BranchTable) else None
-        inputs = self._followed(followed, flat) if followed else self._quick(flat)
+        inputs = self._from_branch(followed, instants) if followed else self._by_expression(instants)
         finite = bool(np.isfinite(inputs).all())
         if not finite and not followed:
-            inputs = self._searched(inputs, flat)
+            inputs = self._by_newton(inputs, instants)
             finite = bool(np.isfinite(inputs).all())
         if finite:
-            self._require_signs(inputs, flat)
+            self._require_signs(inputs, instants)
         if isinstance(self._table, IntegrationFailed):
             raise self._table  # a wrong sign is a better reason
         if not finite:
-            self._require_solved(inputs, flat)
+            self._require_solved(inputs, instants)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _quick(self, t: Array) -> Array:
-        """Return inputs and what must be positive, shape (count, columns); NaN where the guess is not exact."""
+    def _by_expression(self, t: Array) -> Array:
+        """Return inputs and positive observables, shape (N, columns); NaN where the guess is not exact."""
         if not len(t):
             return np.empty((0, len(self.inputs) + len(self._signs)))
-        return self._functions.quick(self._problem, t)[0].T
+        return self._functions.by_expression(self._problem, t)[0].T
 
-    def _followed(self, table: BranchTable, t: Array) -> Array:
+    def _from_branch(self, table: BranchTable, t: Array) -> Array:
         """Return the same, read from the branch that the table follows."""
         if not len(t):
             return np.empty((0, len(self.inputs) + len(self._signs)))
         jets = self._problem.reference.jet(t, self._order)
         states = table.states_at(t, side_by_side(jets))
-        return at_instants(self._functions.read, states, jets=jets, p=self._problem.p)[0].T
+        return at_instants(self._functions.from_unknowns, states, jets=jets, p=self._problem.p)[0].T
 
-    def _searched(self, inputs: Array, t: Array) -> Array:
-        """Solve by Newton's method what the quick function left open."""
+    def _by_newton(self, inputs: Array, t: Array) -> Array:
+        """Return inputs (N, columns), those that are NaN solved by Newton's method."""
         left = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
         inputs = inputs.copy()
         jets = self._problem.reference.jet(t[left], self._order)
-        inputs[left] = at_instants(self._functions.seeking, jets=jets, p=self._problem.p)[0].T
+        inputs[left] = at_instants(self._functions.by_newton, jets=jets, p=self._problem.p)[0].T
         return inputs
 
     def _require_solved(self, inputs: Array, t: Array) -> None:
@@ -328,42 +330,48 @@ class ExactInversion:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Inputs:
-    """Functions to inputs and what must be positive.
+class InputFunctions:
+    """Functions of the path that return the inputs and the observables that must be positive.
 
     Attributes
     ----------
-    quick : PathFunction
-        (gamma, p) -> them, or NaN where the guess of the model is not exact; gamma has shape (m, reference_order + 1).
-    seeking : casadi.Function
-        The same, and seeks where the guess is not exact; compiled when it is first asked for.
-    read : casadi.Function
-        (unknowns, gamma, p) -> the same from unknowns of the derivative array that are known.
+    by_expression : PathFunction
+        (gamma, p) -> values, NaN where the guess of the model is not exact; gamma has shape (m, reference_order + 1).
+        Where the inversion is no single expression, this is `by_newton`.
+    by_newton : casadi.Function
+        (gamma, p) -> values, by Newton's method where the guess is not exact; compiled at its first use.
+    from_unknowns : casadi.Function
+        (unknowns of the derivative array, gamma, p) -> values.
     """
 
-    quick: PathFunction
-    seeking: CompiledWhenUsed = CompiledWhenUsed()
-    read: ca.Function
+    by_expression: PathFunction
+    by_newton: CompiledWhenUsed = CompiledWhenUsed()
+    from_unknowns: ca.Function
 
 
-def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> Inputs:
-    """Compile what gives inputs at an instant, as machine code if that is asked for."""
+def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> InputFunctions:
+    """Compile the functions that give inputs at an instant, as machine code if `native` says so."""
     system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
     wanted = [(quantity, expression) for quantity, expression in system.observables.items() if quantity.positive]
     wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
     order = resolved.array.reference_order
     read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-    gamma, p, flat = system.gamma[:, : order + 1], system.p, inverse.expression
-    seeking = partial(_compile_seeking, inverse, read)
-    if flat is not None:
-        quick = ca.Function("sc_quick_inputs", [gamma, p], [read(flat(gamma, p)[0], gamma, p)[0]], {"cse": True})
-        return Inputs(quick=PathFunction(resolved, quick, native), seeking=seeking, read=read)
-    quick = seeking()
+    gamma, p, expression = system.gamma[:, : order + 1], system.p, inverse.expression
+    if expression is not None:
+        unknowns = expression(gamma, p)[0]
+        function = ca.Function("sc_quick_inputs", [gamma, p], [read(unknowns, gamma, p)[0]], {"cse": True})
+        by_newton = partial(_compile_inputs_by_newton, inverse, read)
+        return InputFunctions(
+            by_expression=PathFunction(resolved, function, native), by_newton=by_newton, from_unknowns=read
+        )
+    function = _compile_inputs_by_newton(inverse, read)
     if native:
-        quick = compiled({"seeking": quick}, system.name)["seeking"]
-    return Inputs(quick=PathFunction(resolved, quick, native), seeking=quick, read=read)
+        function = compiled({"seeking": function}, system.name)["seeking"]
+    return InputFunctions(
+        by_expression=PathFunction(resolved, function, native), by_newton=function, from_unknowns=read
+    )
 
 
-def _compile_seeking(inverse: Inversion, read: ca.Function) -> ca.Function:
+def _compile_inputs_by_newton(inverse: Inversion, read: ca.Function) -> ca.Function:
     gamma, p = (ca.MX.sym(name, *inverse.guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
     return ca.Function("sc_inputs", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])

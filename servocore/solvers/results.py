@@ -37,7 +37,7 @@ class Segment:
 
 
 def solution_of(
-    problem: Problem, segments: list[Segment], route: str = "", *, refuse_turns: bool = True, **told: Any
+    problem: Problem, segments: list[Segment], route: str = "", *, refuse_turns: bool = True, **statistics: Any
 ) -> Solution:
     """Observe the states of a run, each part by its own program, and sum the run up.
 
@@ -52,8 +52,8 @@ def solution_of(
     refuse_turns : bool
         Whether an angle that turns by half a turn within a step is refused: it cannot be told from the turn the other
         way round.
-    **told
-        Entries of `Statistics` that the states do not show.
+    **statistics
+        Entries of `Statistics` that do not follow from the states.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def solution_of(
                 values[:, k] = np.unwrap(values[:, k])
     summary = _summed_up(segments, values[:, : len(problem.system.inputs)], violation)
     return Solution(
-        t, program.channels, values, route or program.name, replace(summary, **told), problem.reference.fit_error
+        t, program.channels, values, route or program.name, replace(summary, **statistics), problem.reference.fit_error
     )
 
 

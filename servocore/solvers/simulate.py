@@ -43,9 +43,8 @@ def simulate(
     """Integrate the equations of motion (1) without the servo constraints, under given inputs.
 
     The holonomic constraints are differentiated twice and stabilized, see `servocore.stepping.forward_dynamics`; the
-    resulting ordinary differential equation goes to SciPy's DOP853 with error control, and to its Radau where it turns
-    out to be very stiff. With a method of constant step
-    nothing is differentiated.
+    resulting ordinary differential equation is integrated by SciPy's DOP853 with error control, or by its Radau where
+    it turns out to be very stiff. `EnergyMomentum` takes constant steps and differentiates no constraint.
 
     Parameters
     ----------
@@ -240,9 +239,7 @@ def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Fun
         for quantity, expression in observed(system)
         if not ca.depends_on(expression, ca.vec(system.path))
     ]
-    known.sort(
-        key=lambda pair: pair[0] not in system.observables
-    )  # observables first, then inputs, outputs, coordinates
+    known.sort(key=lambda pair: pair[0] not in system.observables)  # they come first, the others keep their order
     distances = ca.norm_2(system.output - path[:, 0]), ca.norm_2(ca.mtimes(system.C, system.v) - path[:, 1])
     results = ca.vertcat(*(expression for _, expression in known)), violations_of(system), ca.vertcat(*distances)
     arguments = [ca.vertcat(system.q, system.v), system.lam, system.u, gamma, system.p]

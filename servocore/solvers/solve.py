@@ -40,12 +40,12 @@ from servocore.stepping.argument_checks import require_callable, require_formula
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.structure.inversion import inversion
 
-_MORE = 212  # a prime number of steps: none ends in the middle or at a third, where paths are special
-_MANY = 500  # instants from which on checks are worth machine code
-_FEW = 150  # instants: where nothing that happens between them shows
-_BETTER = RadauIIA(5)
-_ROUGH = 0.01  # a tolerance that does not say by itself that inputs are good
-Stepped = FixedStep | StateSelection | ToTolerance
+_SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
+_NATIVE_FROM = 500  # instants from which on checks are worth machine code
+_COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide what happens in between
+_JUDGING_METHOD = RadauIIA(5)
+_LOOSE_TOLERANCE = 0.01  # a tolerance above it does not prove by itself that inputs are good
+SteppedRoute = FixedStep | StateSelection | ToTolerance
 
 
 def solve(
@@ -112,13 +112,13 @@ def solve(
     is_route = route is method  # such a route brings no checks of its own, and chooses its instants
     checked = checks or is_route
     if checked:
-        require_feasible(problem, None if is_route else times, _native(route, times))
+        require_feasible(problem, None if is_route else times, _native_checks(route, times))
     run = run_within_limits if checked else _run
     with causes_explained(problem):
         solution = run(problem, lambda posed: route.run(posed, times, progress))
     if checked:
-        solution = _looked_at(problem, route, solution)
-    estimator = solution.estimator or partial(_estimated, problem, route)
+        solution = _checked(problem, route, solution)
+    estimator = solution.estimator or partial(_error_estimate, problem, route)
     return replace(solution, advice=advice, estimator=estimator, origin=problem)
 
 
@@ -126,26 +126,26 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
     return run(problem)
 
 
-def _native(route: Route, t: Array) -> bool | None:
+def _native_checks(route: Route, t: Array) -> bool | None:
     """Whether checks may use machine code; see `Vectorized`."""
-    return route.native if isinstance(route, Pointwise | Stepped) and len(t) > _MANY else False
+    return route.native if isinstance(route, Pointwise | SteppedRoute) and len(t) > _NATIVE_FROM else False
 
 
-def _looked_at(problem: Problem, route: Route, solution: Solution) -> Solution:
-    """Look at a solution (one branch, no poles between instants, right inputs); return it with what was seen."""
+def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
+    """Refuse or warn of jumps, poles, negative masses and wrong inputs; return the solution with its branch stated."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
-    native = _native(route, solution.t)
+    native = _native_checks(route, solution.t)
     warned = survey_between(problem, solution, unknowns_near, native)
-    if not warned and len(solution.t) < _FEW and problem.flat and not problem.follow_branch:
-        survey_between(problem, _at_more_instants(problem), unknowns_near)
-    branch = _branch(problem, route, solution) + passed
+    if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
+        survey_between(problem, _on_survey_grid(problem), unknowns_near)
+    branch = _branch_statement(problem, route, solution) + passed
     return replace(solution, statistics=replace(solution.statistics, branch=branch))
 
 
-def _at_more_instants(problem: Problem) -> Solution:
-    """Return the exact inversion at many instants, for a run that has few: they hide what is between them."""
-    finer = np.linspace(problem.reference.start_time, problem.reference.end_time, _MORE)
+def _on_survey_grid(problem: Problem) -> Solution:
+    """Return the exact inversion on a grid that hides nothing, for a run with few instants."""
+    finer = np.linspace(problem.reference.start_time, problem.reference.end_time, _SURVEY_INSTANTS)
     with causes_explained(problem):
         return Pointwise(Reduced(), BackwardEuler()).run(problem, finer)
 
@@ -211,24 +211,24 @@ def chosen_route(
 
 
 def judge_of(problem: Problem, route: Route) -> Judge:
-    """Return what the solutions of a route are compared with."""
+    """Return the better solution that the solutions of a route are compared with, to estimate the errors of inputs."""
     if isinstance(route, Pointwise):
         return Judge(perturbed_inversion, True, "the exact inversion, solved again,")
     if isinstance(route, BoundaryValue):
-        return Judge(partial(_bounded_again, route), True, "a bounded inversion of higher order")
+        return Judge(partial(_bounded_better, route), True, "a bounded inversion of higher order")
     if problem.flat:
-        beside = None if problem.follow_branch else inversion_near
-        return Judge(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", beside)
-    if isinstance(route, Stepped) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+        nearest = None if problem.follow_branch else inversion_near
+        return Judge(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", nearest)
+    if isinstance(route, SteppedRoute) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         return Judge(BoundaryValue().run, True, "the bounded inversion")
-    if isinstance(route, Stepped):
+    if isinstance(route, SteppedRoute):
         form = route.formulation if isinstance(route.formulation, Reduced) else Reduced()
-        return Judge(StateSelection(form, _BETTER).run, False, f"{_BETTER.name} on the reduced form")
+        return Judge(StateSelection(form, _JUDGING_METHOD).run, False, f"{_JUDGING_METHOD.name} on the reduced form")
     return Judge(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
 
 
-def _bounded_again(route: BoundaryValue, problem: Problem, times: Array) -> Solution:
-    """Solve with more stages, to a smaller tolerance, and over a horizon that this asks for."""
+def _bounded_better(route: BoundaryValue, problem: Problem, times: Array) -> Solution:
+    """Solve again with more stages, to a smaller tolerance, and over the longer horizon that it needs."""
     start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
     inside = times[(times > start - margin) & (times < end + margin)]
     tolerance = min(max(route.tolerance / 100.0, 1e-11), 1e-6)
@@ -236,27 +236,30 @@ def _bounded_again(route: BoundaryValue, problem: Problem, times: Array) -> Solu
     return again.run(problem, inside)
 
 
-def _estimated(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
+def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     return judge_of(problem, route).estimate(problem, solution)
 
 
-def _branch(problem: Problem, route: Route, solution: Solution) -> str:
-    """Look at the inputs of a solution, as closely as its route needs, and say in which sense its motion is one."""
-    if not isinstance(route, BoundaryValue | Stepped):
+def _branch_statement(problem: Problem, route: Route, solution: Solution) -> str:
+    """Judge the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
+
+    Only a doubtful solution is compared with a better one, which takes as long as a solve.
+    """
+    if not isinstance(route, BoundaryValue | SteppedRoute):
         return solution.statistics.branch  # that of an exact inversion is known, and of another route its own business
     judge = judge_of(problem, route)
     if isinstance(route, BoundaryValue):
-        doubtful = route.tolerance > _ROUGH or route.pre is not None or route.post is not None
+        doubtful = route.tolerance > _LOOSE_TOLERANCE or route.pre is not None or route.post is not None
         return look(problem, judge, solution, doubtful, (Reduced(), None))
     how = (route.formulation, route.method)
     if problem.flat:
         everywhere = problem.resolved.once(inversion).expression is not None
-        quick = problem.resolved.once(compile_inputs, _native(route, solution.t)).quick
-        doubtful = is_far(problem, solution, lambda t: quick(problem, t)[0], everywhere)
+        inputs = problem.resolved.once(compile_inputs, _native_checks(route, solution.t)).by_expression
+        doubtful = is_far(problem, solution, lambda t: inputs(problem, t)[0], everywhere)
     elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         doubtful = False  # its user was warned before the run
     elif isinstance(route, ToTolerance):
-        doubtful = not (solution.statistics.error_estimate or np.inf) <= _ROUGH
+        doubtful = not (solution.statistics.error_estimate or np.inf) <= _LOOSE_TOLERANCE
     else:
         doubtful = changes_with_the_step(problem, *how, route.run, solution)
     return look(problem, judge, solution, doubtful, how)

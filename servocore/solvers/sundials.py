@@ -85,7 +85,7 @@ class Sundials:
         guess = np.zeros((len(array.unknowns), count + 1))
         guess[array.places(array.states)] = np.hstack([x0[:, None], states.reshape(size, count, order="F")])
         guess[array.places(array.determined)] = z0[:, None]
-        unknowns = problem.resolved.once(inversion).searched(jets, problem.p, guess)
+        unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, guess)
         if not np.isfinite(unknowns).all():
             k = int(np.isfinite(unknowns).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")

@@ -27,7 +27,7 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
     jets = side_by_side(problem.reference.jet(times, array.reference_order))
-    unknowns = problem.resolved.once(inversion).searched(jets, problem.p, aside)
+    unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, aside)
     inputs = problem.system.inputs
     places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
     return Solution(times, inputs, unknowns[places].T, "the exact inversion, solved again")
@@ -65,4 +65,4 @@ def unknowns_near(problem: Problem, solution: Solution) -> Array:
                 if entry in array.unknowns:
                     guess[array.places([entry])[0]] = known
                 known = np.gradient(known, t)
-    return inverse.searched(side_by_side(jets), problem.p, guess)
+    return inverse.search_at_instants(side_by_side(jets), problem.p, guess)

@@ -185,12 +185,12 @@ def _compile_guessed(resolved: ResolvedSystem, names: tuple[str, ...], native: b
 
     None where the inversion is not one expression.
     """
-    flat, watched = resolved.once(inversion).expression, resolved.once(_compile_named, names)
-    if flat is None or not watched.function.is_a("SXFunction"):
+    expression, watched = resolved.once(inversion).expression, resolved.once(_compile_named, names)
+    if expression is None or not watched.function.is_a("SXFunction"):
         return None
     gamma = ca.SX.sym("gamma", resolved.system.gamma.size1(), watched.order + 1)
     p = ca.SX.sym("p", resolved.system.p.numel())
-    unknowns, _, _ = flat(gamma[:, : resolved.array.reference_order + 1], p)
+    unknowns, _, _ = expression(gamma[:, : resolved.array.reference_order + 1], p)
     values = ca.densify(watched.function(unknowns, gamma, p))
     return PathFunction(resolved, ca.Function("sc_guessed", [gamma, p], [values], {"cse": True}), native)
 

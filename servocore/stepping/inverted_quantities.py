@@ -31,5 +31,5 @@ def compile_inverted_quantities(
         gamma, p = kind.sym("gamma", system.gamma.size1(), order + 1), kind.sym("p", system.p.numel())
         return ca.Function(name, [gamma, p], [read(inverted(gamma, p)[0], gamma, p)[0]], {"cse": kind is ca.SX})
 
-    quick = inverse.expression and reading("sc_quick_cases", inverse.expression, ca.SX)
-    return quick, reading("sc_cases", inverse.function, ca.MX)
+    by_expression = inverse.expression and reading("sc_quick_cases", inverse.expression, ca.SX)
+    return by_expression, reading("sc_cases", inverse.function, ca.MX)

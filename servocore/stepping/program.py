@@ -127,10 +127,9 @@ class Program:
         Parameters
         ----------
         gamma : ndarray, shape (orders, m), or (instants, orders, m) for a method with several `start_instants`
-            Reference jets.
+            Reference jets. One jet serves for all instants while the step is not known.
         p : ndarray
             Parameters.
-            One jet serves for all of them while the step is not known.
         h : float
             Step size in s; 0 while it is not known.
 

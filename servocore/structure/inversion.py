@@ -12,7 +12,7 @@ import numpy as np
 
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
-from servocore.numerics.square_systems import SquareSystem, compile_flat_solver, compile_formula, compile_solver
+from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.signature import condition_numbers, equilibrated
 
@@ -42,10 +42,10 @@ class Inversion:
     expression : casadi.Function or None
         (gamma, p) -> the results where the guess is exact, and NaN elsewhere, as one expression: a quarter of the cost
         of calling Newton's method block by block. None where that does not pay.
-    sought : casadi.Function
+    search_from_guess : casadi.Function
         (gamma, p) -> the results of `search` from `guess`.
     function : casadi.Function
-        (gamma, p) -> the results: those of `expression` if they satisfy all equations, and else of `sought`.
+        (gamma, p) -> the results: those of `expression` if they satisfy all equations, and else of `search_from_guess`.
     """
 
     guess: ca.Function
@@ -60,9 +60,9 @@ class Inversion:
         return self._once("search", lambda: _compile_search(self._array, self._equations))
 
     @property
-    def sought(self) -> ca.Function:
+    def search_from_guess(self) -> ca.Function:
         """See above."""
-        return self._once("sought", self._compile_sought)
+        return self._once("search_from_guess", self._compile_search_from_guess)
 
     @property
     def function(self) -> ca.Function:
@@ -71,7 +71,9 @@ class Inversion:
 
     def by_search(self) -> Inversion:
         """Return the same without the expression, which takes half of the code where speed does not count."""
-        return replace(self, expression=None, _made={"search": self.search, "sought": self.sought})
+        return replace(
+            self, expression=None, _made={"search": self.search, "search_from_guess": self.search_from_guess}
+        )
 
     def _once(self, name: str, make: Callable[[], ca.Function]) -> ca.Function:
         if name not in self._made:
@@ -81,25 +83,28 @@ class Inversion:
     def _arguments(self) -> list[ca.MX]:
         return [ca.MX.sym(name, *self.guess.size_in(k)) for k, name in enumerate(("gamma", "p"))]
 
-    def _compile_sought(self) -> ca.Function:
+    def _compile_search_from_guess(self) -> ca.Function:
         gamma, p = self._arguments()
         return ca.Function("sc_search", [gamma, p], list(self.search(gamma, p, self.guess(gamma, p))))
 
     def _compile_function(self) -> ca.Function:
         gamma, p = self._arguments()
         if self.expression is None:
-            results = self.sought(gamma, p)
+            results = self.search_from_guess(gamma, p)
         else:
-            quick = self.expression(gamma, p)
-            symbols = [ca.MX.sym("given", *argument.shape) for argument in (*quick, gamma, p)]
+            candidate = self.expression(gamma, p)
+            symbols = [ca.MX.sym("given", *argument.shape) for argument in (*candidate, gamma, p)]
             accept = ca.Function("sc_accept", symbols, symbols[:3])
-            reject = ca.Function("sc_reject", symbols, list(self.sought(*symbols[3:])))
+            reject = ca.Function("sc_reject", symbols, list(self.search_from_guess(*symbols[3:])))
             choose = ca.Function.if_else("sc_choose", accept, reject)
-            results = choose(quick[2] < LARGEST_RESIDUAL, *quick, gamma, p)
+            results = choose(candidate[2] < LARGEST_RESIDUAL, *candidate, gamma, p)
         return ca.Function("sc_inversion", [gamma, p], list(results), ["gamma", "p"], ["y", "counts", "residual"])
 
-    def searched(self, gamma: Array, p: Array, guess: Array) -> Array:
-        """Return the unknowns (size, N) by Newton's method from guesses (size, N); `gamma` has jets side by side."""
+    def search_at_instants(self, gamma: Array, p: Array, guess: Array) -> Array:
+        """Return the unknowns (size, N) at N instants by Newton's method from guesses (size, N).
+
+        `gamma` holds the reference jets side by side, see `side_by_side`.
+        """
         size, count = guess.shape
         return mapped(self.search, count)(gamma, np.tile(p[:, None], count), guess)[0].reshape(size, -1, order="F")
 
@@ -168,22 +173,22 @@ def compile_inversion(array: DerivativeArray) -> Inversion:
     """Compile the exact inversion of a derivative array."""
     equations = _equations(array)
     guess = _compile_guess(array)
-    return Inversion(guess, _compile_flat(array, equations, guess), array, equations)
+    return Inversion(guess, _compile_expression(array, equations, guess), array, equations)
 
 
-def _compile_flat(array: DerivativeArray, equations: _Equations, guess: ca.Function) -> ca.Function | None:
+def _compile_expression(array: DerivativeArray, equations: _Equations, guess: ca.Function) -> ca.Function | None:
     """Compile the inversion as one expression, with NaN where the guess is not exact; None where that does not pay.
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
     if array.states:
         return None  # they are followed from step to step
-    flat = compile_flat_solver("sc_array", *equations)
-    if flat is None:
+    unrolled = compile_unrolled_solver("sc_array", *equations)
+    if unrolled is None:
         return None
     system = array.system
     gamma, p = ca.SX.sym("gamma", system.gamma.size1(), array.reference_order + 1), ca.SX.sym("p", system.p.numel())
-    results = flat.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
+    results = unrolled.call([ca.vertcat(ca.vec(gamma), p, guess(gamma, p))])
     function = ca.Function("sc_flat_inversion", [gamma, p], [ca.densify(result) for result in results], {"cse": True})
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
 

@@ -27,9 +27,7 @@ ABSENT = -1
 _SWEEPS = 6  # of equilibration
 _DISTANCES = (0.3, 0.03, 0.003)  # of probes from home, tried in turn: a mechanism may not reach far
 _PROBES = 3  # points at which a coefficient must vanish to count as absent
-_SUSPICIOUS = (
-    1e-9  # of the largest entry: perhaps the round-off of terms that cancel, which scaling of rows would blow up
-)
+_SUSPICIOUS = 1e-9  # of the largest entry: perhaps round-off of terms that cancel, which equilibration would magnify
 
 Point = tuple[Array, Array, Array]
 """y, gamma and p."""
