@@ -6,7 +6,7 @@ import importlib
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,7 +39,7 @@ def chosen(name: str, parameters: Path | None) -> Scene:
     InvalidModel
         If the file cannot be read or holds something that is no parameter of the scene.
     """
-    scene = _own(name) if ":" in name else _registered(name)
+    scene = _scene_of_user(name) if ":" in name else _registered(name)
     return scene if parameters is None else scene.with_parameters(**read_parameters(parameters, scene))
 
 
@@ -104,7 +104,26 @@ def _registered(name: str) -> Scene:
     return REGISTRY[name]()
 
 
-def _own(name: str) -> Scene:
+def _scene_of_user(name: str) -> Scene:
+    """Return the scene that a function ``module:function`` of the user's own returns."""
+    function = _function_of_user(name)
+    try:
+        scene = function()
+        if isinstance(scene, Scene):
+            scene.model()  # made once, here, where an error of its factory can be reported
+    except ServocoreError:
+        raise
+    except Exception as error:
+        if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # raised by the call itself
+            raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
+        raise InvalidSetting(f"{name} returns no scene: {_in_one_line(error)}") from error
+    if not isinstance(scene, Scene):
+        raise InvalidSetting(f"{name} returns {type(scene).__name__}, not a Scene")
+    return scene
+
+
+def _function_of_user(name: str) -> Callable[[], object]:
+    """Import the function ``module:function``; modules are also looked for in the present folder."""
     module_name, _, function_name = name.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
@@ -114,27 +133,15 @@ def _own(name: str) -> Scene:
     except ModuleNotFoundError as error:
         raise InvalidSetting(f"{name}: there is no module {error.name}") from None
     except Exception as error:  # the user's own code may raise anything
-        raise InvalidSetting(f"{name}: the module cannot be imported: {_told(error)}") from error
-    function = getattr(module, function_name, None)
+        raise InvalidSetting(f"{name}: the module cannot be imported: {_in_one_line(error)}") from error
+    function: object = getattr(module, function_name, None)
     if not callable(function):
         raise InvalidSetting(f"{name}: the module {module_name} has no function {function_name!r}")
-    try:
-        found = function()
-        if isinstance(found, Scene):
-            found.model()  # made once, here, where an error of its factory can be told
-    except ServocoreError:
-        raise
-    except Exception as error:
-        if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # raised by the call itself
-            raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
-        raise InvalidSetting(f"{name} returns no scene: {_told(error)}") from error
-    if not isinstance(found, Scene):
-        raise InvalidSetting(f"{name} returns {type(found).__name__}, not a Scene")
-    return found
+    return function
 
 
-def _told(error: Exception) -> str:
-    """Return an error of a user's module in one line, with the place in the last file that it went through."""
+def _in_one_line(error: Exception) -> str:
+    """Return an error of a user's module in one line, with file and line of its innermost frame."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     where = "" if isinstance(error, SyntaxError) else f" ({Path(place.filename).name}, line {place.lineno})"
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"

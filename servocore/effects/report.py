@@ -108,7 +108,7 @@ class EffectsReport:
         declared = {effect.name: effect for effect in self.scene.effects.declared}
         added = [row.name for row in self.rows if row.needed and not row.left_out and row.name in declared]
         covered = {included for name in added for included in declared[name].includes}
-        without = [each.name for each in self._spared if each.left_out]
+        without = [row.name for row in self._spared if row.left_out]
         return tuple(effect for effect in added if effect not in covered), tuple(without)
 
     @property
@@ -130,16 +130,16 @@ class EffectsReport:
     def verdict(self) -> str:
         """The smallest model in one or two sentences."""
         added, without = self.arguments
-        least = sum(each.error for each in self._spared)
+        total = sum(row.error for row in self._spared)
         refused = [row.name for row in self.rows if row.how == REFUSED]
         declared = {effect.name for effect in self.scene.effects.declared}
-        unnamed = [each for each in self.needed if each not in declared]
+        undeclared = [name for name in self.needed if name not in declared]
         call = ", ".join([*map(repr, added), *([f"without={without!r}"] if without else [])])
         how = f"scene.with_effects({call})".replace("'", '"') if call else "the scene as it is"
-        addition = f", with {', '.join(unnamed)} of your own" if unnamed else ""
+        addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
             f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"
-            f" out moves it by {_length(least, self.unit)} at most, errors added up."
+            f" out moves it by {_length(total, self.unit)} at most, errors added up."
             + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
 

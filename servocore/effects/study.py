@@ -193,16 +193,16 @@ class _Study:
         """Return all effects, declared ones first."""
         declared, collected = self.scene.effects, []
         base = self._extended(declared) if declared.declared else self.scene
-        for each in declared.declared:
-            if not each.listed or each.name in declared.added | declared.left_out:
+        for effect in declared.declared:
+            if not effect.listed or effect.name in declared.added | declared.left_out:
                 continue
-            if each.left_out:
+            if effect.left_out:
                 collected.append(
-                    _Case(each.name, base, self._extended(declared.with_((), [each.name])), declared.measured, True)
+                    _Case(effect.name, base, self._extended(declared.with_((), [effect.name])), declared.measured, True)
                 )
             else:
-                extended = declared.with_([each.name])
-                collected.append(_Case(each.name, self._extended(extended), base, extended.measured))
+                extended = declared.with_([effect.name])
+                collected.append(_Case(effect.name, self._extended(extended), base, extended.measured))
         for name, factory in plant.items():
             collected.append(_Case(name, self._scene(factory), base, self.measured))
         return collected
@@ -236,36 +236,68 @@ class _Study:
                 unknowns=len(array.unknowns),
             )  # fmt: skip
         reference = smooth_enough(case.large.reference, max(order, Problem.of(case.small).array.reference_order))
-        large, small = (each.with_reference(reference) for each in (case.large, case.small))
+        large, small = (scene.with_reference(reference) for scene in (case.large, case.small))
         return self._compared(replace(row, law=_law(reference)), case, large, small)
 
     def _compared(self, row: EffectRow, case: _Case, large: Scene, small: Scene) -> EffectRow:
+        """Return a row with its error: estimated, and simulated where an estimate is weak or impossible."""
         instants = max(math.ceil(large.reference.duration / COARSEST), _FEWEST) + 1
-        plant, model, tail = Problem.of(large), Problem.of(small), _TAIL if _rests(large.reference) else 0.0
-        flat, hanging, reason = row.internal_states == 0, self.scene.effects.hanging, _NOT_FLAT
+        plant, model = Problem.of(large), Problem.of(small)
+        flat, reason = row.internal_states == 0, _NOT_FLAT
         without = inverted(model, self.measured, instants)
-        with_it = inverted(plant, case.measured, instants) if flat else at_rest(plant, case.measured)
-        gains = self._gains(large, with_it) if case.left_out else self._gains(small, without)
+        with_effect = inverted(plant, case.measured, instants) if flat else at_rest(plant, case.measured)
+        gains = self._gains(large, with_effect) if case.left_out else self._gains(small, without)
+        tail = _TAIL if _rests(large.reference) else 0.0
         if flat:
-            lacking = with_it.inputs - without.inputs
-            lacking = lacking + gains.position * (with_it.positions - without.positions)
-            lacking = lacking + gains.rate * (with_it.rates - without.rates)
-            driven = Driven(without, without.inputs - lacking, gains)
-            estimate = run_loop(model, driven, without, self.measured, hanging, tail=tail)
-            change = _relative_change(with_it, without)
-            row = replace(row, microseconds=with_it.microseconds, input_change=change)
-            row = replace(row, error=estimate.error, swing=estimate.swing, estimate=estimate.error)
-            reason = self._weak(row)
-            if not reason:
-                inversion, other = (
-                    linear_answers(problem, motion, gains, measured, hanging, lacking)
-                    for problem, motion, measured in ((model, without, self.measured), (plant, with_it, case.measured))
-                )
-                reason = "" if (np.abs(other - inversion) <= _OTHERWISE * inversion).all() else _ANSWERS
+            row, reason = self._estimated(row, (model, without), (plant, with_effect), case.measured, gains, tail)
         if not reason:
             return row
-        run = run_loop(plant, Driven(without, without.inputs, gains), with_it, case.measured, hanging, tail=tail)
+        driven, hanging = Driven(without, without.inputs, gains), self.scene.effects.hanging
+        run = run_loop(plant, driven, with_effect, case.measured, hanging, tail=tail)
         return replace(row, error=run.error, swing=run.swing, how=SIMULATED, reason="" if self.simulate else reason)
+
+    def _estimated(
+        self,
+        row: EffectRow,
+        small: tuple[Problem, Inverted],
+        large: tuple[Problem, Inverted],
+        measured: tuple[str, ...],
+        gains: Gains,
+        tail: float,
+    ) -> tuple[EffectRow, str]:
+        """Return a row with the estimate of its error, and why it is to be simulated; empty where the estimate holds.
+
+        Parameters
+        ----------
+        row : EffectRow
+            Of the effect.
+        small, large : tuple of (Problem, Inverted)
+            The models without and with the effect, and their motions along the path.
+        measured : tuple of str
+            What the drives measure in the large one.
+        gains : Gains
+            Of the drives.
+        tail : float
+            Time in s after the end of the path in which the load may swing.
+        """
+        (model, without), (_, with_effect) = small, large
+        # delta of the head of this file.
+        lacking = with_effect.inputs - without.inputs
+        lacking = lacking + gains.position * (with_effect.positions - without.positions)
+        lacking = lacking + gains.rate * (with_effect.rates - without.rates)
+        hanging, driven = self.scene.effects.hanging, Driven(without, without.inputs - lacking, gains)
+        estimate = run_loop(model, driven, without, self.measured, hanging, tail=tail)
+        change = _relative_change(with_effect, without)
+        row = replace(row, microseconds=with_effect.microseconds, input_change=change)
+        row = replace(row, error=estimate.error, swing=estimate.swing, estimate=estimate.error)
+        reason = self._weak(row)
+        if not reason:
+            of_model, of_plant = (
+                linear_answers(problem, motion, gains, names, hanging, lacking)
+                for (problem, motion), names in ((small, self.measured), (large, measured))
+            )
+            reason = "" if (np.abs(of_plant - of_model) <= _OTHERWISE * of_model).all() else _ANSWERS
+        return row, reason
 
     def _gains(self, scene: Scene, motion: Inverted) -> Gains:
         system, problem = scene.model(), Problem.of(scene)

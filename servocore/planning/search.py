@@ -1,4 +1,4 @@
-"""How a law is looked for: from several starts, on a grid and on one twice as fine, with bounds that are narrowed."""
+"""The search for the fastest law: from several starts, on a coarse and a fine grid, with bounds that are narrowed."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from servocore.planning.transcription import Outcome, Task, Transcription
 EXCESS = 1e-4
 """Of half its range: a limit broken by less counts as kept."""
 
-_ROUNDS = 8
-_FINER, _FINEST = 10, 4800  # between two points of the grid, and at least in all
-_CHECKS = 3
-_REFINEMENTS = 2
+_ROUNDS = 8  # of solving and narrowing bounds, at the most
+_FINER, _FINEST = 10, 4800  # points of the finer grid between two of the program, and at least in all
+_CHECKS = 3  # points of an interval at which the program keeps the limits
+_REFINEMENTS = 2  # how often the grid is doubled
 _NARROWEST = 0.9  # of half the range
 _BETWEEN = "limits broken between the points of the grid"
 
@@ -62,22 +62,22 @@ def planned(
     """
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
     free = np.zeros((len(task.upper), half.intervals * _CHECKS))
-    said = []
+    failures = []
     for name, start in begun:
         coarse = half.solve(start, free, progress)
         if not coarse.solved:
-            said.append(f"{coarse.status} from the {name}")
+            failures.append(f"{coarse.status} from the {name}")
             continue
         outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
         if outcome.solved:
             return Found(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
-        said.append(f"{outcome.status} from the {name}")
+        failures.append(f"{outcome.status} from the {name}")
     for name, start in begun:  # half as many intervals may be too few
         outcome, iterations, rounds = _refined(whole, start.refined(), progress)
         if outcome.solved:
             return Found(outcome, np.nan, iterations, rounds, name)
     raise PlanningFailed(
-        f"no law was found, which does not say that there is none; the solver's words: {'; '.join(said)}"
+        f"no law was found, which does not say that there is none; the solver's words: {'; '.join(failures)}"
     )
 
 

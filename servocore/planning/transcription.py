@@ -62,9 +62,9 @@ class Inner:
         sizes = np.where(sizes > _NOTHING, sizes, 1.0)
         jet, unknowns = ca.SX.sym("jet", *self.local.size_in(0)), ca.SX.sym("unknowns", self.size)
         slopes = ca.Function("sc_slopes", [jet, unknowns], [ca.jacobian(self.local(jet, unknowns)[1], unknowns)])
-        each = [np.abs(np.asarray(slopes(jets[:, :, k], rows[:, k]))) @ sizes for k in range(rows.shape[1])]
-        large = np.nanmax(np.array(each), axis=0, initial=0.0)
-        return sizes, np.where(large > 0.0, large, 1.0)
+        magnitudes = [np.abs(np.asarray(slopes(jets[:, :, k], rows[:, k]))) @ sizes for k in range(rows.shape[1])]
+        largest = np.nanmax(np.array(magnitudes), axis=0, initial=0.0)
+        return sizes, np.where(largest > 0.0, largest, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ class Transcription:
         low = np.full((self.intervals + 1, len(task.start), task.length + 1), -np.inf)
         if task.forward and task.length > 1:
             low[1:-1, :, 1] = 0.0  # at the ends it is zero already: a bound there would have no inside
-        high = np.where(low == 0.0, np.inf, np.inf)
+        high = np.full_like(low, np.inf)
         for knot, place in ((0, task.start), (-1, task.end)):
             low[knot] = high[knot] = 0.0
             low[knot, :, 0] = high[knot, :, 0] = place / self._scales()[0]
@@ -246,23 +246,23 @@ def _program(
     """Return x, f, g of the program for CasADi's solvers; `sizes` divide inner unknowns and their equations."""
     C, K = len(task.start), task.length
     scales = (task.peaks / scale ** np.arange(K + 1)[:, None]).T.ravel()  # as a knot is laid out: chain by chain
-    here, there, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
-    begin, end = (ca.reshape(each * scales, K + 1, C).T for each in (here, there))  # (C, K + 1)
+    left, right, h = ca.SX.sym("here", C * (K + 1)), ca.SX.sym("there", C * (K + 1)), ca.SX.sym("h")
+    begin, end = (ca.reshape(knot * scales, K + 1, C).T for knot in (left, right))  # (C, K + 1)
     states, u, change = [begin[:, d] for d in range(K)], begin[:, K], end[:, K] - begin[:, K]
     arrived = ca.horzcat(*advanced(states, u, change, 1.0, h)[:K])
     defect = (end[:, :K] - arrived) / ca.SX(task.peaks[:K].T / scale ** np.arange(K))
-    step = ca.Function("sc_step", [here, there, h], [ca.vec(defect.T)])
-    looked, zero, size = [], [ca.SX(0, 1)], 0 if task.inner is None else task.inner.size
+    step = ca.Function("sc_step", [left, right, h], [ca.vec(defect.T)])
+    rows, equations, size = [], [ca.SX(0, 1)], 0 if task.inner is None else task.inner.size
     inner = ca.SX.sym("inner", size * checks)
     for k in range(checks):
         jets = ca.horzcat(*advanced(states, u, change, k / checks, h)[: task.orders])
         if task.inner is None or sizes is None:
-            looked.append(task.rows(jets))
+            rows.append(task.rows(jets))
         else:
-            rows, equations = task.inner.local(jets, inner[k * size : (k + 1) * size] * sizes[0])
-            looked.append(rows)
-            zero.append(equations / sizes[1])
-    local = ca.Function("sc_local", [here, there, h, inner], [ca.vertcat(*zero), ca.vertcat(*looked)], {"cse": True})
+            limited, residual = task.inner.local(jets, inner[k * size : (k + 1) * size] * sizes[0])
+            rows.append(limited)
+            equations.append(residual / sizes[1])
+    local = ca.Function("sc_local", [left, right, h, inner], [ca.vertcat(*equations), ca.vertcat(*rows)], {"cse": True})
     knots, theta = ca.MX.sym("knots", C * (K + 1), intervals + 1), ca.MX.sym("theta")
     inside = ca.MX.sym("inside", size * checks, intervals)
     length = ca.repmat(theta * (scale / intervals), 1, intervals)

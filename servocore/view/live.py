@@ -79,12 +79,13 @@ def live_model(problem: Problem) -> LiveModel:
     values = compile_observation(system, dae, instantaneous(dae), known, orders - 1)(state, path, p)[0]
     exact = ca.Function("exact", [path, p], [ca.densify(values)], {"cse": True})
     source = {"exact": written("exact", [path, p], [values])}
-    steps: dict[str, Any] = {}
+    sizes: dict[str, Any] = {}
     try:
-        source |= _stepping(problem, state, orders, steps)
+        functions, sizes = _stepping(problem, state, orders)
+        source |= functions
     except ServocoreError:
-        steps = {}
-    return LiveModel(exact, tuple(each for each, _ in known), orders, source, steps)
+        pass  # a model that cannot be projected has a page without the scheme of the paper
+    return LiveModel(exact, tuple(quantity for quantity, _ in known), orders, source, sizes)
 
 
 def _expression(problem: Problem) -> ca.Function:
@@ -101,46 +102,47 @@ def _expression(problem: Problem) -> ca.Function:
     return expression
 
 
-def _stepping(problem: Problem, state: ca.SX, orders: int, steps: dict[str, Any]) -> dict[str, str]:
-    """Return the functions of the projected form by backward Euler, and note their sizes."""
+def _stepping(problem: Problem, state: ca.SX, orders: int) -> tuple[dict[str, str], dict[str, Any]]:
+    """Return the functions of the projected form by backward Euler as JavaScript, and the sizes that stepping needs."""
     system, dae = problem.system, problem.dae(Projected())
     step = METHOD.discretise(dae)
     path, p = system.gamma[:, :orders], system.p
     places = [problem.array.position(unknown.variable, unknown.order) for unknown in dae.unknowns]
     read = compile_observation(system, dae, step, observed(system), orders - 1)
-    own = step.equations
+    equations = step.equations
     first = ca.substitute(step.first_state, step.start.rates, ca.SX.zeros(*step.start.rates.shape))
     blocks = _blocks(step)
-    steps |= {
-        "unknowns": own.unknowns.numel(),
+    sizes = {
+        "unknowns": equations.unknowns.numel(),
         "state": step.state.numel(),
         "orders": dae.reference_order + 1,
         "instants": len(step.start.instants),
         "blocks": [{"columns": columns, "linear": linear} for _, columns, linear in blocks],
     }
-    found = {
+    functions = {
         "begin": written("begin", [path, p], [state[places]]),
         "first": written("first", [ca.vec(step.start.values), step.step], [first]),
-        "guess": written("guess", [own.givens], [own.guess, own.unknown_scale]),
-        "next": written("next", [own.unknowns, own.givens], [step.next_state]),
+        "guess": written("guess", [equations.givens], [equations.guess, equations.unknown_scale]),
+        "next": written("next", [equations.unknowns, equations.givens], [step.next_state]),
         "observe": written("observe", [step.state, path, p], [read(step.state, path, p)[0]]),
     }
     for k, (rows, columns, _) in enumerate(blocks):
-        residual = own.residual[rows]
-        jacobian = ca.jacobian(residual, own.unknowns[columns])
-        found[f"block{k}"] = written("block", [own.unknowns, own.givens], [residual, jacobian])
-    return found
+        residual = equations.residual[rows]
+        jacobian = ca.jacobian(residual, equations.unknowns[columns])
+        functions[f"block{k}"] = written("block", [equations.unknowns, equations.givens], [residual, jacobian])
+    return functions, sizes
 
 
 def _blocks(step: Discretisation) -> list[tuple[list[int], list[int], bool]]:
     """Return rows, columns and whether they are linear, of the blocks of a step in the order of their solution."""
-    own = step.equations
-    pattern = ca.jacobian_sparsity(own.residual, own.unknowns)
+    equations = step.equations
+    pattern = ca.jacobian_sparsity(equations.residual, equations.unknowns)
     count, rows, columns, row_starts, column_starts, *_ = pattern.btf()
-    found = []
+    blocks = []
     for k in range(count):
-        mine, theirs = rows[row_starts[k] : row_starts[k + 1]], columns[column_starts[k] : column_starts[k + 1]]
-        unknowns = own.unknowns[theirs]
-        linear = not ca.depends_on(ca.jacobian(own.residual[mine], unknowns), unknowns)
-        found.append((mine, theirs, linear))
-    return found
+        block_rows = rows[row_starts[k] : row_starts[k + 1]]
+        block_columns = columns[column_starts[k] : column_starts[k + 1]]
+        unknowns = equations.unknowns[block_columns]
+        linear = not ca.depends_on(ca.jacobian(equations.residual[block_rows], unknowns), unknowns)
+        blocks.append((block_rows, block_columns, linear))
+    return blocks

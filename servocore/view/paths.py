@@ -34,15 +34,15 @@ def path_of(reference: Reference, t: Array, orders: int) -> tuple[dict[str, Any]
     orders : int
         How many derivatives, the path itself included.
     """
-    told = reference.path if isinstance(reference, TimeAugmented) else reference
-    about = {"start_time": told.start_time, "duration": told.duration, "dimension": told.dimension}
-    if not isinstance(told, RestToRest):
-        return {**about, "kind": "table", "times": packed(t), "jets": packed(told.jet(t, orders - 1))}, {}
-    laws = {each.name: each for each in (told.profile, *TIME_LAWS.values())}
-    smooth = [law for law in laws.values() if law == told.profile or law.smoothness >= orders - 1]
-    functions = {f"law{k}": _law(each, orders - 1) for k, each in enumerate(smooth)}
-    described = [{"name": each.name, "shortest": each.shortest_duration} for each in smooth]
-    return {**about, "kind": "line", "start": told.start, "end": told.end, "laws": described}, functions
+    path = reference.path if isinstance(reference, TimeAugmented) else reference
+    about = {"start_time": path.start_time, "duration": path.duration, "dimension": path.dimension}
+    if not isinstance(path, RestToRest):
+        return {**about, "kind": "table", "times": packed(t), "jets": packed(path.jet(t, orders - 1))}, {}
+    laws = {law.name: law for law in (path.profile, *TIME_LAWS.values())}
+    smooth = [law for law in laws.values() if law == path.profile or law.smoothness >= orders - 1]
+    functions = {f"law{k}": _law(law, orders - 1) for k, law in enumerate(smooth)}
+    described = [{"name": law.name, "shortest": law.shortest_duration} for law in smooth]
+    return {**about, "kind": "line", "start": path.start, "end": path.end, "laws": described}, functions
 
 
 def _law(profile: Profile, order: int) -> str:
