@@ -1,4 +1,4 @@
-"""Several copies of a system as one system: independent of one another, as far as whoever solves it finds out."""
+"""Several independent copies of a system as one system."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         put(draft, {INPUTS_FILE: table(found.base)})
         announce("drawing figures")
         write_report(draft, found, contents.sections(found, outputs, loop, cycle))
-        files = tuple(sorted(each.relative_to(draft).as_posix() for each in draft.rglob("*") if each.is_file()))
+        files = tuple(sorted(file.relative_to(draft).as_posix() for file in draft.rglob("*") if file.is_file()))
     tables = (
         contents.error_table(found),
         contents.fmu_table(found, outputs),

@@ -62,7 +62,7 @@ class Driven:
             f" at the end it is {1e3 * off[-1]:.3g} mm away.",
         )
         if off[0] > 1e-3:
-            place = ", ".join(f"{each:.6g}" for each in self.wanted[0])
+            place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
             said += (
                 f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m.",
             )
@@ -76,7 +76,7 @@ class Driven:
         str
             A header and a row for each instant, in s and m.
         """
-        names = ["time", *(each for name in SEEN for each in (name, f"{name}_wanted")), "distance"]
+        names = ["time", *(column for name in SEEN for column in (name, f"{name}_wanted")), "distance"]
         both = np.stack([self.found, self.wanted], axis=2).reshape(len(self.t), -1)
         return csv_text(names, [self.t, both, self.distances])
 

@@ -173,7 +173,7 @@ def _with_structure(outline: StructureReport, array: DerivativeArray, left_out: 
         variable_offsets=tuple(zip(array.names, structure.variable_offsets, strict=True)),
         internal_degrees_of_freedom=structure.degrees_of_freedom,
         internal_states=tuple(name + "'" * order for name, order in array.named_states),
-        remedy="; ".join(each for each in (what_was_done, structure.equations.remedy) if each),
+        remedy="; ".join(remedy for remedy in (what_was_done, structure.equations.remedy) if remedy),
     )
 
 

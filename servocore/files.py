@@ -43,7 +43,7 @@ def csv_pieces(names: Sequence[str], columns: Sequence[npt.NDArray[np.float64]])
     """Give what `csv_text` returns piece by piece: a text of millions of rows would fill the memory."""
     yield ",".join(names) + "\n"
     for first in range(0, len(columns[0]), _ROWS):
-        rows = np.column_stack([each[first : first + _ROWS] for each in columns])
+        rows = np.column_stack([column[first : first + _ROWS] for column in columns])
         line = ",".join(["%r"] * rows.shape[1]) + "\n"
         yield line * len(rows) % tuple(rows.ravel().tolist())  # a fifth faster than the repr of lists
 
@@ -150,7 +150,7 @@ def require_writable(folder: Path, wanted: Path) -> None:
 
     place = _place(folder)
     try:
-        around = next(each for each in (place, *place.parents) if each.exists() or each.is_symlink())
+        around = next(folder for folder in (place, *place.parents) if folder.exists() or folder.is_symlink())
         if not around.is_dir():
             named = f"{around} is" if around != _place(wanted) else "it is"
             raise InvalidSetting(f"cannot write {wanted}: {named} a file, not a folder; name another place")
@@ -202,7 +202,7 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
     """
     place = _place(folder)
     try:
-        made = [each for each in (place, *place.parents) if not each.exists()]
+        made = [folder for folder in (place, *place.parents) if not folder.exists()]
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise not_written(wanted, error) from error
@@ -210,8 +210,8 @@ def made_folder(folder: Path, wanted: Path) -> Iterator[None]:
         yield
     finally:
         with suppress(OSError):
-            for each in made:
-                each.rmdir()
+            for made_folder in made:
+                made_folder.rmdir()
 
 
 def write_together(contents: Mapping[Path, str | bytes | Iterable[str]]) -> None:

@@ -227,7 +227,7 @@ def animation_of(motion: Motion, title: str, speed: float, most: int) -> FuncAni
         return [*lines, text]
 
     pause = 1e3 * (motion.t[-1] - motion.t[0]) / speed / max(len(instants) - 1, 1)
-    return Shown(figure, draw, [int(each) for each in instants], interval=pause, blit=False)
+    return Shown(figure, draw, [int(instant) for instant in instants], interval=pause, blit=False)
 
 
 def _shade(values: Array, k: int) -> tuple[float, float, float]:

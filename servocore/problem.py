@@ -131,7 +131,8 @@ def _require_driving(system: MechanicalSystem) -> None:
     jacobians = ca.Function("jacobians", [system.q, system.p], [system.input_matrix, system.C])
     jacobians_at_probes = [jacobians(*probe) for probe in probes(home, system.coordinates.nominal, p)]
     for k, (kind, quantities) in enumerate((("input", system.inputs), ("output", system.outputs))):
-        rows, names = [filled(each[k]) for each in jacobians_at_probes], [quantity.name for quantity in quantities]
+        rows = [filled(jacobians_at_probe[k]) for jacobians_at_probe in jacobians_at_probes]
+        names = [quantity.name for quantity in quantities]
         require_driving(system.name, rows, names, kind)
 
 

@@ -168,5 +168,5 @@ CRANE_PLANT = FmuKind(
     has_plant=True,
 )
 
-KINDS: Mapping[str, FmuKind] = {each.name: each for each in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}
+KINDS: Mapping[str, FmuKind] = {kind.name: kind for kind in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}
 """All FMUs by name, in the order in which signals pass through them."""

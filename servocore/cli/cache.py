@@ -40,7 +40,7 @@ def show_cache(what: _What = "") -> None:
         console.print(f"{_libraries(count)} with {_megabytes(size)} removed from {kept.folder}", soft_wrap=True)
         return
     found = kept.contents()
-    size = sum(each.stat().st_size for each in found)
+    size = sum(file.stat().st_size for file in found)
     console.print(
         f"{_libraries(len(found))} with {_megabytes(size)} of at most {_megabytes(MOST_BYTES)} in {kept.folder}",
         soft_wrap=True,

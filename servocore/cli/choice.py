@@ -1,4 +1,4 @@
-"""Which scene a command is about: one of the library, or a function of the user's own, with the values of a file."""
+"""The scene that a command names, of the library or of the user's own, with parameters and path from files."""
 
 from __future__ import annotations
 

@@ -171,8 +171,8 @@ def show_levels(
     require_places({"--csv": csv, "--markdown": markdown}, [parameters])
     levels: list[Level] = []
     with PatientProgress("measuring") as progress:
-        for each in scenes:
-            levels += measure_levels(each, instants=instants, repeats=_REPEATS, describe=progress.describe)
+        for scene_ in scenes:
+            levels += measure_levels(scene_, instants=instants, repeats=_REPEATS, describe=progress.describe)
     contents = {}
     if csv is not None:
         contents[csv] = csv_text(levels)
@@ -183,15 +183,15 @@ def show_levels(
         )
     write_together(contents)
     console = table_console()
-    for each in scenes:
-        own = [level for level in levels if level.scene == each.name]
+    for scene_ in scenes:
+        own = [level for level in levels if level.scene == scene_.name]
         table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
         for heading in HEADINGS:
             table.add_column(heading, justify="left" if heading in ("model", "route") else "right")
         for level in own:
             for row in rows(level):
                 table.add_row(*row, style="bold" if level.needed else None)
-        console.print(f"[bold]{each.name}[/bold]", table, *remarks(own), "", sep="\n")
+        console.print(f"[bold]{scene_.name}[/bold]", table, *remarks(own), "", sep="\n")
 
 
 def _asked_for(scene: str | None, every: bool, parameters: Path | None) -> list[Scene]:

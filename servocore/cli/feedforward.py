@@ -113,7 +113,7 @@ def _line(line: dict[str, str | float | None], names: Sequence[str], rest_order:
     name, duration = line["--profile"], line["--duration"]
     assert isinstance(duration, float)
     if name is None:
-        smooth: list[Profile] = [each for each in (DEGREE9, DEGREE13) if each.smoothness >= rest_order]
+        smooth: list[Profile] = [profile for profile in (DEGREE9, DEGREE13) if profile.smoothness >= rest_order]
         law = smooth[0] if smooth else polynomial(2 * rest_order + 1)
     elif name in TIME_LAWS:
         law = TIME_LAWS[str(name)]

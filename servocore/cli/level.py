@@ -19,7 +19,7 @@ class Spread:
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread:
         """Summarize at least one value."""
-        lower, median, upper = (float(each) for each in np.percentile(values, (25, 50, 75)))
+        lower, median, upper = (float(percentile) for percentile in np.percentile(values, (25, 50, 75)))
         return cls(median, lower, upper)
 
 

@@ -146,7 +146,7 @@ def plan_scene(
     if step is not None and not (math.isfinite(step) and step > 0.0):
         raise InvalidSetting(f"--step must be a positive time, not {step:g} s")
     bounds = limits_given(limit, limits)
-    points = [("--from", start), *(("--by", each) for each in between or ()), ("--to", end)]
+    points = [("--from", start), *(("--by", point) for point in between or ()), ("--to", end)]
     way = _way(subject, model, [(option, text) for option, text in points if text], file)
     space = _keep_clear(free, keep_out, parts, len(subject.model(model).outputs))
     ranges = factors_of_texts(robust or ())

@@ -36,7 +36,7 @@ Verbose = Annotated[
 
 def column_names(system: MechanicalSystem) -> list[str]:
     """Return the names that tables have after the time: inputs, what the model reports, the outputs."""
-    return list(dict.fromkeys(each.name for each in [*system.inputs, *system.observables, *system.outputs]))
+    return list(dict.fromkeys(quantity.name for quantity in [*system.inputs, *system.observables, *system.outputs]))
 
 
 def chosen_columns(wanted: str | None, system: MechanicalSystem, default: Sequence[str]) -> list[str]:
@@ -44,10 +44,10 @@ def chosen_columns(wanted: str | None, system: MechanicalSystem, default: Sequen
     if wanted is None:
         return list(default)
     known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
-    names = [each.strip() for each in wanted.split(",")]
-    for each in names:
-        if each not in known:
-            raise InvalidSetting(f"--columns: there is no {each!r}; there are {', '.join(known)}")
+    names = [name.strip() for name in wanted.split(",")]
+    for name in names:
+        if name not in known:
+            raise InvalidSetting(f"--columns: there is no {name!r}; there are {', '.join(known)}")
     return names
 
 
@@ -61,13 +61,15 @@ def summary(solution: Solution) -> list[str]:
     problem: Problem = solution.origin
     system, path = problem.system, problem.reference
     lines = [f"{solution.route}: {len(solution.t)} rows, {path.duration:.6g} s"]
-    for name in [each.name for each in system.inputs] + (["swing"] if "swing" in solution else []):
+    for name in [quantity.name for quantity in system.inputs] + (["swing"] if "swing" in solution else []):
         k = int(np.abs(solution[name]).argmax())
         value, unit = float(solution[name][k]), solution.unit(name)
         shown = f"{math.degrees(value):.4g} deg" if unit == "rad" else f"{value:.6g} {unit}"
         lines.append(f"  {name}: largest {shown} at t = {solution.t[k]:.6g} s")
     lines += [f"  {_undefined(solution, name)}" for name in solution.names if np.isnan(solution[name]).any()]
-    lines.append(f"  ends: {_rest(path, problem.array.reference_order, [each.unit for each in system.outputs])}")
+    lines.append(
+        f"  ends: {_rest(path, problem.array.reference_order, [quantity.unit for quantity in system.outputs])}"
+    )
     if solution.fit_error is not None:
         lines.append(f"  fit: the path is at most {solution.fit_error:.3g} m from the samples")
     if len(solution.t) > _MANY:

@@ -88,11 +88,11 @@ def _page(found: Any, title: str, first: str, picture: bytes, store: str) -> str
         with np.errstate(all="ignore"):
             finite = values[np.isfinite(values)]
         shown = (
-            [f"{each:.4g}" for each in (finite.min(), np.median(finite), finite.max())] if finite.size else ["–"] * 3
+            [f"{value:.4g}" for value in (finite.min(), np.median(finite), finite.max())] if finite.size else ["–"] * 3
         )
-        cells = "".join(f"<td>{html.escape(str(each))}</td>" for each in (name, found[name].attrs["units"], *shown))
+        cells = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in (name, found[name].attrs["units"], *shown))
         rows.append(f"<tr>{cells}</tr>\n")
-    sentences = "".join(f"<li>{html.escape(each)}</li>" for each in told[:_SENTENCES])
+    sentences = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in told[:_SENTENCES])
     more = f"<p>Cases that are not solved say, among others:</p><ul>{sentences}</ul>\n" if told else ""
     settings = json.loads(found.attrs["settings"])
     varied = ", ".join(

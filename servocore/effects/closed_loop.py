@@ -1,4 +1,4 @@
-"""A plant under given inputs and position loops, from rest to some time after the end of its path."""
+"""Simulation of a plant under given inputs and position loops, until some time after the end of its path."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def run_loop(
             f"{problem.system.name} is too stiff for a forward simulation: it asks for steps of {step:.1g} s"
         )
     duration = problem.reference.duration
-    moving, after = (int(np.ceil(each / step)) for each in (duration, tail))
+    moving, after = (int(np.ceil(time / step)) for time in (duration, tail))
     h = duration / moving
     at = motion.t[0] + h / 2 * np.arange(2 * (moving + after) + 1)
     states = _integrated(loop, start, _sampled(motion.t, signals, at), (problem.p, both, zero), h)
@@ -229,7 +229,7 @@ def linear_answers(
         state = np.concatenate([q, np.zeros(n)])
         place, rate = loop.read(state)
         A, B, C = loop.linear(state, np.concatenate([u, 0 * place, rate]), problem.p, both, place)
-        if not all(np.isfinite(each).all() for each in (A, B, C)):
+        if not all(np.isfinite(matrix).all() for matrix in (A, B, C)):
             return np.full(2, np.inf)
         _, response, _ = scipy.signal.lsim((A, B, C, np.zeros((len(C), len(u)))), change, motion.t - motion.t[0])
         errors.append(np.linalg.norm(response.reshape(len(change), -1), axis=1).max())
@@ -257,7 +257,7 @@ def _integrated(loop: Loop, start: Array, signals: Array, held: tuple[Array, Arr
     steps = len(signals) // 2
     blocks = np.stack([signals[0:-1:2], signals[1::2], signals[2::2]], axis=1)
     padded = np.concatenate([blocks, np.repeat(blocks[-1:], -steps % _CHUNK, axis=0)])
-    run, repeated = chained(loop.step, _CHUNK), [np.tile(each[:, None], _CHUNK) for each in held]
+    run, repeated = chained(loop.step, _CHUNK), [np.tile(argument[:, None], _CHUNK) for argument in held]
     states, state = [start[:, None]], start
     for k in range(0, len(padded), _CHUNK):
         flat = padded[k : k + _CHUNK].reshape(3 * _CHUNK, -1).T

@@ -98,7 +98,7 @@ def gains_of(system: MechanicalSystem, names: tuple[str, ...], q: Array, p: Arra
     """
     _, y = measured_in(system, names)
     wanted = [system.mass, system.G, system.input_matrix, ca.jacobian(y, system.q)]
-    matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(each) for each in wanted])
+    matrices = ca.Function("matrices", [system.q, system.p], [ca.densify(expression) for expression in wanted])
     M, G, B, J = (np.asarray(matrix) for matrix in matrices(q, p))
     bordered = np.block([[M, G.T], [G, np.zeros((len(G), len(G)))]])
     mobility = np.linalg.solve(bordered, np.vstack([-B.T, np.zeros((len(G), len(B)))]))[: len(M)]

@@ -1,4 +1,4 @@
-"""What the inversion of a model says of its drives along a path."""
+"""Inputs and positions of a model's drives along a path, by inversion of the model."""
 
 from __future__ import annotations
 

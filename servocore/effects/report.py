@@ -1,4 +1,4 @@
-"""What `effects` finds: a row an effect, and the smallest model that keeps a tolerance."""
+"""The report of `effects`: one row for each effect, and the smallest model that keeps a tolerance."""
 
 from __future__ import annotations
 

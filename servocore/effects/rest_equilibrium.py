@@ -1,4 +1,4 @@
-"""Where a plant hangs at rest with its output on the path: the start of one whose inputs no inversion gives."""
+"""The equilibrium of a plant at rest with its output on the path: the start of a plant without an inversion."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ def at_rest(problem: Problem, measured: tuple[str, ...]) -> Inverted:
     m, n = len(system.inputs), len(system.coordinates)
     equilibria = np.array([_equilibrium(problem, time) for time in ends])
     _, y = measured_in(system, measured)
-    positions = np.hstack([np.asarray(ca.Function("y", [system.q], [y])(each[:n])) for each in equilibria]).T
+    positions = np.hstack(
+        [np.asarray(ca.Function("y", [system.q], [y])(equilibrium[:n])) for equilibrium in equilibria]
+    ).T
     still = np.zeros((2, m))
     start = np.concatenate([equilibria[0, :n], np.zeros(n)])
     return Inverted(ends, equilibria[:, -m:], positions - positions[0], still, start, equilibria[1, :n], np.nan)
@@ -66,7 +68,7 @@ def _statics(resolved: ResolvedSystem) -> tuple[Call, Call]:
     at_rest_ = ca.substitute(system.guess, ca.vec(system.gamma[:, 1:]), ca.SX.zeros(system.gamma[:, 1:].numel()))
     balance = ca.densify(rows), ca.densify(ca.jacobian(rows, unknowns))
     # With no force in the rope the Jacobian would be singular: least squares give those that hold the guess.
-    matrix, load = (ca.substitute(each, system.q, at_rest_) for each in (
+    matrix, load = (ca.substitute(expression, system.q, at_rest_) for expression in (
         ca.horzcat(system.G.T, system.input_matrix.T), -(forces - system.constraint_forces)))  # fmt: skip
     normal = ca.mtimes(matrix.T, matrix) + 1e-9 * ca.SX.eye(matrix.size2())
     held = ca.solve(normal, ca.mtimes(matrix.T, load))

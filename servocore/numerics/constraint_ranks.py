@@ -1,4 +1,4 @@
-"""How many of a set of constraints are independent, told at configurations that satisfy them.
+"""Ranks of constraints: how many are independent, at configurations that satisfy them.
 
 Away from its assembled configurations a linkage can have more independent rows than its motion allows: a Bricard
 linkage of six hinges has rank 30 of 30 joint rows almost everywhere and 29 where it is closed. So configurations are

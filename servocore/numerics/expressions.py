@@ -1,4 +1,4 @@
-"""Small questions to CasADi expressions that several rooms ask."""
+"""Helpers for CasADi expressions: norms, derivatives, and what users write taken as expressions."""
 
 from __future__ import annotations
 

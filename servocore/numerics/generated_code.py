@@ -1,4 +1,4 @@
-"""C source of our own writing that becomes machine code as soon as that is worth it."""
+"""C source that this package generates, compiled to machine code where that pays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of a square system that are alike: the same expressions of other unknowns and other givens."""
+"""Isomorphic parts of a square system: the same expressions of other unknowns and other givens."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Functions that become machine code in the background, where that is worth it."""
+"""Just-in-time compilation: functions become machine code in the background, where that pays."""
 
 from __future__ import annotations
 

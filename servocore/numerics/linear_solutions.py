@@ -100,7 +100,7 @@ def _cheapest_order(rows: list[_Columns]) -> tuple[int, list[int]]:
     """
     best: dict[_Columns, tuple[int, list[int], set[_Columns]]] = {_Columns(): (0, [], {_Columns()})}
     for size in range(len(rows)):
-        for taken in [each for each in best if len(each) == size]:
+        for taken in [rows_taken for rows_taken in best if len(rows_taken) == size]:
             products, order, minors = best[taken]
             for i in set(range(len(rows))) - taken:
                 total = products + sum(len(rows[i] - columns) for columns in minors)

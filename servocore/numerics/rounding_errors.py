@@ -1,4 +1,4 @@
-"""Expressions evaluated together with bounds of their rounding errors: what tells small numbers from terms that cancel.
+"""Expressions evaluated with bounds of their rounding errors, to recognize terms that cancel.
 
 Running error analysis (Higham, *Accuracy and Stability of Numerical Algorithms*, 2nd ed. (2002), section 3.3): every
 operation passes the errors of its arguments on and adds its own.

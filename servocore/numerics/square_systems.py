@@ -167,7 +167,7 @@ def compile_solver(name: str, system: SquareSystem, outputs: list[ca.SX], *, unr
         # Where nothing waits for it. A sum of squares that is NaN is below no tolerance.
         exact = ca.sum1(ca.vertcat(*known.corrections)) < NEWTON_TOLERANCE**2
         verdict = ca.if_else(exact, 0.0, np.nan)
-        *results, residual = (each + verdict for each in (*results, residual))
+        *results, residual = (result + verdict for result in (*results, residual))
     return ca.Function(name, [givens], [*results, known.counts(), residual])
 
 

@@ -1,4 +1,4 @@
-"""Whether a plan keeps its limits: looked at by the exact inversion itself, at twenty thousand instants."""
+"""The certificate of a plan: its limits checked by exact inversion at twenty thousand instants."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def certify(problems: tuple[Problem, ...]) -> Certificate:
     """Look at the path of problems that differ in their parameters; raises `InvalidReference` if it is out of reach."""
     certificates = [_certify(problem) for problem in problems]
     worst = max(certificates, key=lambda each: each.violation)
-    active = tuple(dict.fromkeys(each for one in certificates for each in one.active))
+    active = tuple(dict.fromkeys(limit for one in certificates for limit in one.active))
     return Certificate(worst.violation, worst.worst, _INSTANTS, active)
 
 

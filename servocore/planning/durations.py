@@ -1,4 +1,4 @@
-"""How long a given law must take: stretched evenly until it keeps all limits."""
+"""The shortest duration in which a given law keeps all limits, by uniform time scaling."""
 
 from __future__ import annotations
 

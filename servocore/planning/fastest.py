@@ -1,4 +1,4 @@
-"""`fastest`: how soon a manoeuvre can be over within the limits, with a certificate that it keeps them."""
+"""`fastest`: the shortest manoeuvre within the limits, with a certificate that it keeps them."""
 
 from __future__ import annotations
 

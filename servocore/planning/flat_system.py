@@ -82,7 +82,7 @@ def to_control(scene: Scene, model: str | None = None) -> Any:
         name=scene.name,
         inputs=[quantity.name for quantity in system.inputs],
         outputs=[quantity.name for quantity in system.outputs],
-        states=[f"{each.name}{suffix}" for suffix in ("", "_dot") for each in quantities],
+        states=[f"{quantity.name}{suffix}" for suffix in ("", "_dot") for quantity in quantities],
         params=dict(zip(maps.names, problem.p.tolist(), strict=True)),
     )
 
@@ -131,7 +131,7 @@ class _Maps:
         n, m = len(system.coordinates), len(system.inputs)
         places = [(j, k) for k in (0, 1) for j in range(n)]
         places += [(n + system.lam.numel() + k, 0) for k in range(m)]
-        flag, flow = (problem.resolved.once(each) for each in (_flag, _flow))
+        flag, flow = (problem.resolved.once(make) for make in (_flag, _flow))
         inverse = Call(problem.resolved.once(inversion).function)
         indices = np.array(array.places(places), dtype=np.intp)
         return cls(
@@ -145,7 +145,7 @@ class _Maps:
 
     def reverse(self, zflag: Sequence[npt.ArrayLike], params: Parameters = None) -> tuple[Array, Array]:
         """Return state and inputs for each output with its derivatives."""
-        gamma = np.array([np.asarray(each, dtype=float) for each in zflag])
+        gamma = np.array([np.asarray(flag_of_output, dtype=float) for flag_of_output in zflag])
         if gamma.ndim != 2 or gamma.shape[1] <= self.order:
             raise InvalidSetting(f"a flag has derivatives up to order {self.order} of each output")
         unknowns, _, residual = self.inverse(gamma[:, : self.order + 1], self._values(params))

@@ -93,7 +93,7 @@ class Grid:
     def paths(self, block: Slices) -> npt.NDArray[np.intp]:
         """Return which path each case of a block has."""
         if PATH not in self.dimensions:
-            return np.zeros(prod(each.stop - each.start for each in block), dtype=np.intp)
+            return np.zeros(prod(slice_.stop - slice_.start for slice_ in block), dtype=np.intp)
         spread: npt.NDArray[np.intp] = self._spread(np.arange(self.dimensions[PATH]), 0, block)
         return spread
 
@@ -102,7 +102,7 @@ class Grid:
         return {name: float(self.values(name, block)[k]) for name in self.columns}
 
     def _spread(self, values: Any, axis: int, block: Slices) -> Any:
-        shape = [each.stop - each.start for each in block]
+        shape = [slice_.stop - slice_.start for slice_ in block]
         along = [1] * len(shape)
         along[axis] = shape[axis]
         return np.broadcast_to(values[block[axis]].reshape(along), shape).ravel()

@@ -76,7 +76,9 @@ class Law:
         columns = [state[:-1, None, :] for state in states]
         derivatives = advanced(columns, u[:-1, None, :], np.diff(u, axis=0)[:, None, :], parts[None, :, None], h)
         shape = (self.intervals, len(parts), len(self.start))
-        return np.stack([np.broadcast_to(each, shape).reshape(-1, shape[2]) for each in derivatives]).transpose(2, 0, 1)
+        return np.stack(
+            [np.broadcast_to(derivative, shape).reshape(-1, shape[2]) for derivative in derivatives]
+        ).transpose(2, 0, 1)
 
     def resting(self) -> Law:
         """Return the law with the smallest change of snaps after which it ends where it shall, at rest."""

@@ -122,7 +122,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
         bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
         if not len(bad):
             continue
-        place, found = ", ".join(f"{each:.4g}" for each in places[bad[0]]), float(value[bad[0]])
+        place, found = ", ".join(f"{coordinate:.4g}" for coordinate in places[bad[0]]), float(value[bad[0]])
         if not np.isfinite(found):
             raise InvalidReference(f"{problem.name}: no motion is found that rests at ({place})")
         below = found - limit.bound < limit.upper - found
@@ -158,7 +158,9 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
     )
     column, gamma = array.column(array.unknowns), system.gamma[:, : order + 1]
     entries = ca.jacobian_sparsity(ca.vertcat(*values), ca.vec(y)).get_col()
-    beyond = [each for each in {(c % y.size1(), c // y.size1()) for c in entries} if each not in array.unknowns]
+    beyond = [
+        unknown for unknown in {(c % y.size1(), c // y.size1()) for c in entries} if unknown not in array.unknowns
+    ]
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())
     state = resolved.once(inversion).function(G[:, : array.reference_order + 1], p)[0]
     if not beyond:
@@ -203,7 +205,7 @@ def _compile_rows(
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     held = None if _is_explicit(resolved, np.array(rest), np.array(p)) else _lifted(resolved, limits, smooth)
     found = _explicit(resolved, limits, smooth) if held is None else list(held.values)
-    order = max(resolved.array.reference_order, *(highest_derivative(each, gamma) for each in found))
+    order = max(resolved.array.reference_order, *(highest_derivative(expression, gamma) for expression in found))
     order = order if held is None else max(order, held.order)
     still = np.zeros((len(rest), order + 1))
     still[:, 0] = rest
@@ -217,7 +219,7 @@ def _compile_rows(
         lower.append(low)
     function = _of_path(given, rows, held)
     if held is None:
-        moving = tuple(highest_derivative(each, gamma) > 0 for each in found)
+        moving = tuple(highest_derivative(expression, gamma) > 0 for expression in found)
         return Rows(limits, function, values, order, np.array(lower), moving)
     both = ca.Function(
         "sc_lifted_rows",

@@ -1,4 +1,4 @@
-"""What is known about a plan besides its path."""
+"""`PlanReport`: duration, certificate and solution process of a plan."""
 
 from __future__ import annotations
 

@@ -166,7 +166,9 @@ def _implicit(resolved: ResolvedSystem) -> ca.Function:
     array, system = resolved.array, resolved.system
     column, gamma = array.column(array.unknowns), system.gamma[:, : array.reference_order + 1]
     terms = ca.Function(
-        "sc_by_p", [column, gamma, system.p], [ca.jacobian(array.residual, each) for each in (column, system.p)]
+        "sc_by_p",
+        [column, gamma, system.p],
+        [ca.jacobian(array.residual, variables) for variables in (column, system.p)],
     )
     symbols = [ca.MX.sym(f"x{k}", *terms.size_in(k)) for k in range(3)]
     J, right = terms(*symbols)
@@ -198,7 +200,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
 def _linearized(resolved: ResolvedSystem) -> ca.Function:
     """Compile (state, u, nothing, p) -> derivatives of state_dot by state and p, and of the outputs by both."""
     system, rate = resolved.system, forward_rate(resolved.system, held=False)
-    state, u, p = (ca.MX.sym(*each) for each in (
+    state, u, p = (ca.MX.sym(*symbol) for symbol in (
         ("x", 2 * len(system.coordinates)), ("u", len(system.inputs)), ("p", system.p.numel())))  # fmt: skip
     rates = rate(state, u, ca.DM.zeros(len(system.outputs)), p)[0]
     output = ca.Function("sc_where", [ca.vertcat(system.q, system.v), system.p], [system.output])(state, p)

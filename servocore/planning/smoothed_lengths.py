@@ -1,4 +1,4 @@
-"""Square roots without a tip: lengths that have a derivative where they are zero."""
+"""Smoothed lengths: square roots that are differentiable at zero."""
 
 from __future__ import annotations
 

@@ -124,7 +124,7 @@ def sweep(
     sink = _sink(swept, settings, shape, store, resume)
     if distributed is not None:
         executor = distributed.get_executor()
-    todo = [each for each in swept.grid.blocks(shape) if not sink.has(each[0])]
+    todo = [block for block in swept.grid.blocks(shape) if not sink.has(block[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     try:
         for number, block, answers in _computed(swept, work, todo, executor):
@@ -171,7 +171,7 @@ def _put(sink: Sink, number: int, block: Slices, answers: Mapping[str, Any], sto
 
 
 def _count(block: Slices) -> int:
-    return int(np.prod([each.stop - each.start for each in block]))
+    return int(np.prod([slice_.stop - slice_.start for slice_ in block]))
 
 
 # Computing -----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""What a sweep computes of its cases, in whatever process: peaks, margins and inputs, by one compiled function.
+"""The computation of a sweep's cases in any process: peaks, margins and inputs, by one compiled function.
 
 A `Work` is data only, so that it travels: functions as texts, limits as numbers. Its function is rebuilt, and its
 machine code found again, once in every process.
@@ -102,9 +102,9 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     swing = SWING in known
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
-    wanted += [each for each in known.values() if each[0].positive]
+    wanted += [observed_quantity for observed_quantity in known.values() if observed_quantity[0].positive]
     by_expression, by_newton = compile_inverted_quantities(problem.resolved, wanted)
-    texts = [_in_time(each).serialize() for each in (by_expression or by_newton, by_newton)]
+    texts = [_in_time(function).serialize() for function in (by_expression or by_newton, by_newton)]
     bounds = tuple((limit.bound, limit.upper) for limit in limits)
     first = len(system.inputs) + swing
     turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))
@@ -213,7 +213,7 @@ class _Functions:
 @lru_cache(maxsize=4)  # a process gets the same work with every block, and nothing else lives as long as it does
 def _rebuilt(work: Work) -> _Functions:
     """Return the functions of a work: made once in every process."""
-    by_expression, by_newton = (ca.Function.deserialize(each) for each in (work.by_expression, work.by_newton))
+    by_expression, by_newton = (ca.Function.deserialize(text) for text in (work.by_expression, work.by_newton))
     how = (by_expression, (True, False))
     if work.kept or work.turns:
         return _Functions(Vectorized(*how, work.native, work.title), None, by_newton)

@@ -1,4 +1,4 @@
-"""What a sweep does, settled and checked before it begins."""
+"""Settings of a sweep, checked before it begins."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the results of a sweep go: into memory, or block by block into a Zarr store that a later run can complete."""
+"""Stores of a sweep's results: in memory, or block by block in a Zarr store that a later run can complete."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def placed(swept: SweepSettings, variable: Variable, answers: Mapping[str, Any],
     """Return the values of a variable for a block, in its shape."""
     values = answers[variable.result]
     values = values if variable.column is None else values[..., variable.column]
-    shape = tuple(each.stop - each.start for each in block)
+    shape = tuple(slice_.stop - slice_.start for slice_ in block)
     return values.reshape(*shape, swept.instants) if variable.over_time else values.reshape(shape)
 
 

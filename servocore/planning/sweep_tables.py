@@ -79,7 +79,7 @@ class Parquet:
         for variable in variables_of(self._swept):
             values = placed(self._swept, variable, answers, block).reshape(len(answers["failure"]), -1)
             columns[variable.name] = list(values) if variable.over_time else values[:, 0]
-        units = {**units_of(self._swept), **{each.name: each.unit for each in variables_of(self._swept)}}
+        units = {**units_of(self._swept), **{variable.name: variable.unit for variable in variables_of(self._swept)}}
         fields = [
             arrow.field(name, arrow.array(values).type, metadata={"units": units.get(name, "")})
             for name, values in columns.items()

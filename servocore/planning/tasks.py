@@ -1,4 +1,4 @@
-"""What a law must do: along a curve, or with its way free in space; and the laws to start from."""
+"""Planning tasks, along a curve or free in space, and the laws that the search starts from."""
 
 from __future__ import annotations
 
@@ -56,11 +56,14 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
             )
     own = scene.parameter_values()
     corners = (
-        [{k: factor * own[k] for k, factor in zip(robust, each, strict=True)} for each in product(*robust.values())]
+        [
+            {k: factor * own[k] for k, factor in zip(robust, factors, strict=True)}
+            for factors in product(*robust.values())
+        ]
         if robust
         else []
     )
-    found = [Problem.of(each, model) for each in (scene, *(scene.with_parameters(**corner) for corner in corners))]
+    found = [Problem.of(varied, model) for varied in (scene, *(scene.with_parameters(**corner) for corner in corners))]
     first = found[0]
     if not first.flat or first.follow_branch:
         why = "follows a branch" if first.flat else "has internal dynamics"
@@ -93,7 +96,7 @@ def with_a_formula(
 
 
 def _of_motion(corners: Sequence[Problem], curve: PiecewisePolynomial) -> bool:
-    return any(limit_rows(each, curve.ends[0]).lifted is not None for each in corners)
+    return any(limit_rows(corner, curve.ends[0]).lifted is not None for corner in corners)
 
 
 def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePolynomial, duration: float) -> bool:
@@ -114,7 +117,7 @@ def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: i
     every = [limit_rows(corner, begin) for corner in corners]
     for rows, corner in zip(every, corners, strict=True):
         require_at_rest(rows, corner, places, _ROOM)
-    orders = 1 + max(length, *(each.order for each in every))
+    orders = 1 + max(length, *(rows.order for rows in every))
     s = ca.SX.sym("s", 1, orders)
     inner = [s[:, k] for k in range(orders)]
     gamma = ca.horzcat(*chained(slopes_at(curve, s[0], orders - 1), inner))
@@ -127,7 +130,7 @@ def task_free(start: Array, end: Array, corners: Sequence[Problem], length: int,
     every = [limit_rows(corner, start) for corner in corners]
     for rows, corner in zip(every, corners, strict=True):
         require_at_rest(rows, corner, np.array([start, end]), _ROOM)
-    orders = max(2, length, *(each.order for each in every)) + 1
+    orders = max(2, length, *(rows.order for rows in every)) + 1
     gamma = ca.SX.sym("gamma", len(start), orders)
     kept = _kept(every, corners, gamma, gamma, moving_only=False)
     system = corners[0].system

@@ -89,7 +89,7 @@ def points() -> MechanicalSystem:
     coordinates, p = Coordinates(*directions, ROPE, *OUTPUTS), PARAMETERS
     column, boom, length, load = ca.vertsplit(coordinates.q, [0, 2, 5, 6, 9])
     outwards, upwards = ca.dot(column, boom[:2]), boom[2]
-    centre, tip = (ca.vertcat(p["foot_offset"] * column, 0) + p[each] * boom for each in ("boom_centre", "boom_length"))
+    centre, tip = (ca.vertcat(p["foot_offset"] * column, 0) + p[name] * boom for name in ("boom_centre", "boom_length"))
     rope, lam, gamma = load - tip, ca.SX.sym("lam", 4), reference_symbols(3)
     moving = ca.jacobian(centre, coordinates.q)
     own = ca.vertcat(
@@ -240,7 +240,7 @@ def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, 
     x, y, z = jets.components(reference)
     pull = (x.d().d(), y.d().d(), z.d().d() + g)
     size = jets.sqrt(pull[0] ** 2 + pull[1] ** 2 + pull[2] ** 2)
-    n_x, n_y, n_z = (each / size for each in pull)
+    n_x, n_y, n_z = (component / size for component in pull)
     along = x * n_x + y * n_y + z * n_z
     rope = jets.sqrt(along**2 + (L + e) ** 2 - (x**2 + y**2 + z**2)) - along
     for _ in range(_ITERATIONS_OF_JETS):  # derivatives converge after the value, twice as many with each

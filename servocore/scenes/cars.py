@@ -111,8 +111,8 @@ class Chain(ABC):
         for mass, stiffness, length in zip(masses[1:], stiffnesses, rest_lengths, strict=True):
             x.append(x[-1] - length + force / stiffness)
             force = force + mass * x[-1].d().d()
-        found = {self.position(i).name: each.value for i, each in enumerate(x, 1)}
-        return {self.force.name: force.value, **found, self.output.name: first.value}
+        positions = {self.position(i).name: position.value for i, position in enumerate(x, 1)}
+        return {self.force.name: force.value, **positions, self.output.name: first.value}
 
     def places(self, v: Mapping[str, Any]) -> list[Any]:
         """Return where the masses are on their line, in m, from what a solution reports."""

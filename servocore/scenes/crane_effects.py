@@ -146,7 +146,7 @@ class Crane:
         chosen = {known[effect] for effect in added} | {
             known[own] for effect in added for own in known[effect].includes
         }
-        names = frozenset(each.name for each in chosen) | {f"no {effect}" for effect in left_out}
+        names = frozenset(effect.name for effect in chosen) | {f"no {effect}" for effect in left_out}
         if sum(label.startswith("heavy rope") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the heavy rope")
         declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
@@ -176,6 +176,6 @@ def crane_effects(
     ropes = (heavy_rope(count + 1, rope) for count in range(MOST_LUMPS))
     loads = (hook(sling), rigid_load(sling, sling / 2))
     declared = (ELASTIC_ROPE, *ropes, WINCH_INERTIA, AIR_DRAG, WIND, *loads, *own, ROPE_EXIT)
-    measured = tuple(each.name for each in (*rails, ROPE))
-    hanging = tuple(each.name for each in overhang(crane.outputs))
+    measured = tuple(quantity.name for quantity in (*rails, ROPE))
+    hanging = tuple(quantity.name for quantity in overhang(crane.outputs))
     return Effects(declared, measured, hanging, replace(crane, effects=declared))

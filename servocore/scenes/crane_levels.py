@@ -279,8 +279,8 @@ def _observables(
     own = {drive.measured: drive.position for drive in drives if drive.measured.name not in c.names}
     tension = 2 * lam[-1] * rope.taut
     swing = Quantity("swing", "rad", "angle of the upper rope from the vertical", nonnegative=span.numel() == 3)
-    found = {**own, TENSION: tension, swing: swing_angle(span)}
-    return {**found, ROPE_ABOVE: rope.above} if chain.heavy else found
+    reported = {**own, TENSION: tension, swing: swing_angle(span)}
+    return {**reported, ROPE_ABOVE: rope.above} if chain.heavy else reported
 
 
 def _guess(gamma: ca.SX, p: Parameters, chain: Chain, carriage: Carriage, effects: frozenset[str]) -> ca.SX:

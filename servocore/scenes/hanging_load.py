@@ -184,14 +184,14 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     _, m, J_w, r_w, g = (parameters[parameter.name] for parameter in PARAMETERS)
     *level, z = load = jets.components(reference)
     k = -z / (g + z.d().d())
-    to_trolley = [k * each.d().d() for each in level]
-    rope = jets.sqrt(reduce(add, (each**2 for each in (*to_trolley, z))))
+    to_trolley = [k * component.d().d() for component in level]
+    rope = jets.sqrt(reduce(add, (component**2 for component in (*to_trolley, z))))
     per_length = m / k.value  # rope tension divided by rope length
     force = per_length * rope.value
-    lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(each.value for each in to_trolley))
+    lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
     return Followed(
         trolley=tuple(each + way for each, way in zip(level, to_trolley, strict=True)),
-        pull=tuple(-per_length * each.value for each in to_trolley),
+        pull=tuple(-per_length * component.value for component in to_trolley),
         answer={
             WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,
             ROPE.name: rope.value,

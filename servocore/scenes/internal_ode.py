@@ -57,7 +57,7 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
     """
     import scipy.integrate  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    found = np.zeros((size, len(t)))
+    states = np.zeros((size, len(t)))
     later = t > start
     if later.any():
         span = (start, float(t[-1]))
@@ -67,8 +67,8 @@ def forward(rate: Rate, t: Array, start: float, size: int) -> Array:
             max_step=(span[1] - span[0]) * _LONGEST_STEP,
         )  # fmt: skip
         _require_solved(solution.status == 0, solution.message)
-        found[:, later] = solution.y
-    return found
+        states[:, later] = solution.y
+    return states
 
 
 def backward(rate: Rate, t: Array, end: float, size: int) -> Array:
@@ -126,11 +126,11 @@ def two_sided(rate: Rates, t: Array, start: float, end: float, matrix: Array) ->
 
     mesh = np.unique(np.concatenate([np.linspace(before, start, 100), np.linspace(start, end, 400),
                                      np.linspace(end, after, 100)]))  # fmt: skip
-    found = scipy.integrate.solve_bvp(
+    solution = scipy.integrate.solve_bvp(
         rate, boundary, mesh, np.zeros((len(matrix), len(mesh))), tol=_BOUNDARY_TOLERANCE, max_nodes=100_000
     )
-    _require_solved(found.status == 0, found.message)
-    return np.where((t >= before) & (t <= after), found.sol(np.clip(t, before, after)), 0.0)
+    _require_solved(solution.status == 0, solution.message)
+    return np.where((t >= before) & (t <= after), solution.sol(np.clip(t, before, after)), 0.0)
 
 
 def _left_invariant(matrix: Array, half: Literal["lhp", "rhp"]) -> Array:

@@ -48,10 +48,10 @@ def generalized() -> MechanicalSystem:
 
 def closed_form(reference: Array, parameters: Mapping[str, float]) -> dict[str, Array]:
     """Exact inputs and motion for reference jets (N, orders, 2) of order four or higher."""
-    found = hanging_load.follow(reference, parameters, OUTPUTS)
-    (s,), (pull,) = found.trolley, found.pull
+    motion = hanging_load.follow(reference, parameters, OUTPUTS)
+    (s,), (pull,) = motion.trolley, motion.pull
     force = parameters["trolley_mass"] * s.derivatives()[2] - pull
-    return {"F": force, "s": s.value, **found.answer}
+    return {"F": force, "s": s.value, **motion.answer}
 
 
 def drawing(v: Mapping[str, Any]) -> list[Part]:

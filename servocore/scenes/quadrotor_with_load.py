@@ -112,7 +112,7 @@ def generalized() -> MechanicalSystem:
     load = place + p["rope_length"] * ca.vertcat(ca.sin(swing), -ca.cos(swing))
     above, thrust = flown(gamma, p)
     # Without multipliers the tension follows from the load's prescribed acceleration.
-    kept = {each: base.observables[each] for each in (FRONT, REAR)}
+    kept = {quantity: base.observables[quantity] for quantity in (FRONT, REAR)}
     return generalise(
         base,
         coordinates,

@@ -117,7 +117,7 @@ def at_rest(scene: Scene) -> dict[str, float]:
     """
     system, known = scene.model(), scene.parameter_values()
     elements = (len(system.coordinates) - 9) // 3
-    x, y, height = (float(each) for each in scene.reference.jet(scene.reference.start_time, 0)[0])
+    x, y, height = (float(coordinate) for coordinate in scene.reference.jet(scene.reference.start_time, 0)[0])
     size, radius = known["rope_piece"] / elements, math.hypot(x, y)
     heights = [height]
     for k in range(elements):

@@ -1,4 +1,4 @@
-"""The loop over time at constant step: compiled chunks, and what a failed step has to say."""
+"""The loop over time at constant step, in compiled chunks, and the message of a step that failed."""
 
 from __future__ import annotations
 

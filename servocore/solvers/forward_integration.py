@@ -1,4 +1,4 @@
-"""The integrator of `simulate`: SciPy's DOP853 step by step, with an end where it would go on without one.
+"""The integrator of `simulate`: SciPy's DOP853 step by step, given up where a force jumps without end.
 
 Where friction is steep, stability would keep its steps small for minutes: from there on it is SciPy's Radau.
 """

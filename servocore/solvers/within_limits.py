@@ -1,4 +1,4 @@
-"""What a run must keep at all times: limits on what moves, and inputs that are finite between the instants as well."""
+"""Runs within limits: limits of the motion, and inputs that are finite between the instants as well."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""One step as a compiled program: initial values, steps, observation; and the plant that moves under inputs."""
+"""Programs: initial values, one step and observation as compiled functions; and the plant under given inputs."""

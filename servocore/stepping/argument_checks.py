@@ -1,4 +1,4 @@
-"""What `solve` and its companions are given: of the right kind, or refused in a sentence that says what to write."""
+"""Checks of the arguments of `solve` and its companions, which refuse with a sentence that says what to write."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Forward dynamics of a system, compiled: what moves when inputs push.
+"""Forward dynamics of a system as compiled functions.
 
     M v_dot + bias + G^T lam + B^T u = C^T d        d: a disturbing force on the servo output
     g'' + 2 a g' + a^2 g = 0                        a = `STABILIZATION_RATE`, the time included
@@ -169,6 +169,6 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     more = [reaction(state[:n], state[n:], rate, u, d, p) for reaction in told.values()]
     everything = ca.vertcat(function(state, rate, lam, u, p), *more)
     return (
-        (*(channel for channel, _ in unique.values()), *(replace(each, positive=False) for each in told)),
+        (*(channel for channel, _ in unique.values()), *(replace(channel, positive=False) for channel in told)),
         ca.Function("sc_plant_channels", [state, rate, lam, u, d, p], [everything]),
     )

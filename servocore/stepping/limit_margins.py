@@ -1,4 +1,4 @@
-"""The limits of a scene as one compiled function, and as sentences."""
+"""Margins of a scene's limits as one compiled function, and what messages say of them."""
 
 from __future__ import annotations
 

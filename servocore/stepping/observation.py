@@ -1,4 +1,4 @@
-"""What a state says: the observed values by name, and how far the equations are violated."""
+"""Observation: a function of a program's state that returns values by name and violations of the equations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`Plant`: forward dynamics as a few functions of plain vectors, to run in steps anywhere: what moves when inputs push.
+"""`Plant`: forward dynamics in steps, as a few functions of plain vectors that run anywhere.
 
 `servocore.stepping.forward_dynamics` compiles them. Like `servocore.stepping.program` this module needs NumPy and
 CasADi only, so that an FMU can carry it with the saved functions.

@@ -1,4 +1,4 @@
-"""The signature method of Pryce (BIT 41 (2001) 364): what the structure of equations says of derivatives.
+"""The signature method of Pryce (BIT 41 (2001) 364): which derivatives the structure of equations determines.
 
 sigma_ij is the highest derivative of variable j in equation i. A transversal of maximum weight and the smallest offsets
 c, d with d_j - c_i >= sigma_ij say which equations to differentiate how often (c) and which derivatives they then

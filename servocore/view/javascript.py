@@ -75,7 +75,7 @@ def _statement(function: ca.Function, k: int) -> str:
     form = _FORMS.get(operation)
     if form is None:
         raise InvalidModel(f"{function.name()} has an operation that JavaScript lacks, number {operation} of CasADi")
-    return f"w{given[0]}={form.format(*(f'w{each}' for each in taken))}"
+    return f"w{given[0]}={form.format(*(f'w{register}' for register in taken))}"
 
 
 def number(value: float) -> str:

@@ -163,7 +163,7 @@ def _live(problem: Problem, solution: Solution) -> tuple[LiveModel | None, str]:
     except InvalidModel as error:
         return None, str(error)
     t = solution.t[_thinned(solution.t)]
-    gap = _undefined(t, dict(zip((each.name for each in live.outputs), live.values(problem, t).T, strict=True)))
+    gap = _undefined(t, dict(zip((quantity.name for quantity in live.outputs), live.values(problem, t).T, strict=True)))
     return (None, f"its formulas give {gap}") if gap else (live, "")
 
 
@@ -246,7 +246,7 @@ def _thinned(t: Array) -> npt.NDArray[np.intp]:
     """Return which instants are written: all, or some two thousand among them, evenly apart if their number allows."""
     last = len(t) - 1
     stride = -(-last // (_MOST_ROWS - 1))
-    even = [each for each in range(stride, 2 * stride) if last % each == 0]
+    even = [divisor for divisor in range(stride, 2 * stride) if last % divisor == 0]
     if even or stride <= 1:
         return np.arange(0, last + 1, even[0] if even else 1)
     return np.unique(np.linspace(0, last, _MOST_ROWS).round().astype(np.intp))
