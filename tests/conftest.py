@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -28,6 +29,12 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     if not hasattr(config, "workerinput"):
         for name in (BUILT, "SERVOCORE_CACHE"):
             shutil.rmtree(os.environ.pop(name), ignore_errors=True)
+
+
+@pytest.fixture
+def empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the test in a folder of its own, where commands write their files."""
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.fixture

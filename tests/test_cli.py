@@ -21,6 +21,8 @@ from crane_fmu.cli import app
 from crane_fmu.feedforward import line
 from servocore.numerics.compiled_calls import Array
 
+pytestmark = pytest.mark.usefixtures("empty_folder")
+
 HEADER = "time,M_b,F,M_w,phi,s,l,x,y,z,tension"
 INPUTS = ((1, "M_b"), (2, "F"), (3, "M_w"))
 LINE = ["--from", "5", "0", "-5", "--to", "-2", "2", "-2", "--duration", "20"]
@@ -28,11 +30,6 @@ PAPER = ["--formulation", "projected", "--method", "backward-euler"]
 ROOT = Path(__file__).resolve().parents[1]
 run = CommandLine(app, "crane-fmu")
 assert_refused = run.assert_refused
-
-
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def table(text: str) -> tuple[str, Array]:

@@ -20,14 +20,11 @@ from crane_fmu.catalogue import KINDS
 from servocore.cli import commands
 from servocore.numerics.compiled_calls import Array
 
+pytestmark = pytest.mark.usefixtures("empty_folder")
+
 run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
 OVERHEAD = sc.scenes.overhead_crane()
 LEVEL = ["--from", 0, -4, "--to", 5, -4]
-
-
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def read(file: str) -> dict[str, Array]:

@@ -16,14 +16,11 @@ import servocore as sc
 from servocore.cli import commands
 from servocore.cli.commands import app, described
 
+pytestmark = pytest.mark.usefixtures("empty_folder")
+
 ROOT = Path(__file__).resolve().parents[1]
 run = CommandLine(app, "servocore")
 assert_refused = run.assert_refused
-
-
-@pytest.fixture(autouse=True)
-def _empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 class TestScenes:

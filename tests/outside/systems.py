@@ -86,13 +86,18 @@ l_1, l_2, m_1, m_2 = 1.0, 0.8, 2.0, 1.5
 
 
 @cache
-def arm(guess: tuple[float, float]) -> sc.MechanicalSystem:
-    """Two links with a motor in each joint."""
+def arm(
+    guess: tuple[float, float],
+    lengths: tuple[float, float] = (l_1, l_2),
+    masses: tuple[float, float] = (m_1, m_2),
+    home: tuple[float, float] = (1.0, 0.9),
+) -> sc.MechanicalSystem:
+    """Two links with a motor in each joint and point masses at their ends."""
     coordinates = sc.Coordinates(*named("a b", "rad"))
     a, b = ca.vertsplit(coordinates.q)
     gamma = symbols(2)
-    elbow = l_1 * ca.vertcat(ca.cos(a), ca.sin(a))
-    tip = elbow + l_2 * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
+    elbow = lengths[0] * ca.vertcat(ca.cos(a), ca.sin(a))
+    tip = elbow + lengths[1] * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
     J_1, J_2 = ca.jacobian(elbow, coordinates.q), ca.jacobian(tip, coordinates.q)
     return sc.MechanicalSystem(
         name="elbow arm",
@@ -100,12 +105,12 @@ def arm(guess: tuple[float, float]) -> sc.MechanicalSystem:
         parameters=sc.Parameters(),
         inputs=named("T_1 T_2", "N.m"),
         outputs=named("X Y"),
-        mass=m_1 * ca.mtimes(J_1.T, J_1) + m_2 * ca.mtimes(J_2.T, J_2),
+        mass=masses[0] * ca.mtimes(J_1.T, J_1) + masses[1] * ca.mtimes(J_2.T, J_2),
         output=tip,
         input_matrix=-ca.SX.eye(2),
         gamma=gamma,
         guess=ca.SX(list(guess)),
-        home=(1.0, 0.9),
+        home=home,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from outside.systems import named, symbols
+from outside.systems import arm, named, symbols
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
@@ -67,24 +67,7 @@ def test_cars_on_a_path_of_any_size_are_driven_alike(power: float, nominal: floa
 
 def small_arm(size: float) -> sc.MechanicalSystem:
     """Two links of length `size` with a motor in each joint."""
-    coordinates, gamma = sc.Coordinates(*named("a b", "rad")), symbols(2)
-    a, b = ca.vertsplit(coordinates.q)
-    elbow = size * ca.vertcat(ca.cos(a), ca.sin(a))
-    tip = elbow + size * ca.vertcat(ca.cos(a + b), ca.sin(a + b))
-    J_1, J_2 = ca.jacobian(elbow, coordinates.q), ca.jacobian(tip, coordinates.q)
-    return sc.MechanicalSystem(
-        name="arm",
-        coordinates=coordinates,
-        parameters=sc.Parameters(),
-        inputs=named("T_1 T_2", "N.m"),
-        outputs=named("X Y"),
-        mass=ca.mtimes(J_1.T, J_1) + ca.mtimes(J_2.T, J_2),
-        output=tip,
-        input_matrix=-ca.SX.eye(2),
-        gamma=gamma,
-        guess=ca.SX([0.3, 1.2]),
-        home=(1.1 * size, 1.0 * size),
-    )
+    return arm((0.3, 1.2), (size, size), (1.0, 1.0), (1.1 * size, 1.0 * size))
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-6, 1e6])
