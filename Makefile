@@ -73,7 +73,7 @@ format: $(INSTALLED)  ## apply the formatter and the linter's safe corrections
 fmu: $(INSTALLED)  ## build the rotary crane's FMU
 	$(BIN)/python build_fmu.py
 
-bench: $(INSTALLED)  ## measure what a step costs on this machine
+bench: $(INSTALLED)  ## measure what steps, FMUs and WebAssembly cost on this machine, and how cost grows with size
 	$(RUN) pytest benchmarks/test_bench_steps.py --benchmark-enable --benchmark-timer=time.process_time \
 		--benchmark-columns=median,iqr,rounds -q
 	$(BIN)/python benchmarks/step_cost.py
