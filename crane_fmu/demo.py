@@ -68,7 +68,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
     target : Path
         Folder for FMU, table of inputs, figures and report; made if it is not there.
     announce : callable
-        Is told what is going on.
+        Called with a description of each stage.
     steps : sequence of float
         Step sizes in s of the scheme of the paper, largest first; rows of tables and the FMU's steps are the first.
 

@@ -57,16 +57,16 @@ class Driven:
             One sentence; a second one where the load starts beside the path.
         """
         off, worst = self.distances, int(self.distances.argmax())
-        said: tuple[str, ...] = (
+        messages: tuple[str, ...] = (
             f"The load leaves its path by {1e3 * off[worst]:.3g} mm at most, at t = {self.t[worst]:.6g} s;"
             f" at the end it is {1e3 * off[-1]:.3g} mm away.",
         )
         if off[0] > 1e-3:
             place = ", ".join(f"{coordinate:.6g}" for coordinate in self.wanted[0])
-            said += (
+            messages += (
                 f"It starts {off[0]:.3g} m off its path: set the plant's start so that the load is at ({place}) m.",
             )
-        return said
+        return messages
 
     def table(self) -> str:
         """Return positions, found and wanted, and distances as the text of a CSV file.
@@ -238,20 +238,21 @@ def _simulated(
     plant: Path, rows: np.recarray, outputs: Sequence[str], starts: Mapping[str, float], step: float
 ) -> np.ndarray:
     begin, end = float(rows["time"][0]), float(rows["time"][-1])
-    said: list[str] = []
+    messages: list[str] = []
     try:
         with nothing_left():
             found = fmpy.simulate_fmu(
                 str(plant), start_time=begin, stop_time=end, output_interval=step, step_size=step, input=rows,
                 output=list(outputs), start_values=dict(starts), validate=False, debug_logging=True,
-                logger=lambda *each: said.append(each[-1].decode(errors="replace")),
+                logger=lambda *entry: messages.append(entry[-1].decode(errors="replace")),
             )  # fmt: skip
     except Exception as error:  # a user's FMU may fail in any way
-        raise sc.IntegrationFailed(f"{plant.name} stopped: {said[-1] if said else error}") from error
+        raise sc.IntegrationFailed(f"{plant.name} stopped: {messages[-1] if messages else error}") from error
     last = float(found["time"][-1]) if len(found) else begin
     if last < end - 0.5 * step:
         raise sc.IntegrationFailed(
-            f"{plant.name} stopped at t = {last:.6g} s of {end:.6g} s: {said[-1] if said else 'it did not say why'}"
+            f"{plant.name} stopped at t = {last:.6g} s of {end:.6g} s:"
+            f" {messages[-1] if messages else 'it did not say why'}"
         )
     result: np.ndarray = found
     return result

@@ -193,8 +193,10 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
         matrix = np.asarray(problem.resolved.once(system_jacobian)(unknowns[k], jets[k].T, problem.p))
         singularity = "" if np.isfinite(matrix).all() else singular(problem)
-        said = out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[k], matrix)
-        return float(conditions[k]), said, ""
+        reason = (
+            out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[k], matrix)
+        )
+        return float(conditions[k]), reason, ""
     worst = float(conditions.max())
     if not problem.flat:
         return worst, "", ""  # the configurations are not those of the motion

@@ -17,7 +17,7 @@ class ServocoreError(Exception):
 
 
 class ServocoreWarning(UserWarning):
-    """Something that will not do, or has not done, what its user expects: said in advance, or after a look at it."""
+    """A warning that a run cannot do, or has not done, what its user expects."""
 
 
 class InvalidModel(ServocoreError):

@@ -72,7 +72,7 @@ class ResolvedSystem:
         *settings: Settings.args,
         **named: Settings.kwargs,
     ) -> Made:
-        """Return ``make(self, *settings)``, made when first asked for: compiling takes longer than solving.
+        """Return ``make(self, *settings)``, made at the first call and kept: compiling takes longer than solving.
 
         Parameters
         ----------
@@ -83,9 +83,9 @@ class ResolvedSystem:
         """
         key = (make, settings, tuple(named.items()))
         made: Made = self._made.pop(key) if key in self._made else make(self, *settings, **named)
-        self._made[key] = made  # the last one now
+        self._made[key] = made  # put last: the order is that of the latest use
         if len(self._made) > _MOST_MADE:
-            del self._made[next(iter(self._made))]  # the one that was not asked for longest
+            del self._made[next(iter(self._made))]  # the one that has not been used for longest
         return made
 
     def suits(self, p: Array) -> bool:
@@ -146,8 +146,8 @@ def _require_mass(system: MechanicalSystem, p: Array) -> None:
 def without_constraints(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
     """Return the system without some of its holonomic constraints; their multipliers become zero."""
     kept = [k for k in range(system.lam.numel()) if k not in dropped]
-    gone = system.lam[list(dropped)]
-    observables = {k: ca.substitute(e, gone, ca.SX.zeros(len(dropped))) for k, e in system.observables.items()}
+    multipliers, zeros = system.lam[list(dropped)], ca.SX.zeros(len(dropped))
+    observables = {k: ca.substitute(e, multipliers, zeros) for k, e in system.observables.items()}
     return replace(
         system,
         constraints=system.constraints[kept],

@@ -45,7 +45,7 @@ class Statistics:
         instant to instant. An upper bound, close where the step is small; None for runs too short to tell.
     branch : str
         That the motion is one of those that the equations allow, and how that is known; where it passes an instant at
-        which several meet. Empty where nobody looked: with ``checks=False``, and from routes of one's own.
+        which several meet. Empty where it was not checked: with ``checks=False``, and from routes of one's own.
     """
 
     steps: int
@@ -174,9 +174,9 @@ class Solution:
     margins: Mapping[str, Margin] = field(default_factory=dict)
     origin: Any = field(default=None, repr=False)  # a `Problem`, of a room above this one
 
-    @cached_property  # it may take longer than the solution did, and is asked for again and again
+    @cached_property  # it may take longer than the solution did, and is read again and again
     def error(self) -> ErrorEstimate:
-        """How far the inputs are from the exact ones, computed when first asked for."""
+        """How far the inputs are from the exact ones, computed at the first access."""
         return NOTHING_KNOWN if self.estimator is None else self.estimator(self)
 
     def __getstate__(self) -> dict[str, Any]:

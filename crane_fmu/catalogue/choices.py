@@ -1,4 +1,4 @@
-"""Formulations, methods and models that can be asked for by name; profiles are in `crane_fmu.slave.straight_lines`."""
+"""Formulations, methods and models that users choose by name; profiles are in `crane_fmu.slave.straight_lines`."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def chosen(table: Mapping[str, Choice], name: str, kind: str) -> Choice:
     table : mapping of str to Choice
         What there is to choose from.
     name : str
-        What was asked for.
+        The name that a user gave.
     kind : str
-        What messages call such a thing.
+        What messages call its kind.
 
     Returns
     -------

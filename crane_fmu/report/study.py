@@ -143,7 +143,7 @@ def study(scene: sc.Scene, announce: Announce, steps: Sequence[float] = STEPS) -
     scene : Scene
         The rotary crane.
     announce : callable
-        Is told what is going on.
+        Called with a description of each stage.
     steps : sequence of float
         Step sizes in s of the scheme of the paper, largest first.
     """

@@ -93,10 +93,10 @@ def _allowed(text: str, unit: str) -> float:
     raise InvalidSetting(f"the tolerance is given as {text!r} without its unit, such as '5mm'")
 
 
-def _table(found: EffectsReport) -> rich.table.Table:
+def _table(report: EffectsReport) -> rich.table.Table:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     for k, heading in enumerate(HEADINGS):
         table.add_column(heading, justify="left" if k < _LEFT else "right")
-    for row, cells in zip(found.rows, found.cells(), strict=True):
+    for row, cells in zip(report.rows, report.cells(), strict=True):
         table.add_row(*cells, style="bold" if row.needed else None)
     return table

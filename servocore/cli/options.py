@@ -89,9 +89,9 @@ class PointsCommand(TyperCommand):
 def point(option: str, text: str, names: Sequence[str]) -> list[float]:
     """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
     try:
-        found = [float(name) for name in text.replace(",", " ").split()]
+        coordinates = [float(name) for name in text.replace(",", " ").split()]
     except ValueError:
-        found = []
-    if len(found) != len(names):
+        coordinates = []
+    if len(coordinates) != len(names):
         raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
-    return found
+    return coordinates

@@ -70,38 +70,45 @@ def show_sensitivities(
     table_console().print(_table(found), "Largest effect of one per cent more of a parameter.")
 
 
-def _table(found: Sensitivities) -> rich.table.Table:
+def _table(result: Sensitivities) -> rich.table.Table:
     table = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, padding=(0, 2, 0, 0))
     table.add_column("of")
-    for name in found.parameters:
+    for name in result.parameters:
         table.add_column(f"by {name}", justify="right")
-    for quantity in found.quantities:
+    for quantity in result.quantities:
         effects = [
-            found[quantity.name, name] * size / 100.0 for name, size in zip(found.parameters, found.sizes, strict=True)
+            result[quantity.name, name] * size / 100.0
+            for name, size in zip(result.parameters, result.sizes, strict=True)
         ]
         shown = [f"{effect[np.abs(effect).argmax()]:.3g} {quantity.unit}" for effect in effects]
         table.add_row(quantity.name, *shown)
     return table
 
 
-def _figure(found: Sensitivities, kind: str) -> bytes:
+def _figure(result: Sensitivities, kind: str) -> bytes:
     """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - slow to import
 
     from servocore.cli.plan_figure import saved_figure  # noqa: PLC0415
 
-    rows = -(-len(found.quantities) // 2)
+    rows = -(-len(result.quantities) // 2)
     figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
     panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
-    for axes, quantity in zip(panels, found.quantities, strict=False):
-        for k, (name, size) in enumerate(zip(found.parameters, found.sizes, strict=True)):
+    for axes, quantity in zip(panels, result.quantities, strict=False):
+        for k, (name, size) in enumerate(zip(result.parameters, result.sizes, strict=True)):
             look = ("-", "--", "-.", ":")[k % 4]
-            axes.plot(found.t, found[quantity.name, name] * size / 100.0, linewidth=1.5, linestyle=look, label=name)
+            axes.plot(
+                result.t,
+                result[quantity.name, name] * size / 100.0,
+                linewidth=1.5,
+                linestyle=look,
+                label=name,
+            )
         axes.set_title(f"{quantity.name} ({quantity.unit})", fontsize="medium", loc="left")
         axes.margins(x=0.01)
-    for axes in panels[len(found.quantities) :]:
+    for axes in panels[len(result.quantities) :]:
         axes.set_visible(False)
-    for axes in panels[max(len(found.quantities) - 2, 0) : len(found.quantities)]:
+    for axes in panels[max(len(result.quantities) - 2, 0) : len(result.quantities)]:
         axes.tick_params(labelbottom=True)
         axes.set_xlabel("time (s)")
     handles, labels = panels[0].get_legend_handles_labels()

@@ -28,73 +28,73 @@ td + td, th + th {{ text-align: right; }} .wide {{ overflow-x: auto; }}</style><
 _SENTENCES = 10
 
 
-def sweep_page(found: Any, title: str, store: str) -> tuple[str, bytes]:
+def sweep_page(swept: Any, title: str, store: str) -> tuple[str, bytes]:
     """Return a page about the dataset of a sweep, and its figure as PNG."""
-    first = f"peak_{json.loads(found.attrs['settings'])['quantities'][0]}"
+    first = f"peak_{json.loads(swept.attrs['settings'])['quantities'][0]}"
     figure = Figure(figsize=(7.0, 4.4), layout="constrained", dpi=130)
-    _draw(figure.subplots(), figure, found, first)
+    _draw(figure.subplots(), figure, swept, first)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", metadata={"Software": None})
-    return _page(found, title, first, stream.getvalue(), store), stream.getvalue()
+    return _page(swept, title, first, stream.getvalue(), store), stream.getvalue()
 
 
-def _draw(axes: Axes, figure: Figure, found: Any, name: str) -> None:
+def _draw(axes: Axes, figure: Figure, swept: Any, name: str) -> None:
     """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
-    varied = [coord for coord in found.coords if coord not in ("case", "path", "instant")]
-    label = f"peak of {name.removeprefix('peak_')} ({found[name].attrs['units']})"
-    if "case" in found.sizes:
-        x = found[varied[0]].to_numpy()
+    varied = [coord for coord in swept.coords if coord not in ("case", "path", "instant")]
+    label = f"peak of {name.removeprefix('peak_')} ({swept[name].attrs['units']})"
+    if "case" in swept.sizes:
+        x = swept[varied[0]].to_numpy()
         if len(varied) == 1:
-            axes.plot(x, found[name].to_numpy(), ".", markersize=3)
+            axes.plot(x, swept[name].to_numpy(), ".", markersize=3)
             axes.set_ylabel(label)
         else:
-            points = axes.scatter(x, found[varied[1]].to_numpy(), c=found[name].to_numpy(), s=5, cmap="viridis")
+            points = axes.scatter(x, swept[varied[1]].to_numpy(), c=swept[name].to_numpy(), s=5, cmap="viridis")
             figure.colorbar(points, ax=axes, label=label)
-            axes.set_ylabel(_titled(found, varied[1]))
-        axes.set_xlabel(_titled(found, varied[0]))
+            axes.set_ylabel(_titled(swept, varied[1]))
+        axes.set_xlabel(_titled(swept, varied[0]))
         return
-    shown = found[name].max([dimension for dimension in found[name].dims if dimension not in varied[:2]])
+    shown = swept[name].max([dimension for dimension in swept[name].dims if dimension not in varied[:2]])
     if len(varied) < 2 or min(shown.sizes.values()) < 2:
         long = max(shown.dims, key=lambda each: shown.sizes[each])
         line = shown.max([dimension for dimension in shown.dims if dimension != long])
-        axes.plot(found[long].to_numpy(), line.to_numpy())
-        axes.set_xlabel(_titled(found, long))
+        axes.plot(swept[long].to_numpy(), line.to_numpy())
+        axes.set_xlabel(_titled(swept, long))
         axes.set_ylabel(label)
         return
     x, y = varied[:2]
     values = np.ma.masked_invalid(shown.transpose(y, x).to_numpy())
-    mesh = axes.pcolormesh(found[x].to_numpy(), found[y].to_numpy(), values, cmap="viridis", shading="nearest")
+    mesh = axes.pcolormesh(swept[x].to_numpy(), swept[y].to_numpy(), values, cmap="viridis", shading="nearest")
     figure.colorbar(mesh, ax=axes, label=label)
     if values.count() and min(values.shape) > 2 and values.max() > values.min():
-        lines = axes.contour(found[x].to_numpy(), found[y].to_numpy(), values, colors="white", linewidths=0.8)
+        lines = axes.contour(swept[x].to_numpy(), swept[y].to_numpy(), values, colors="white", linewidths=0.8)
         axes.clabel(lines, fontsize="small")
-    axes.set_xlabel(_titled(found, x))
-    axes.set_ylabel(_titled(found, y))
+    axes.set_xlabel(_titled(swept, x))
+    axes.set_ylabel(_titled(swept, y))
 
 
-def _titled(found: Any, name: Any) -> str:
-    unit = found[name].attrs.get("units", "")
+def _titled(swept: Any, name: Any) -> str:
+    unit = swept[name].attrs.get("units", "")
     return f"{str(name).replace('_', ' ')} ({unit})" if unit else str(name)
 
 
-def _page(found: Any, title: str, first: str, picture: bytes, store: str) -> str:
-    failures = found.failure.to_numpy().ravel()
+def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str:
+    failures = swept.failure.to_numpy().ravel()
     told = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
     rows = []
-    for name in found:
-        if name == "failure" or "instant" in found[name].dims:
+    for name in swept:
+        if name == "failure" or "instant" in swept[name].dims:
             continue
-        values = found[name].to_numpy()
+        values = swept[name].to_numpy()
         with np.errstate(all="ignore"):
             finite = values[np.isfinite(values)]
         shown = (
             [f"{value:.4g}" for value in (finite.min(), np.median(finite), finite.max())] if finite.size else ["–"] * 3
         )
-        cells = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in (name, found[name].attrs["units"], *shown))
+        cells = "".join(f"<td>{html.escape(str(cell))}</td>" for cell in (name, swept[name].attrs["units"], *shown))
         rows.append(f"<tr>{cells}</tr>\n")
     sentences = "".join(f"<li>{html.escape(sentence)}</li>" for sentence in told[:_SENTENCES])
     more = f"<p>Cases that are not solved say, among others:</p><ul>{sentences}</ul>\n" if told else ""
-    settings = json.loads(found.attrs["settings"])
+    settings = json.loads(swept.attrs["settings"])
     varied = ", ".join(
         f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
         for name, (_, values) in settings["varied"].items()

@@ -133,7 +133,7 @@ class Run:
 
     @property
     def swing(self) -> float | None:
-        """Largest swing after the end, of what hangs or of the output about its mean; None where nobody looked."""
+        """Largest swing after the end, of what hangs or of the output about its mean; None where not simulated."""
         after = self.deviation[self.moving :]
         if len(after) < 2 or not np.isfinite(after).all():
             return None

@@ -74,7 +74,7 @@ class EffectsReport:
     Attributes
     ----------
     scene : Scene
-        What was looked at.
+        The scene of the study.
     rows : tuple of EffectRow
         Worst first.
     tolerance : float

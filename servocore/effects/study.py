@@ -45,8 +45,8 @@ from servocore.references.profiles import polynomial
 from servocore.references.rest_to_rest import RestToRest
 
 _WEAK = 2.0  # an estimate within this factor of the tolerance is looked into by simulation
-_OTHERWISE = 0.1  # difference of the linear answers of plant and small model that estimates bear
-_LARGE = 0.15  # change of an input that open loop estimates do not bear
+_OTHERWISE = 0.1  # largest relative difference of the linear answers of plant and small model at which estimates hold
+_LARGE = 0.15  # relative change of an input from which on open loop estimates fail
 _TAIL = 6.0  # s after the end of a path in which the residual swing is looked for: two swings of some two metres
 _NOT_FLAT = "simulated because it has internal dynamics, or no inversion at all, so that there is nothing to compare"
 _ANSWERS = "simulated because the plant answers otherwise than the model that estimates run"

@@ -1,7 +1,7 @@
 """The assignment of rows to columns with the largest sum of weights, for matrices that are small.
 
 Shortest augmenting paths with potentials (Kuhn 1955, Edmonds and Karp 1972): O(n^3), in vectors of NumPy. SciPy has the
-same in C, but takes ten times longer to import than most systems take to be looked at.
+same in C, but its import takes ten times longer than the analysis of most systems.
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class CodeCache:
         return path
 
     def claim(self, key: str) -> bool:
-        """Whether nobody else is building a library; who asked is then known to build it, until `release`."""
+        """Claim the building of a library until `release`; False if another process has claimed it."""
         if self.refusal():
             return True
         mark = self.folder / f"{key}{_BUILDING}"
@@ -114,7 +114,7 @@ class CodeCache:
         return True
 
     def release(self, key: str) -> None:
-        """Take back what `claim` said."""
+        """Give a claim back."""
         with suppress(OSError):
             (self.folder / f"{key}{_BUILDING}").unlink(missing_ok=True)
 

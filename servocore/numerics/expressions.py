@@ -102,9 +102,9 @@ def constants_kept(scale: ca.SX) -> tuple[ca.SX, list[int]]:
     Most scales are one, and what is multiplied by a number that is known to be one takes no operation.
     """
     places = [k for k in range(scale.numel()) if not scale[k].is_constant()]
-    found = ca.SX(scale)
-    found[places] = ca.SX.sym("scale", len(places))
-    return found, places
+    mixed = ca.SX(scale)
+    mixed[places] = ca.SX.sym("scale", len(places))
+    return mixed, places
 
 
 def expressions_of(name: str, fields: Mapping[str, object], n: int) -> dict[str, ca.SX]:

@@ -63,8 +63,8 @@ def isomorphic_parts(residual: ca.SX, unknowns: ca.SX, givens: ca.SX, beside: Se
 
 
 def _text(expressions: list[ca.SX], symbols: list[ca.SX]) -> str:
-    """Return what expressions say of symbols, whatever these are called."""
+    """Return expressions of symbols as a text that does not depend on the names of the symbols."""
     renamed = [ca.SX.sym("x", symbol.numel()) for symbol in symbols]
-    said = ca.Function("sc_part", symbols, expressions).call(renamed)
-    text: str = ca.Function("sc_part", renamed, said).serialize()
+    results = ca.Function("sc_part", symbols, expressions).call(renamed)
+    text: str = ca.Function("sc_part", renamed, results).serialize()
     return text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-_FORMULA = 3  # rows for which somebody has written the formula down
+_FORMULA = 3  # rows up to which Cramer's rule is written as products of vectors
 _LARGEST = 6  # rows to develop determinants of: each one more doubles the minors
 _DEAREST = 1.5  # times the cube of the rows, about what QR takes: so many products, when most entries are there
 
@@ -84,11 +84,11 @@ def _with_row(minors: dict[_Columns, ca.SX], row: dict[int, ca.SX]) -> dict[_Col
         for j in sorted(row.keys() - columns):
             term = row[j] * minor
             odd = sum(k < j for k in columns) % 2
-            found = columns | {j}
-            if found in larger:
-                larger[found] = larger[found] - term if odd else larger[found] + term
+            more_columns = columns | {j}
+            if more_columns in larger:
+                larger[more_columns] = larger[more_columns] - term if odd else larger[more_columns] + term
             else:
-                larger[found] = -term if odd else term
+                larger[more_columns] = -term if odd else term
     return larger
 
 

@@ -83,7 +83,7 @@ class Build:
     vectors: bool = False
 
     def options(self) -> tuple[str, ...]:
-        """Return what the compiler is told."""
+        """Return the options of the compiler."""
         return (*_OPTIONS, _OF_THIS_PROCESSOR) if self.vectors else _OPTIONS
 
     def key(self, command: list[str]) -> str:
@@ -137,7 +137,7 @@ class _Processes:
     closed: bool = False
 
     def run(self, command: list[str], folder: Path) -> tuple[int, str]:
-        """Run a compiler; return its exit code and what it says."""
+        """Run a compiler; return its exit code and its messages."""
         import subprocess  # noqa: PLC0415 - what was built before is loaded without
 
         if self.closed:
@@ -146,16 +146,16 @@ class _Processes:
             command, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
         ) as process:
             self.running.add(process)
-            if self.closed:  # since it was looked at above: `close` may have missed the newcomer
+            if self.closed:  # since the test above: `close` may have missed this process
                 process.kill()
             try:
-                said = process.communicate(timeout=_SECONDS)[1]
+                message = process.communicate(timeout=_SECONDS)[1]
             except subprocess.TimeoutExpired:
                 process.kill()
                 return -1, f"no end after {_SECONDS:g} s"
             finally:
                 self.running.discard(process)
-            return process.returncode, said
+            return process.returncode, message
 
     def close(self) -> None:
         """End all of them, and start no more."""
@@ -204,8 +204,8 @@ def _compiled_contents(build: Build, command: list[str]) -> bytes:
         folder = Path(name)
         (folder / "program.c").write_text(build.source, encoding="utf-8")
         try:
-            code, said = _PROCESSES.run([*command, *build.options(), "program.c", "-o", "program.so", "-lm"], folder)
-            reason = "" if code == 0 else "".join((said or "").strip().splitlines()[:1])
+            code, message = _PROCESSES.run([*command, *build.options(), "program.c", "-o", "program.so", "-lm"], folder)
+            reason = "" if code == 0 else "".join((message or "").strip().splitlines()[:1])
             if code == 0:
                 return (folder / "program.so").read_bytes()
         except OSError as error:
@@ -224,7 +224,7 @@ class _Background:
         self._thread: threading.Thread | None = None
 
     def ask(self, build: Build) -> None:
-        """Have a library built some time, once; nothing is heard of a failure."""
+        """Build a library in the background, once; a failure is not reported."""
         with self._turn:
             if build in self._asked or _PROCESSES.closed:
                 return

@@ -176,7 +176,7 @@ def extremes_of(rows: Array) -> Array:
 
 
 def addresses(arrays: Sequence[Array]) -> list[int]:
-    """Return where arrays begin in memory, as machine code is told."""
+    """Return the addresses of arrays in memory, for machine code."""
     return [array.__array_interface__["data"][0] for array in arrays]
 
 

@@ -48,11 +48,11 @@ def sides(limit: Limit, values: Array) -> list[tuple[float, Array]]:
     """Return each bound of a limit, and by how much values are beyond it, divided by half the range."""
     low, high = limit.bound, limit.upper
     both = np.isfinite(low) and np.isfinite(high)
-    found = []
+    violations = []
     for bound, over in ((low, low - values), (high, values - high)):
         if np.isfinite(bound):
-            found.append((bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0)))
-    return found
+            violations.append((bound, over / ((high - low) / 2.0 if both else abs(bound) or 1.0)))
+    return violations
 
 
 def _spells(limit: Limit, bound: float, t: Array, touched: npt.NDArray[np.bool_]) -> list[Active]:

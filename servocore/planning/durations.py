@@ -65,7 +65,7 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
         rounded = round(math.ceil(duration / step) * step, 12)
         try:
             ExactInversion(scene.with_reference(TimeScaled.to(path, rounded)), model)
-        except LimitBroken:  # between two of the instants looked at
+        except LimitBroken:  # between two instants of the grid
             duration = rounded + 0.5 * step
         else:
             return rounded

@@ -12,7 +12,7 @@ from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.certificate import certify
 from servocore.planning.report import PlanReport
-from servocore.planning.search import EXCESS, Found, planned
+from servocore.planning.search import EXCESS, SearchResult, planned
 from servocore.planning.space import Space
 from servocore.planning.tasks import (
     Way,
@@ -130,9 +130,9 @@ def fastest(
         raise LimitBroken(
             f"{scene.name}: limits so tight that a smooth law keeps them in no {LONGEST:g} s are not planned"
         )
-    found = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
-    reference = TimedPath.of(curve, found.outcome.law.path())
-    return reference, _reported(reference, corners, found, _compared(task, polynomial))
+    result = planned(task, starts_along(task, polynomial, intervals // 2), 1.02 * polynomial, intervals, progress)
+    reference = TimedPath.of(curve, result.outcome.law.path())
+    return reference, _reported(reference, corners, result, _compared(task, polynomial))
 
 
 def _free(
@@ -161,8 +161,8 @@ def _free(
     if progress is not None:
         progress("looking for ways to start from")
     begun, scale = starts_free(task, corners, thick, intervals // 2)
-    found = planned(task, begun, 1.02 * scale, intervals, progress)
-    reference = found.outcome.law.path()
+    result = planned(task, begun, 1.02 * scale, intervals, progress)
+    reference = result.outcome.law.path()
     clearance = space.clearance(reference, gravity_of(corners[0]))
     if clearance < 0.0:
         raise PlanningFailed(
@@ -173,7 +173,7 @@ def _free(
         compared = _compared(line, shortest(line, shape_of(smooth_polynomial(length))))
     except LimitBroken:  # at rest on the line
         compared = (np.inf, np.inf)
-    return reference, _reported(reference, certified, found, compared, clearance)
+    return reference, _reported(reference, certified, result, compared, clearance)
 
 
 def _compared(task: Task, polynomial: float) -> tuple[float, float]:
@@ -185,7 +185,7 @@ def _compared(task: Task, polynomial: float) -> tuple[float, float]:
 def _reported(
     reference: Reference,
     corners: Sequence[Problem],
-    found: Found,
+    result: SearchResult,
     compared: tuple[float, float],
     clearance: float = np.inf,
 ) -> PlanReport:
@@ -200,13 +200,13 @@ def _reported(
         duration=reference.duration,
         degree9=compared[0],
         three_phase=compared[1],
-        degree=2 * found.outcome.law.length + 1,
+        degree=2 * result.outcome.law.length + 1,
         certificate=certificate,
-        grid_error=found.coarse - reference.duration,
-        status=found.outcome.status,
-        iterations=found.iterations,
-        rounds=found.rounds,
-        start=found.start,
+        grid_error=result.coarse - reference.duration,
+        status=result.outcome.status,
+        iterations=result.iterations,
+        rounds=result.rounds,
+        start=result.start,
         deviation=reference.fit_error or 0.0,
         clearance=clearance,
     )

@@ -122,13 +122,13 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
         bad = np.flatnonzero(~((row < 1.0 - room) & (row > low + room)))
         if not len(bad):
             continue
-        place, found = ", ".join(f"{coordinate:.4g}" for coordinate in places[bad[0]]), float(value[bad[0]])
-        if not np.isfinite(found):
+        place, at_rest = ", ".join(f"{coordinate:.4g}" for coordinate in places[bad[0]]), float(value[bad[0]])
+        if not np.isfinite(at_rest):
             raise InvalidReference(f"{problem.name}: no motion is found that rests at ({place})")
-        below = found - limit.bound < limit.upper - found
+        below = at_rest - limit.bound < limit.upper - at_rest
         side, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
         raise LimitBroken(
-            f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {found:.6g}"
+            f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {at_rest:.6g}"
             f" {limit.unit}, and its {side} limit is {bound:.6g} {limit.unit}"
         )
 
@@ -190,11 +190,11 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
     values = ca.vertcat(
         *[entry(j, 0) for j in range(n)], *[entry(j, 1) for j in range(n)], *[entry(n + j, 0) for j in range(forces)]
     )
-    found = []
+    quantities = []
     for limit, expression in zip(limits, smooth, strict=True):
         value = ca.substitute(expression, symbols, values)
-        found.append(time_derivative(value, gamma) if limit.rate else value)
-    return found
+        quantities.append(time_derivative(value, gamma) if limit.rate else value)
+    return quantities
 
 
 def _compile_rows(
@@ -204,22 +204,22 @@ def _compile_rows(
     tips = [_has_tip(resolved, limit) for limit in limits]
     smooth = [rounded(limit.on(system)) if tip else limit.on(system) for limit, tip in zip(limits, tips, strict=True)]
     held = None if _is_explicit(resolved, np.array(rest), np.array(p)) else _lifted(resolved, limits, smooth)
-    found = _explicit(resolved, limits, smooth) if held is None else list(held.values)
-    order = max(resolved.array.reference_order, *(highest_derivative(expression, gamma) for expression in found))
+    quantities = _explicit(resolved, limits, smooth) if held is None else list(held.values)
+    order = max(resolved.array.reference_order, *(highest_derivative(expression, gamma) for expression in quantities))
     order = order if held is None else max(order, held.order)
     still = np.zeros((len(rest), order + 1))
     still[:, 0] = rest
     given = [gamma[:, : order + 1], system.p]
-    values = _of_path(given, found, held)
+    values = _of_path(given, quantities, held)
     at_rest = np.asarray(values(still, p)).ravel()
     rows, lower = [], []
-    for limit, value, here, tip in zip(limits, found, at_rest, tips, strict=True):
+    for limit, value, here, tip in zip(limits, quantities, at_rest, tips, strict=True):
         row, low = _row(limit, value, float(here), tip)
         rows.append(row)
         lower.append(low)
     function = _of_path(given, rows, held)
     if held is None:
-        moving = tuple(highest_derivative(expression, gamma) > 0 for expression in found)
+        moving = tuple(highest_derivative(expression, gamma) > 0 for expression in quantities)
         return Rows(limits, function, values, order, np.array(lower), moving)
     both = ca.Function(
         "sc_lifted_rows",
@@ -230,9 +230,9 @@ def _compile_rows(
     return Rows(limits, function, values, order, np.array(lower), (True,) * len(limits), both, _start(given, held))
 
 
-def _of_path(given: list[ca.SX], found: list[ca.SX], held: _Lifted | None) -> ca.Function:
+def _of_path(given: list[ca.SX], expressions: list[ca.SX], held: _Lifted | None) -> ca.Function:
     """Compile (gamma, p) -> expressions, of unknowns as well that are searched for."""
-    values = [ca.densify(ca.vertcat(*found))]
+    values = [ca.densify(ca.vertcat(*expressions))]
     if held is None:
         return ca.Function("sc_rows", given, values, {"cse": True})
     gamma, p = (ca.MX.sym(name, *each.shape) for name, each in zip(("gamma", "p"), given, strict=True))

@@ -23,7 +23,7 @@ _BETWEEN = "limits broken between the points of the grid"
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchResult:
     """A law that the solver and a finer grid agree about, and how it was found."""
 
     outcome: Outcome
@@ -39,7 +39,7 @@ def planned(
     scale: float,
     intervals: int,
     progress: Callable[[str], None] | None = None,
-) -> Found:
+) -> SearchResult:
     """Return the fastest law for a task.
 
     Parameters
@@ -70,12 +70,12 @@ def planned(
             continue
         outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
         if outcome.solved:
-            return Found(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
+            return SearchResult(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
         failures.append(f"{outcome.status} from the {name}")
     for name, start in begun:  # half as many intervals may be too few
         outcome, iterations, rounds = _refined(whole, start.refined(), progress)
         if outcome.solved:
-            return Found(outcome, np.nan, iterations, rounds, name)
+            return SearchResult(outcome, np.nan, iterations, rounds, name)
     raise PlanningFailed(
         f"no law was found, which does not say that there is none; the solver's words: {'; '.join(failures)}"
     )

@@ -113,8 +113,8 @@ def sensitivities(
     Examples
     --------
     >>> import servocore as sc
-    >>> found = sc.sensitivities(sc.scenes.rotary_crane(), wrt=("load_mass",))
-    >>> found["F", "load_mass"].shape == found.t.shape
+    >>> derivatives = sc.sensitivities(sc.scenes.rotary_crane(), wrt=("load_mass",))
+    >>> derivatives["F", "load_mass"].shape == derivatives.t.shape
     True
     """
     require_scene(scene, "sensitivities")

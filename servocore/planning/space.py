@@ -155,8 +155,8 @@ class Space:
     def clearance(self, path: Reference, gravity: float) -> float:
         """Return the least distance of anything from a body along a path, in m; infinite without any.
 
-        Between two instants nothing moves farther than its ends do. Wherever that might lead into a body, more instants
-        are looked at, so that nothing is too small to be seen.
+        Between two instants nothing moves farther than its ends do. Wherever that might lead into a body, the
+        interval is refined, so that no body is too small to be seen.
 
         Parameters
         ----------

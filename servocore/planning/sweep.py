@@ -111,8 +111,8 @@ def sweep(
     >>> import numpy as np
     >>> import servocore as sc
     >>> crane = sc.scenes.rotary_crane()
-    >>> found = sc.sweep(crane, {"load_mass": np.linspace(50, 150, 11), "duration": np.linspace(10, 30, 5)})
-    >>> found.peak_M_b.sel(load_mass=100).dims
+    >>> dataset = sc.sweep(crane, {"load_mass": np.linspace(50, 150, 11), "duration": np.linspace(10, 30, 5)})
+    >>> dataset.peak_M_b.sel(load_mass=100).dims
     ('duration',)
     """
     swept = checked_settings(scene, parameters, references, limits, instants, inputs, model)

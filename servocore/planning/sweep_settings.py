@@ -33,13 +33,13 @@ class SweepSettings:
     problem : Problem
         The scene's.
     limits : tuple of Limit
-        Whose margins are told.
+        Limits whose margins are reported.
     grid : Grid
         The cases.
     references : tuple of Reference
         The paths.
     instants : int
-        At each of which a case is looked at.
+        How many instants of a case are evaluated.
     inputs : bool
         Whether the inputs themselves are kept.
     """

@@ -63,8 +63,10 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         if robust
         else []
     )
-    found = [Problem.of(varied, model) for varied in (scene, *(scene.with_parameters(**corner) for corner in corners))]
-    first = found[0]
+    problems = [
+        Problem.of(varied, model) for varied in (scene, *(scene.with_parameters(**corner) for corner in corners))
+    ]
+    first = problems[0]
     if not first.flat or first.follow_branch:
         why = "follows a branch" if first.flat else "has internal dynamics"
         raise InvalidModel(f"{scene.name} {why}: its inputs depend on what was before, and no plan can be made for it")
@@ -72,7 +74,7 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
         raise InvalidModel(f"{scene.name}: its equations hold the time, and no plan can be made for it")
     if not any(not limit.of_path for limit in first.limits):
         raise InvalidSetting(f"{scene.name} has no limits: without any there is no fastest law")
-    return found
+    return problems
 
 
 def with_a_formula(
@@ -80,16 +82,16 @@ def with_a_formula(
 ) -> Sequence[Problem]:
     """Return the corners by that model of the scene whose limits are expressions of the path; as they are without one.
 
-    Where the motion itself is unknown at every point looked at, a plan takes many times the computing. Another model
+    Where the motion itself is unknown at every point of the grid, a plan takes many times as long. Another model
     does only if it has the same limits, to round-off, along a smooth law on the curve.
     """
     if not _of_motion(corners, curve):
         return corners
     for name in scene.models:
         try:
-            found = corner_problems(scene, name, robust)
-            if not _of_motion(found, curve) and _agree(corners, found, curve, scene.reference.duration):
-                return found
+            candidates = corner_problems(scene, name, robust)
+            if not _of_motion(candidates, curve) and _agree(corners, candidates, curve, scene.reference.duration):
+                return candidates
         except ServocoreError:  # it has not all quantities that are limited
             continue
     return corners
@@ -103,12 +105,12 @@ def _agree(one: Sequence[Problem], other: Sequence[Problem], curve: PiecewisePol
     """Whether limits of two models are the same along the smooth polynomial law."""
     length = one[0].array.reference_order
     path = polynomial_path(TimedPath.of(curve, _unit_law(length)), duration, length)
-    found = []
-    for each in (*one, *other):
-        rows = limit_rows(each, curve.ends[0])
+    values = []
+    for problem in (*one, *other):
+        rows = limit_rows(problem, curve.ends[0])
         jets = path.jet(np.linspace(0.0, duration, _COMPARED), rows.order)
-        found.append(at_instants(rows.function, jets=jets, p=each.p)[0])
-    return np.allclose(found[: len(one)], found[len(one) :], rtol=0.0, atol=_ALIKE, equal_nan=True)
+        values.append(at_instants(rows.function, jets=jets, p=problem.p)[0])
+    return np.allclose(values[: len(one)], values[len(one) :], rtol=0.0, atol=_ALIKE, equal_nan=True)
 
 
 def task_along(curve: PiecewisePolynomial, corners: Sequence[Problem], length: int) -> Task:
@@ -154,7 +156,7 @@ class _Kept:
 
 def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma: ca.SX, *, moving_only: bool) -> _Kept:
     of_jets, given = ca.Function("sc_path", [jets], [gamma]), ca.MX.sym("jets", *jets.shape)
-    found, lower, symbols, equations, begun = [], [], [ca.SX(0, 1)], [], [ca.MX(0, 1)]
+    expressions, lower, symbols, equations, begun = [], [], [ca.SX(0, 1)], [], [ca.MX(0, 1)]
     for rows, corner in zip(every, corners, strict=True):
         kept = np.flatnonzero(rows.moving) if moving_only else np.arange(len(rows.limits))
         here = gamma[:, : rows.order + 1]
@@ -165,10 +167,10 @@ def _kept(every: Sequence[Rows], corners: Sequence[Problem], jets: ca.SX, gamma:
             begun.append(rows.start(of_jets(given)[:, : rows.order + 1], corner.p))
         else:
             values = rows.function(here, corner.p)
-        found.append(values[kept.tolist()])
+        expressions.append(values[kept.tolist()])
         lower.append(rows.lower[kept])
     start = ca.Function("sc_inner", [given], [ca.vertcat(*begun)])
-    return _Kept(found, lower, ca.vertcat(*symbols), equations, start)
+    return _Kept(expressions, lower, ca.vertcat(*symbols), equations, start)
 
 
 def _task(jets: ca.SX, kept: _Kept, start: Array, end: Array, length: int, *, forward: bool) -> Task:
@@ -230,30 +232,30 @@ def starts_free(
     """Return laws to start a free plan from, those that clear all bodies first, and a typical duration."""
     way = task.end - task.start
     length = float(np.linalg.norm(way))
-    found = _begun(task, corners, space, intervals, {"the line": np.zeros(len(way))})
+    starts = _begun(task, corners, space, intervals, {"the line": np.zeros(len(way))})
     for shares in _HOPS:
         aside = {
             f"a way {share:g} of its length {name}": share * length * direction
             for share in shares
             for name, direction in _directions(way / length)
         }
-        found += _begun(task, corners, space, intervals, aside)
-        if not all(blocked for blocked, *_ in found):
+        starts += _begun(task, corners, space, intervals, aside)
+        if not all(blocked for blocked, *_ in starts):
             break
-    if not found:
+    if not starts:
         raise LimitBroken(
             f"{corners[0].name}: no way was found from which to start: at rest on the line between the ends, and beside"
             f" it, a limit is broken"
         )
-    found.sort(key=lambda each: each[:2])
-    return [(name, law) for _, _, name, law in found[:_STARTS]], found[0][1]
+    starts.sort(key=lambda each: each[:2])
+    return [(name, law) for _, _, name, law in starts[:_STARTS]], starts[0][1]
 
 
 def _begun(
     task: Task, corners: Sequence[Problem], space: Space, intervals: int, offsets: Mapping[str, Array]
 ) -> list[tuple[bool, float, str, Law]]:
     """Return ways that pass beside the middle, if limits can be kept on them: blocked or not, duration, name, law."""
-    gravity, found = gravity_of(corners[0]), []
+    gravity, starts = gravity_of(corners[0]), []
     for name, offset in offsets.items():
         middle = [(task.start + task.end) / 2.0 + offset] if offset.any() else []
         curve = through_points(np.array([task.start, *middle, task.end]))
@@ -267,8 +269,8 @@ def _begun(
         path = polynomial_path(begun, 1.02 * duration, task.length)
         jets = path.jet(np.linspace(0.0, path.duration, intervals + 1), task.length).transpose(1, 0, 2)
         law = sampled_law(jets, path.duration, task.length)
-        found.append((space.clearance(path, gravity) <= 0.0, duration, f"law along {name}", law))
-    return found
+        starts.append((space.clearance(path, gravity) <= 0.0, duration, f"law along {name}", law))
+    return starts
 
 
 def _directions(way: Array) -> list[tuple[str, Array]]:
@@ -286,5 +288,5 @@ def _directions(way: Array) -> list[tuple[str, Array]]:
 
 def _unit_law(length: int) -> PiecewisePolynomial:
     """Return a law of one second, only to be replaced."""
-    found = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, 11), length).T[:, :, None]
-    return sampled_law(found, 1.0, length).path()
+    derivatives = shape_of(smooth_polynomial(length))(np.linspace(0.0, 1.0, 11), length).T[:, :, None]
+    return sampled_law(derivatives, 1.0, length).path()

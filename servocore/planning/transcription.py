@@ -31,7 +31,7 @@ SOLVED = "Solve_Succeeded"
 
 @dataclass(frozen=True, eq=False)
 class Inner:
-    """What a motion consists of besides its path, where no formula tells it: unknowns at every point looked at.
+    """The motion of a system without a closed formula: unknowns of the program at every point where rows are kept.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Inner:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What a law must do, whatever the grid.
+    """Requirements on a law, independent of the grid.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """Tables of numbers from CSV files, whatever program wrote them; every complaint names file, line and column.
 
-What is unambiguous is read and told in a note: UTF-16, semicolons or tabs between cells, decimal commas, units and
-capitals in the header, times since 1970, dates with times. What only looks odd, such as times that seem to be
-milliseconds, is refused with the remedy.
+What is unambiguous is read, with a note of what was converted: UTF-16, semicolons or tabs between cells, decimal
+commas, units and capitals in the header, times since 1970, dates with times. What only looks odd, such as times that
+seem to be milliseconds, is refused with the remedy.
 """
 
 from __future__ import annotations
@@ -113,12 +113,12 @@ def read_table(
     file, components = Path(path), tuple(columns)
     if not components or len({"time", *components}) <= len(components):
         raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(components)}")
-    data, told = _bytes_of(file)
+    data, notes = _bytes_of(file)
     known = units or (("m",) * 3 if components == ("x", "y", "z") else ("",) * len(components))
     layout, more = _layout(file, data, dict(zip(components, known, strict=True)), groups, waypoints)
     body, layout, dated = _body(file, data, layout)
     lines, numbers, stops, commas = _numbers_of(file, body, layout)
-    told += more + dated + commas + _since_1970(numbers, layout)
+    notes += more + dated + commas + _since_1970(numbers, layout)
     numbers /= layout.factors
     stuck = np.flatnonzero(np.diff(numbers[:, 0]) <= 0.0)
     if stuck.size:
@@ -135,8 +135,8 @@ def read_table(
         )
     table = Table(file, components, lines, numbers[:, 0], _grouped(numbers[:, 1:], components), stops)
     _require_likely_units(table, layout)
-    if told:
-        warnings.warn(f"{file} is read with {', '.join(told)}", ServocoreWarning, stacklevel=2)
+    if notes:
+        warnings.warn(f"{file} is read with {', '.join(notes)}", ServocoreWarning, stacklevel=2)
     return table
 
 
@@ -163,26 +163,26 @@ class _Layout(NamedTuple):
 
 
 def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
-    """Return a file as UTF-8 with LF at ends of lines, and what is to be told."""
+    """Return a file as UTF-8 with LF at ends of lines, and notes of what was converted."""
     try:
         data = file.read_bytes()
-        told = []
+        notes = []
         if data.startswith(codecs.BOM_UTF8):
             data = data.removeprefix(codecs.BOM_UTF8)
         elif data[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) or b"\0" in data[:2]:
             encoding = "utf-16" if data[:1] in b"\xff\xfe" else "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
-            data, told = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
+            data, notes = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
         data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
     except (OSError, UnicodeDecodeError) as error:
         hint = "; save it as CSV in UTF-8" if isinstance(error, UnicodeDecodeError) else ""
         raise InvalidReference(f"{file} cannot be read as a table: {error}{hint}") from None
-    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), told
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
 def _layout(
     file: Path, data: bytes, components: Mapping[str, str], groups: int, waypoints: bool
 ) -> tuple[_Layout, list[str]]:
-    """Read the header; return how the file is made and what is to be told."""
+    """Read the header; return how the file is made and notes of what was converted."""
     blocks = [[prefix + name for name in components] for prefix in PREFIXES[:groups]]
     wanted = [["time", *chain(*blocks[: count + 1])] for count in range(groups)]
     shortest = ",".join(wanted[0])
@@ -194,10 +194,10 @@ def _layout(
         raise InvalidReference(f"{file}, line 1: the file is empty, but a header {shortest} was expected")
     delimiter = next((mark for mark in ";\t" if mark in header), ",")
     cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
-    found = [_WITH_UNIT.fullmatch(cell) for cell in cells]
-    written = [unit[1] if unit else cell for unit, cell in zip(found, cells, strict=True)]
+    with_units = [_WITH_UNIT.fullmatch(cell) for cell in cells]
+    written = [unit[1] if unit else cell for unit, cell in zip(with_units, cells, strict=True)]
     names = _without_capitals(written, [*wanted[-1], *([STOP] if waypoints else [])])
-    units = {name: unit[2].replace("\u03bc", "µ") for name, unit in zip(names, found, strict=True) if unit}
+    units = {name: unit[2].replace("\u03bc", "µ") for name, unit in zip(names, with_units, strict=True) if unit}
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:
         more = ", optionally followed by " + ", then ".join(map(",".join, blocks[1:])) if groups > 1 else ""
@@ -207,15 +207,15 @@ def _layout(
             f"{file}, line {line}: the header {shortest}{more} was expected, but {shown!r} was found"
         )
     factors = [_factor(file, line, name, units.get(name), k, list(components.values())) for k, name in enumerate(names)]
-    told = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
-    told += [f"{','.join(written)} as {','.join(names)}"] if written != names else []
-    told += [
+    notes = ["semicolons between cells" if delimiter == ";" else "tabs between cells"] if delimiter != "," else []
+    notes += [f"{','.join(written)} as {','.join(names)}"] if written != names else []
+    notes += [
         f"{', '.join(same)} in {unit}"
         for unit in dict.fromkeys(units.values())
         if (same := [name for name in units if units[name] == unit and factors[names.index(name)] != 1.0])
     ]
     numbers, free = factors[:-1] if stops else factors, 1 + len(components) if waypoints else len(names)
-    return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), told
+    return _Layout(names, delimiter, np.array(numbers), units, first, line + 1, stops, free), notes
 
 
 def _without_capitals(names: list[str], wanted: Sequence[str]) -> list[str]:
@@ -244,7 +244,7 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
 
 
 def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
-    """Return the rows, in which times are numbers, what is known of them, and what is to be told."""
+    """Return the rows, in which times are numbers, what is known of them, and notes of what was converted."""
     body = data[layout.first :].rstrip()
     if not body:
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
@@ -259,14 +259,14 @@ def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, lis
 def _numbers_of(
     file: Path, body: bytes, layout: _Layout
 ) -> tuple[Sequence[int], FloatArray, np.ndarray | None, list[str]]:
-    """Return lines, numbers (n, columns), stops, and what is to be told."""
-    told = []
+    """Return lines, numbers (n, columns), stops, and notes of what was converted."""
+    notes = []
     if layout.delimiter != "," and b"," in body and b"." not in body:
-        body, told = body.replace(b",", b"."), ["decimal commas"]
+        body, notes = body.replace(b",", b"."), ["decimal commas"]
     if not layout.stops:
         numbers = _quickly(body, layout)
         if numbers is not None:
-            return range(layout.line, layout.line + len(numbers)), numbers, None, told
+            return range(layout.line, layout.line + len(numbers)), numbers, None, notes
     try:
         reader = csv.reader(io.StringIO(body.decode()), delimiter=layout.delimiter)
         rows = [(reader.line_num, [cell.strip() for cell in row]) for row in reader]
@@ -276,17 +276,17 @@ def _numbers_of(
     lines = [line for line, _ in rows]
     read = [_numbers(file, line, cells, layout) for line, cells in rows]
     stops = np.array([_stop(file, line, cells[-1]) for line, cells in rows]) if layout.stops else None
-    return lines, np.array(read), stops, told
+    return lines, np.array(read), stops, notes
 
 
 def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
     """Read rows of plain finite numbers at once; None where there is anything else, for a closer look."""
     divider, width = layout.delimiter.encode(), len(layout.names)
     signs = np.frombuffer(body, np.uint8)
-    found = signs[(signs == divider[0]) | (signs == ord("\n"))]
+    dividers = signs[(signs == divider[0]) | (signs == ord("\n"))]
     row = np.array([divider[0]] * (width - 1) + [ord("\n")], np.uint8)
-    whole = len(found) - len(found) % width
-    if len(found) % width != width - 1 or (found[:whole].reshape(-1, width) != row).any():
+    whole = len(dividers) - len(dividers) % width
+    if len(dividers) % width != width - 1 or (dividers[:whole].reshape(-1, width) != row).any():
         return None
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeprecationWarning)
@@ -294,7 +294,7 @@ def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
             numbers = np.fromstring(body.replace(b"\n", divider), sep=divider.decode())
         except (DeprecationWarning, ValueError):
             return None
-    if numbers.size != len(found) + 1 or not np.isfinite(numbers).all():
+    if numbers.size != len(dividers) + 1 or not np.isfinite(numbers).all():
         return None
     return numbers.reshape(-1, width)
 
@@ -335,7 +335,7 @@ def _stop(file: Path, line: int, cell: str) -> bool:
 
 
 def _since_1970(numbers: FloatArray, layout: _Layout) -> list[str]:
-    """Let times since 1970, which are so large that nothing else is meant, begin at 0; return what is to be told."""
+    """Let times since 1970, which are so large that nothing else is meant, begin at 0; return notes of that."""
     named, first = layout.units.get("time"), numbers[0, 0]
     for unit, factor in _EPOCHS.items() if named is None else [(named, layout.factors[0])]:
         if _SINCE_1970[0] <= first / factor <= _SINCE_1970[1]:

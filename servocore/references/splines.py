@@ -1,4 +1,4 @@
-"""Smooth paths through waypoints and through samples: splines, of degree 9 if nothing else is asked for."""
+"""Smooth paths through waypoints and through samples: splines, of degree 9 by default."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ ROUNDING = 1e-12
 """Samples without a tolerance are taken as exact up to this fraction of the largest coordinate."""
 
 DOUBT = 0.25
-"""Largest fraction of its peak by which a derivative may depend on the choice of samples, if not told otherwise."""
+"""Largest fraction of its peak by which a derivative may depend on the choice of samples, by default."""
 
 _MANY_ROUGH, _WORTH = 20_000, 0.01  # samples; a tolerance that is more than this part of the extent hides the path
-_FEW, _PER_UNKNOWN = 5_000, 5  # samples looked at first where there are very many
+_FEW, _PER_UNKNOWN = 5_000, 5  # samples fitted first where there are very many
 
 
 def through(

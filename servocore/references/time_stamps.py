@@ -44,14 +44,14 @@ def with_seconds(file: Path, body: bytes, divider: bytes, line: int) -> bytes | 
     used = [k for k, (cell, _, rest) in enumerate(rows) if cell.strip() or rest.strip()]
     stamps, zones = list[str](), list[int | None]()
     for k in used:
-        found = _instant(rows[k][0])
-        if found is None or (found[1] is None) != (first[1] is None):
-            why = f"no date and time such as {EXAMPLE}" if found is None else "with a time zone where others have none"
-            if found is not None and found[1] is None:
+        stamp = _instant(rows[k][0])
+        if stamp is None or (stamp[1] is None) != (first[1] is None):
+            why = f"no date and time such as {EXAMPLE}" if stamp is None else "with a time zone where others have none"
+            if stamp is not None and stamp[1] is None:
                 why = "without a time zone where others have one"
             raise _refusal(file, line + k, rows[k][0], why)
-        stamps.append(found[0])
-        zones.append(found[1])
+        stamps.append(stamp[0])
+        zones.append(stamp[1])
     nanoseconds = _nanoseconds(file, stamps, [line + k for k in used])
     nanoseconds -= np.array([zone or 0 for zone in zones], np.int64) * 10**9
     rests = b"".join(rest for _, _, rest in rows)
@@ -63,10 +63,10 @@ def with_seconds(file: Path, body: bytes, divider: bytes, line: int) -> bytes | 
 
 def _instant(cell: bytes) -> tuple[str, int | None] | None:
     """Return date and time, and the offset of the time zone in s, None without a zone; None if the cell has neither."""
-    found = _STAMP.fullmatch(cell)
-    if found is None:
+    match = _STAMP.fullmatch(cell)
+    if match is None:
         return None
-    day, time, universal, sign, hours, minutes = found.groups()
+    day, time, universal, sign, hours, minutes = match.groups()
     offset = None if not (universal or sign) else 0
     if sign:
         offset = (-1 if sign == b"-" else 1) * (3600 * int(hours) + 60 * int(minutes or 0))

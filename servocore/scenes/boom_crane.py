@@ -203,7 +203,7 @@ def _tip(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX]:
     for _ in range(_ITERATIONS):
         place = load + length * towards
         R, squared = _from_axis(place), ca.sumsqr(place[:2]) + _TINY
-        # Not divided by R, so that nobody waits for the root before the division begins.
+        # Not divided by R, so that the division need not wait for the root.
         slope = offset * ca.dot(place[:2], towards[:2]) / squared * R
         middle = slope - projected
         apart = middle**2 - outside + 2 * (offset * R - slope * length)

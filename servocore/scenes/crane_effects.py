@@ -150,8 +150,8 @@ class Crane:
         if sum(label.startswith("heavy rope") for label in names) > 1:
             raise InvalidModel(f"{self.name}: choose one number of lumps for the heavy rope")
         declared = parameters_with(self.parameters, [effect for effect in self.effects if effect in chosen])
-        told = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
-        name = f"{self.name} with {told}" if told else self.name
+        changes = ", ".join([*sorted(added), *(f"without {effect}" for effect in sorted(left_out))])
+        name = f"{self.name} with {changes}" if changes else self.name
         return assemble(name, self.carriage, declared, self.inputs, self.outputs, self.home, names)
 
 

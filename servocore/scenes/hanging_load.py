@@ -47,7 +47,7 @@ def tension(gamma: ca.SX, p: Parameters) -> ca.SX:
 
 
 def suspension(gamma: ca.SX, p: Parameters) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Return where the trolley is, how long the rope, and its direction from trolley to load.
+    """Return the trolley's level position, the rope's length, and its direction from trolley to load.
 
     The rope lies along the load's acceleration less gravity. One guessed vertical is too far off for Newton's method
     where the load swings by tens of degrees.
@@ -94,9 +94,9 @@ def on_rails(
     trolley, length, load = ca.vertsplit(coordinates.q, [0, count, count + 1, 2 * count + 2])
     lam, gamma = ca.SX.sym("lam"), reference_symbols(count + 1)
     rope = load - ca.vertcat(trolley, 0)
-    above, hanging, _ = suspension(gamma, p)
+    trolley_there, rope_length, _ = suspension(gamma, p)
     masses = (*rails.values(), p["winch_inertia"] / p["winch_radius"] ** 2, *[p["load_mass"]] * (count + 1))
-    driven = ca.sparsify(-ca.diag(ca.vertcat(*[1] * count, 1 / p["winch_radius"])))
+    by_inputs = ca.sparsify(-ca.diag(ca.vertcat(*[1] * count, 1 / p["winch_radius"])))
     return MechanicalSystem(
         name=name,
         coordinates=coordinates,
@@ -106,11 +106,11 @@ def on_rails(
         mass=diagonal(masses),
         potential=p["load_mass"] * p["gravity"] * load[-1],
         constraints=ca.sumsqr(rope) - length**2,
-        input_matrix=ca.horzcat(driven, ca.SX(count + 1, count + 1)),
+        input_matrix=ca.horzcat(by_inputs, ca.SX(count + 1, count + 1)),
         output=load,
         multipliers=lam,
         gamma=gamma,
-        guess=ca.vertcat(above, hanging, gamma[:, 0]),
+        guess=ca.vertcat(trolley_there, rope_length, gamma[:, 0]),
         home=home,
         observables={TENSION: 2 * lam * length, swing: swing_angle(rope)},
     )
@@ -133,14 +133,14 @@ def swinging(
     """
     coordinates, count, gamma = Coordinates(*rails, ROPE, *swings), len(rails), base.gamma
     trolley, length, along, across = ca.vertsplit(coordinates.q, [0, count, count + 1, count + 2, 2 * count + 1])
-    flat = ca.cos(across) if count == 2 else 1  # in the first rail's plane
-    rope = length * ca.vertcat(ca.sin(along) * flat, ca.sin(across), -ca.cos(along) * flat)
-    above, hanging, towards = suspension(gamma, base.parameters)
+    in_plane = ca.cos(across) if count == 2 else 1  # of the first rail and the vertical
+    rope = length * ca.vertcat(ca.sin(along) * in_plane, ca.sin(across), -ca.cos(along) * in_plane)
+    trolley_there, rope_length, direction = suspension(gamma, base.parameters)
     return generalise(
         base,
         coordinates,
         ca.vertcat(trolley, length, ca.vertcat(trolley, 0) + rope),
-        guess=ca.vertcat(above, hanging, ca.atan2(towards[0], -towards[-1]), ca.asin(towards[1:-1])),
+        guess=ca.vertcat(trolley_there, rope_length, ca.atan2(direction[0], -direction[-1]), ca.asin(direction[1:-1])),
         # Without multipliers the tension follows from the load's prescribed acceleration.
         observables={
             TENSION: tension(gamma, base.parameters),
@@ -152,7 +152,7 @@ def swinging(
 
 @dataclass(frozen=True, eq=False)
 class Followed:
-    """What the load's path says of the trolley: the crane is flat in the load position.
+    """The trolley's motion and forces that follow from the load's path: the crane is flat in the load position.
 
     Attributes
     ----------
@@ -170,7 +170,7 @@ class Followed:
 
 
 def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[Quantity]) -> Followed:
-    """Return what a load's path tells exactly of any crane.
+    """Return what follows exactly from a load's path for any crane.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def follow(reference: Array, parameters: Mapping[str, float], outputs: Sequence[
     force = per_length * rope.value
     lean = -to_trolley[0].value if len(level) == 1 else np.hypot(*(component.value for component in to_trolley))
     return Followed(
-        trolley=tuple(each + way for each, way in zip(level, to_trolley, strict=True)),
+        trolley=tuple(position + offset for position, offset in zip(level, to_trolley, strict=True)),
         pull=tuple(-per_length * component.value for component in to_trolley),
         answer={
             WINCH.name: J_w * rope.derivatives()[2] / r_w - r_w * force,

@@ -179,7 +179,7 @@ class Batch:
             raise InvalidSetting(f"a path is divided into one step or more, not {steps}")
         p, references = self._cases(parameters, paths)
         count = len(p) if p.ndim == 2 else max(len(references), 1)
-        found = np.empty((count, steps + 1, len(self.names)))
+        values_of_cases = np.empty((count, steps + 1, len(self.names)))
         for case in range(count):
             values = zip(self._problem.system.parameters.names, (p[case] if p.ndim == 2 else p).tolist(), strict=True)
             path = references[case] if references else self._scene.reference
@@ -188,8 +188,8 @@ class Batch:
                 solution = self._solve_case(scene, step=path.duration / steps)
             except ServocoreError as error:
                 raise type(error)(f"case {case} of a batch: {error}") from None
-            found[case] = np.column_stack([solution[name] for name in self.names])
-        return found
+            values_of_cases[case] = np.column_stack([solution[name] for name in self.names])
+        return values_of_cases
 
     def _cases(
         self, parameters: Mapping[str, npt.ArrayLike] | None, paths: Sequence[Reference] | None

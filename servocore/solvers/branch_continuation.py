@@ -1,8 +1,8 @@
 """One branch along a path: where the equations have several solutions, an instant is to continue its neighbour.
 
-Newton's method from a guess lands on whichever solution is near. Whether the answers at two instants belong to one
-motion is told by their derivatives, which the derivative array holds: the Taylor polynomial of each must lead to the
-other. Where it does not, the interval is bisected, each new instant starting from where the one before was heading,
+Newton's method from a guess converges to whichever solution is near. Whether the answers at two instants belong to
+one motion follows from their derivatives, which the derivative array holds: the Taylor polynomial of each must lead to
+the other. Where it does not, the interval is bisected, each new instant starting from where the one before was heading,
 until the polynomials agree or the interval has shrunk to nothing.
 """
 
@@ -135,12 +135,12 @@ class Branch:
     def passed(self, t: Array, states: Array) -> list[int]:
         """Return intervals in which answers (size, N) that continue each other pass a singularity.
 
-        The determinant of the system Jacobian changes its sign there. A few instants are looked at, and then the half
-        of an interval in which the sign changes; a sign that changes twice between two of them is not seen.
+        The determinant of the system Jacobian changes its sign there. The sign is evaluated at a few instants, and the
+        instant of a change is found by bisection; a sign that changes twice between two of them is missed.
         """
         looked = np.arange(_LOOKED_AT) * (len(t) - 1) // (_LOOKED_AT - 1)
         signs = self._signs(t[looked], states[:, looked])
-        changes, found = signs[:-1] * signs[1:] < 0.0, []
+        changes, intervals = signs[:-1] * signs[1:] < 0.0, []
         for k in np.flatnonzero(changes.any(axis=1)):
             matrices = system_jacobians(self.problem, t[looked], states[:, looked])
             if np.linalg.cond(_balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
@@ -149,8 +149,8 @@ class Branch:
                     middle = (first + last) // 2
                     sign = self._signs(t[[middle]], states[:, [middle]])[0, part]
                     first, last = (middle, last) if sign == signs[k, part] else (first, middle)
-                found.append(int(first))
-        return found
+                intervals.append(int(first))
+        return intervals
 
     def _signs(self, t: Array, states: Array) -> Array:
         """Return the signs of the determinants of the system Jacobian's independent parts, shape (N, parts)."""
@@ -299,7 +299,7 @@ def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None
     states : ndarray, shape (size, N)
         Answers from the guess of the model; NaN where there is none.
     native : bool or None
-        Whether they are looked at by machine code; see `Vectorized`.
+        Whether machine code compares them; see `Vectorized`.
 
     Raises
     ------
@@ -321,9 +321,9 @@ def on_one_branch(problem: Problem, t: Array, states: Array, native: bool | None
                     return states, CLOSED_FORM
                 raise
             passed = branch.require_regular(t, followed, np.flatnonzero(~np.isfinite(states).all(axis=0)))
-            return followed, FOLLOWED + _told(t, passed)
+            return followed, FOLLOWED + _passages(t, passed)
     branch.require_through(t, states, seeming)
-    return states, CONTINUOUS + _told(t, branch.passed(t, states))
+    return states, CONTINUOUS + _passages(t, branch.passed(t, states))
 
 
 def require_followed(problem: Problem, t: Array, states: Array) -> None:
@@ -339,7 +339,8 @@ def require_followed(problem: Problem, t: Array, states: Array) -> None:
             )
 
 
-def _told(t: Array, passed: Iterable[int]) -> str:
+def _passages(t: Array, passed: Iterable[int]) -> str:
+    """Return what `statistics.branch` says of the singular intervals that a motion passes."""
     return "".join(
         f"; between t = {t[k]:.6g} s and {t[k + 1]:.6g} s the equations are singular, this one goes on smoothly"
         for k in passed

@@ -160,7 +160,7 @@ class DynamicInversion:
         return self._steps.run([self._problem.reference], count, self._problem.p, self._start)
 
     def _instants(self, times: Array) -> Instants:
-        """Return times as instants: the last ones are kept, for tables of them are asked for again and again."""
+        """Return times as instants; the last ones are kept, for callers often use the same table of times again."""
         key = times.tobytes()
         known = self._known.get(key)
         if known is None:

@@ -52,7 +52,7 @@ class EnergyMomentum:
         given.
     native : bool, optional
         Whether a C compiler shall turn a step into machine code, which takes some seconds; with None it does so in the
-        background, for long motions and for those that are asked for again. No digit depends on it.
+        background, for long motions and for systems that are simulated again. No digit depends on it.
     """
 
     update: RotationUpdate | None = None
@@ -66,7 +66,7 @@ class EnergyMomentum:
 
 @dataclass(frozen=True, eq=False)
 class ConservedMotion:
-    """A motion by the scheme, at the instants that are asked for.
+    """A motion by the scheme, at the instants of a report.
 
     Attributes
     ----------

@@ -186,7 +186,7 @@ def _all_results(
 class ExactInversion:
     """The inputs of a scene at any instants, in any order, by exact inversion.
 
-    What can be done once is done once: the equations are differentiated and compiled, and the path is looked at. An
+    What can be done once is done once: the equations are differentiated and compiled, and the path is checked. An
     instant then takes a microsecond or two among many, some twenty alone. For real-time loops, optimizations, and
     tables that are read as they are needed; `solve` gives the motion as well, and looks closer at the result.
 
@@ -250,7 +250,7 @@ class ExactInversion:
             cause = explained(problem, error)
             if cause is not error:
                 raise cause from None
-            self._table = error  # told by the call, which may know a better reason
+            self._table = error  # raised by a call, which may find a better reason
         self._signs = [quantity for quantity in problem.system.observables if quantity.positive]
         self.inputs = tuple(channel.name for channel in problem.system.inputs)
 

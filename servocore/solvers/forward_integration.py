@@ -18,7 +18,7 @@ from servocore.numerics.compiled_calls import Array
 Rate = Callable[[float, Array], Array]
 """(time in s, state (q, v)) -> its derivative."""
 
-_WATCHED = 60  # steps; as many are looked at together
+_WATCHED = 60  # steps whose progress is judged together
 _SLOW = 1e-3  # of the whole time: so little progress in so many steps is looked into
 _NEAR, _FAR = 10.0, 1000.0  # ranges of a velocity during these steps: where its force is looked at
 _MANY = 50_000  # steps ahead: worth the change to an implicit method, if stability alone keeps steps small

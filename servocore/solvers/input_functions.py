@@ -108,7 +108,7 @@ class _Spline:
 
 @dataclass(frozen=True, eq=False)
 class CheckedInputs:
-    """A function of time whose values are looked at: as many finite numbers as the system has inputs."""
+    """A function of time whose values are checked: as many finite numbers as the system has inputs."""
 
     inputs: Callable[[float], Any]
     system: MechanicalSystem
@@ -134,7 +134,7 @@ class CheckedInputs:
         return values
 
     def many(self, t: Array) -> Array:
-        """Return the inputs at times (N,), shape (N, m): looked at together, and one by one where something is off."""
+        """Return the inputs at times (N,), shape (N, m), checked together, and one by one where that fails."""
         answers = [self.inputs(time) for time in t.tolist()]
         with suppress(TypeError, ValueError):
             values = np.array(answers, dtype=np.float64)

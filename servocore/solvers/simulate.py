@@ -207,7 +207,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     )
     for row, quantity in zip(values, known, strict=True):
         if quantity.wraps:
-            # Angles are told by atan2, which jumps; a motion goes on.
+            # atan2 jumps by a full turn where a motion is continuous.
             row[:] = np.unwrap(row)
     _, _, constraint, constraint_rate = (float(largest) for largest in violations.max(axis=1))
     deviation, rate_deviation = deviations

@@ -14,7 +14,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import DerivativeArray
 
 _APART = 0.1  # of the movement: two Taylor polynomials that miss each other by less belong to one motion
-_AT_ONCE = 1 << 16  # intervals that are looked at together: what a million need would fill the memory
+_AT_ONCE = 1 << 16  # intervals that are compared together: a million at once would fill the memory
 _NONE = np.zeros(0, dtype=np.intp)
 SLIGHT = 1e-3
 """Of the range of a coordinate: a miss that says nothing."""

@@ -41,8 +41,8 @@ def program_of(
     formulation, method : Formulation, Method
         How.
     native : bool or None
-        Whether a C compiler shall turn it into machine code; with None it does so in the background where the program
-        is asked for again, or for many steps.
+        Whether a C compiler shall turn it into machine code; with None it does so in the background, for a
+        program that is used again or for many steps.
     steps : int
         How many are to be taken.
     """

@@ -72,9 +72,8 @@ class ExplicitSteps:
         times: Array = reference.start_time + h * np.arange(count + 1.0)
         settings = np.concatenate([np.full((*p.shape[:-1], 1), h), p], axis=-1)
         if self.formula is not None:
-            numbers = np.array(
-                [reference.formula.numbers(self.order) for reference in references if reference.formula is not None]
-            )
+            formulas = (path.formula for path in references)
+            numbers = np.array([formula.numbers(self.order) for formula in formulas if formula is not None])
             path = times[None]
         else:
             nodes = (times[:, None] + h * self.nodes).ravel()

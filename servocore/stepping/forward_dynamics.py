@@ -163,12 +163,12 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     arguments = [ca.vertcat(q, v), v_dot, system.lam, system.u, system.p]
     function = ca.Function("sc_plant_values", arguments, [ca.densify(values)], {"cse": True})
     # In independent coordinates the force of a rope follows from the motion and all other forces.
-    told = {each: reaction for each, reaction in system.reactions.items() if each.name not in unique}
+    reactions = {channel: force for channel, force in system.reactions.items() if channel.name not in unique}
     state, rate, lam, u, p = (ca.MX.sym(f"a{k}", function.size1_in(k)) for k in range(5))
     d, n = ca.MX.sym("d", len(system.outputs)), q.numel()
-    more = [reaction(state[:n], state[n:], rate, u, d, p) for reaction in told.values()]
+    more = [force(state[:n], state[n:], rate, u, d, p) for force in reactions.values()]
     everything = ca.vertcat(function(state, rate, lam, u, p), *more)
     return (
-        (*(channel for channel, _ in unique.values()), *(replace(channel, positive=False) for channel in told)),
+        (*(channel for channel, _ in unique.values()), *(replace(channel, positive=False) for channel in reactions)),
         ca.Function("sc_plant_channels", [state, rate, lam, u, d, p], [everything]),
     )

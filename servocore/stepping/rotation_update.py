@@ -124,7 +124,7 @@ def _unknowns_of(system: MechanicalSystem) -> _Unknowns:
 
 
 def _orthonormality(system: MechanicalSystem, places: list[int]) -> list[int]:
-    """Return constraints on nine directions that hold after every rotation: told at two of them."""
+    """Return constraints on nine directions that hold after every rotation, found by two arbitrary ones."""
     pattern = np.asarray(ca.DM(ca.jacobian_sparsity(system.constraints, system.q), 1))
     others = np.setdiff1d(range(pattern.shape[1]), places)
     rows = [k for k in range(len(pattern)) if not pattern[k, others].any() and pattern[k].any()]

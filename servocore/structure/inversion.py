@@ -56,7 +56,7 @@ class Inversion:
 
     @property
     def search(self) -> ca.Function:
-        """See above; compiled when first asked for, as what follows from it: `analyse` seldom needs any."""
+        """See above; compiled at the first use, as the functions made from it: `analyse` seldom needs any."""
         return self._once("search", lambda: _compile_search(self._array, self._equations))
 
     @property

@@ -35,7 +35,7 @@ Point = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Home:
-    """Where equations are looked at, and their symbols besides the variables.
+    """The point at which equations are analysed, and their symbols besides the variables.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class SecondOrderEquations:
     embedded : tuple of int
         How often some equation of (1) was differentiated to make each row: 2 for most combined rows, else 0.
     home : Home
-        Where they are looked at.
+        The point at which they are analysed.
     remedy : str
         What was done to the equations first; empty if nothing.
     special : bool
@@ -345,14 +345,14 @@ def _has_full_rank(matrix: Array) -> bool:
 def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presence:
     """Tell which entries of a sum of matrices, expressions of y, gamma and p, vanish at all probes.
 
-    The parts are looked at by themselves: where constants cancel, nothing in the sum remembers what they were.
+    The parts are evaluated one by one: where constants cancel, their sum no longer shows the size of the terms.
     """
     arguments = equations.arguments
     pattern = reduce(operator.add, (part.sparsity() for part in parts))
     parts = [ca.project(part, pattern) for part in parts]
 
-    def compiled(asked: list[int]) -> ca.Function:
-        entries = ca.densify(ca.horzcat(*[ca.vec(part.nz[asked]) for part in parts]))
+    def compiled(chosen: list[int]) -> ca.Function:
+        entries = ca.densify(ca.horzcat(*[ca.vec(part.nz[chosen]) for part in parts]))
         return ca.Function("sc_entries", arguments, [entries])
 
     def present(function: ca.Function, points: list[Point]) -> npt.NDArray[np.bool_]:
@@ -365,11 +365,11 @@ def presence(equations: SecondOrderEquations, parts: Sequence[ca.SX]) -> Presenc
     first, *others = probe_points(equations, everything)
     disturbed = probe_points(equations, everything, disturbed=True)
     here, special = present(everything, [first])[0], False
-    asked = [int(k) for k in np.flatnonzero(~here)]
-    if asked:  # what was seen once need not be looked at again
-        seen = present(compiled(asked), [*others, *disturbed])
-        here[asked] = seen[: len(others)].any(axis=0)
-        special = bool((seen[len(others) :].any(axis=0) & ~here[asked]).any())
+    absent = [int(k) for k in np.flatnonzero(~here)]
+    if absent:  # an entry that is present at one point needs no other
+        seen = present(compiled(absent), [*others, *disturbed])
+        here[absent] = seen[: len(others)].any(axis=0)
+        special = bool((seen[len(others) :].any(axis=0) & ~here[absent]).any())
     places = tuple(np.array(pattern.get_triplet()))
     structural, numerical = np.zeros(pattern.shape, dtype=bool), np.zeros(pattern.shape, dtype=bool)
     structural[places], numerical[places] = True, here

@@ -1,6 +1,6 @@
 """Structural analysis of a servo constraint problem: the signature method, and remedies where it is misled.
 
-The second-order equations (1) in the variables y = (q, lam, u) are looked at as they stand. The method sees structure,
+The second-order equations (1) in the variables y = (q, lam, u) are analysed as they stand. The method sees structure,
 not values: in generalized coordinates accelerations that cancel hide the true index, and the system Jacobian is then
 singular everywhere. The remedy is a linear combination of equations: the momentum equations that no input enters, less
 what the servo constraints say of the same accelerations (`combine`); and if that does not help, whatever combination is
@@ -44,7 +44,7 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
         if changed is None:
             continue
         if remedy is leave_out_vanishing:
-            equations = changed  # what the other remedies start from
+            equations = changed  # the other remedies start from these
         with contextlib.suppress(InvalidModel):  # the last remedy will say why
             structure = signature(changed)
             if is_regular(structure):

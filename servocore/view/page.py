@@ -194,7 +194,7 @@ def _template(name: str) -> Any:
 
 
 def _written(problem: Problem, solution: Solution, live: LiveModel | None) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return what the page is told, and its functions as JavaScript."""
+    """Return the data of the page, and its functions as JavaScript."""
     t = _thinned(solution.t)
     quantities = (
         live.outputs
