@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import floor
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ from servocore.files import csv_text
 STEP = 0.01
 """Communication step in s that suits each FMU, and the system of all."""
 
+_DRIVES = ("M_b", "F", "M_w")
+
 STOP = {"RotaryCrane": 20.0, "LoadTrajectory": 20.0, "CranePlant": 2.0}
 
 
@@ -33,7 +36,10 @@ def cross_check(fmu: Path, path: sc.Reference | None = None, starts: Starts = NO
     starts : mapping of str to float or str
         Start values that the FMU has in place of defaults.
     """
-    stop, given = STOP[fmu.stem], _inputs(fmu.stem, path, at_rest(starts)["M_w"])
+    stop = STOP[fmu.stem]
+    if path is not None and path.jet(path.end_time, 4)[1:].any():  # later there is no path
+        stop = min(stop, STEP * floor(path.end_time / STEP))
+    given = _inputs(fmu.stem, stop, path, starts)
     with nothing_left():
         found = fmpy.simulate_fmu(str(fmu), stop_time=stop, output_interval=STEP, input=given)
     settings = {"StartTime": 0.0, "StopTime": stop, "StepSize": STEP, "RelTol": 0.0, "OutputIntervalLength": STEP}
@@ -44,15 +50,19 @@ def cross_check(fmu: Path, path: sc.Reference | None = None, starts: Starts = NO
     put(fmu.parent, files)
 
 
-def _inputs(name: str, path: sc.Reference | None, hold: float) -> npt.NDArray[Any] | None:
-    """Return inputs as FMPy reads them: the default manoeuvre, or a push from rest."""
+def _inputs(name: str, stop: float, path: sc.Reference | None, starts: Starts) -> npt.NDArray[Any] | None:
+    """Return inputs as FMPy reads them: a manoeuvre, or those that push from rest or go on with a motion."""
     if name == "RotaryCrane":
         return input_rows(path or sc.scenes.rotary_crane().reference, STEP)
     if name != "CranePlant":
         return None
-    t = np.linspace(0.0, STOP[name], round(STOP[name] / STEP) + 1)
-    push = 50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, hold)
-    return np.rec.fromarrays([t, *push], dtype=[(each, np.float64) for each in ("time", "M_b", "F", "M_w")])
+    t = np.linspace(0.0, stop, round(stop / STEP) + 1)
+    push = [50.0 * np.sin(np.pi * t) ** 2, -5.0 * np.sin(np.pi * t) ** 2, np.full_like(t, at_rest(starts)["M_w"])]
+    if path is not None and _DRIVES[0] in starts:
+        crane = sc.scenes.rotary_crane()
+        own = {key: float(value) for key, value in starts.items() if key in crane.parameter_values()}
+        push = list(sc.ExactInversion(crane.with_parameters(**own).with_reference(path), native=False)(t).T)
+    return np.rec.fromarrays([t, *push], dtype=[(each, np.float64) for each in ("time", *_DRIVES)])
 
 
 def _csv(rows: npt.NDArray[Any]) -> str:

@@ -70,7 +70,7 @@ def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path
     tell("the trajectory")
     sc.export_trajectory(crane, files[0], line, fmi=2, targets=targets, tell=tell)
     estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
-    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, estimates=estimates, tell=tell)
+    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, estimates=estimates, start=given, tell=tell)
     sc.export_plant(crane, files[2], plant, fmi=2, model=_COORDINATES, targets=targets, tell=tell)
     return files
 

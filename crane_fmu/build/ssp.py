@@ -7,10 +7,13 @@ parameters are bound inline.
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree as ET
+
+import numpy as np
 
 import servocore as sc
 from crane_fmu.build.archive import zipped
@@ -21,7 +24,17 @@ from crane_fmu.build.fmu import build_fmu
 from crane_fmu.build.native import NativeWishes, native_fmus
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import filled_folder, path_in_file, put
-from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, PATH_FILE, Variable, components
+from crane_fmu.slave.interface import (
+    DIMENSION,
+    FEEDBACK_INPUTS,
+    FROM_FILE,
+    ORDERS,
+    PATH_FILE,
+    PATH_INPUTS,
+    START_ORDERS,
+    Variable,
+    components,
+)
 
 SYSTEM_FILE, _STRUCTURE = "Crane.ssp", "SystemStructure.ssd"
 COMPONENTS: Mapping[str, str] = {
@@ -30,6 +43,9 @@ COMPONENTS: Mapping[str, str] = {
     CRANE_PLANT.name: "plant",
 }
 """Names of the components by those of their FMUs."""
+
+_A = ("a position", "a velocity", "an acceleration", "a jerk", "a snap")
+_INSTANTS, _ROUND_OFF = 101, 1e-12  # of the peak of a derivative
 
 _SSD, _SSC, _SSV = (
     f"http://ssp-standard.org/SSP1/SystemStructure{each}" for each in ("Description", "Common", "ParameterValues")
@@ -105,8 +121,13 @@ def build_ssp(
     Raises
     ------
     ServocoreError
-        If a file cannot be read or written, wishes exclude each other, the crane cannot follow the path, or an FMU
-        fails its check.
+        If a file cannot be read or written, wishes exclude each other, the crane cannot follow the path, the path
+        moves where it starts after the run, or an FMU fails its check.
+
+    Warns
+    -----
+    ServocoreWarning
+        If the path ends in motion.
     """
     reference = wishes.reference()
     starts: dict[str, float | str] = dict(wishes.parameters)
@@ -114,17 +135,12 @@ def build_ssp(
     if wishes.profile is not None:
         starts["profile"] = wishes.profile
     if reference is not None:
-        if reference.start_time < 0.0:  # the load would begin beside its path, and the run after it
-            raise sc.InvalidReference(
-                f"the path starts at t = {reference.start_time:g} s, but the system's run at 0 s: let it start then or"
-                " later"
-            )
-        first = reference.jet(reference.start_time, 0)[0].tolist()
-        starts |= {"profile": FROM_FILE}
-        for vector in ("load.position", "start.position"):
-            starts |= dict(zip(components(vector), first, strict=True))
+        _require_start(reference)
         duration = reference.end_time
-    _require_followed(reference, wishes.parameters)
+    inverse = _inverse(reference, wishes.parameters)
+    if reference is not None:
+        starts |= path_starts(reference, inverse)
+        _tell_end(reference)
     with filled_folder(directory) as draft:
         if wishes.native:
             played = None if reference is None else read_again(sc.csv_of(reference))
@@ -138,12 +154,74 @@ def build_ssp(
     return tuple(directory / name for name in names)
 
 
-def _require_followed(reference: sc.Reference | None, parameters: Mapping[str, float]) -> None:
-    """Refuse a path that the crane cannot follow before anything is built; preparing the inversion looks at it."""
+def _require_start(path: sc.Reference) -> None:
+    """Refuse a path beside which the load would begin: the run starts at 0 s."""
+    start = path.start_time
+    if start < 0.0:
+        raise sc.InvalidReference(
+            f"the path starts at t = {start:g} s, but the system's run at 0 s: let it start then or later"
+        )
+    motion = _motion(path, start)
+    if start > 0.0 and motion:
+        raise sc.InvalidReference(
+            f"the path starts in motion at t = {start:g} s, with {motion}, but the system's run at 0 s: let it start"
+            " then, or from rest"
+        )
+
+
+def _tell_end(path: sc.Reference) -> None:
+    """Warn of a path that ends in motion: a tool that runs on finds no path there."""
+    motion = _motion(path, path.end_time)
+    if motion:
+        warnings.warn(
+            f"the path ends in motion at t = {path.end_time:g} s, with {motion}: run the system until then only, for"
+            " later the load is sent on along the path's last polynomial",
+            sc.ServocoreWarning,
+            stacklevel=3,
+        )
+
+
+def _motion(path: sc.Reference, time: float) -> str:
+    """Return the lowest derivative that a path from a table has at one of its ends, empty where it rests."""
+    peaks = np.linalg.norm(path.jet(np.linspace(path.start_time, path.end_time, _INSTANTS), 4), axis=-1).max(axis=0)
+    sizes = np.linalg.norm(path.jet(time, 4), axis=-1)
+    found = [order for order in range(1, len(ORDERS)) if sizes[order] > _ROUND_OFF * peaks[order]]
+    units = {each.name: each.unit for each in ROTARY_CRANE.interface().variables}
+    return f"{_A[found[0]]} of {sizes[found[0]]:.3g} {units[f'load.{ORDERS[found[0]]}[1]']}" if found else ""
+
+
+def path_starts(path: sc.Reference, inverse: sc.ExactInversion) -> dict[str, float | str]:
+    """Return start values of all FMUs with which the load begins on its path, in the motion that the path has there.
+
+    Parameters
+    ----------
+    path : Reference
+        From a table.
+    inverse : ExactInversion
+        Of the crane on it.
+
+    Returns
+    -------
+    dict of str to float or str
+        By the names of variables, inputs among them: some masters pass connected values on after the first step only.
+    """
+    jet = path.jet(path.start_time, len(ORDERS) - 1)
+    orders = len(ORDERS) if jet[1:].any() else 1  # what rests begins with brakes, as by default
+    numbers = dict(zip(PATH_INPUTS[: orders * DIMENSION], jet[:orders].ravel().tolist(), strict=True))
+    for order, values in zip(START_ORDERS[:orders], jet.tolist(), strict=False):
+        numbers |= dict(zip(components(f"start.{order}"), values, strict=True))
+    if orders > 1:
+        forces = [each.name for each in CRANE_PLANT.interface().of("input")]
+        numbers |= dict(zip(forces, inverse(path.start_time).tolist(), strict=True))
+    return {"profile": FROM_FILE, **numbers}
+
+
+def _inverse(reference: sc.Reference | None, parameters: Mapping[str, float]) -> sc.ExactInversion:
+    """Return the inputs of the crane; a path that it cannot follow is refused by this before anything is built."""
     crane = sc.scenes.rotary_crane()
     own = crane.model().parameters.names  # others are those of the FMUs: what is connected, where a line starts
     crane = crane.with_parameters(**{name: value for name, value in parameters.items() if name in own})
-    sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
+    return sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
 
 
 def _python_fmus(draft: Path, reference: sc.Reference | None, starts: Starts, progress: Progress) -> list[Path]:

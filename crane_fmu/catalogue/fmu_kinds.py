@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 from crane_fmu.catalogue import variables
 from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
-from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, Interface, components
+from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, ORDERS, START_ORDERS, Interface, components
 from crane_fmu.slave.straight_lines import PROFILES
 
 Route = tuple[str, str]
@@ -82,7 +82,9 @@ class FmuKind:
         if self is LOAD_TRAJECTORY and starts.get("profile") == FROM_FILE:
             return ({},)
         hold = at_rest(starts)["M_w"]
-        return tuple(run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
+        own = [each.name for each in self.interface().variables if each.causality != "output"]
+        still = {name: 0.0 for name in own if name in _MOVING and name in starts}
+        return tuple(still | run | ({"M_w": hold} if "M_w" in run else {}) for run in self.runs)
 
     def rest(self, starts: Starts) -> dict[str, float]:
         """Return what outputs have to be at the end of each run.
@@ -133,6 +135,13 @@ def at_rest(starts: Starts) -> dict[str, float]:
 
 
 _START = components("start.position")
+_MOVING = frozenset(
+    (
+        *(each.name for each in variables.crane_plant().of("input")),
+        *components(*(f"load.{order}" for order in ORDERS[1:]), *(f"start.{order}" for order in START_ORDERS[1:])),
+    )
+)
+"""What is zero while the load rests."""
 _CRANE = ("phi", "s", "l", "tension")
 _ROUTES = tuple(product(MODELS, FORMULATIONS))
 

@@ -12,6 +12,7 @@ from crane_fmu.slave.interface import (
     INPUT_TIMES,
     ORDERS,
     REST,
+    START_ORDERS,
     Causality,
     Interface,
     Variability,
@@ -101,7 +102,11 @@ def crane_plant() -> Interface:
         _output("energy", "J", "kinetic and potential energy; zero at rest at the girder", "kJ", None, 1000.0),
         *_crane_parameters(),
         *_vector("start.position", "m", REST, "position of the load at the start,"),
-        *_vector("start.velocity", "m/s", _ZERO, "velocity of the load at the start,"),
+        *(
+            row
+            for order in START_ORDERS[1:]
+            for row in _vector(f"start.{order}", _UNITS[order], _ZERO, f"{order} of the load at the start,")
+        ),
         _number("start.swing[1]", "rad", 0.0, "swing at the start in the bridge's plane, outwards", -1.5, 1.5, "fixed"),
         _number("start.swing[2]", "rad", 0.0, "swing at the start, out of that plane", -1.5, 1.5, "fixed"),
         _number("mass_error", "1", 0.0, "the load is heavier by this fraction of load_mass", -0.9, 10.0),

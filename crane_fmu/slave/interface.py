@@ -18,6 +18,9 @@ Variability = Literal["continuous", "tunable", "fixed"]
 ORDERS = ("position", "velocity", "acceleration", "jerk", "snap")
 """Names of the load path's derivatives of order 0, 1, ..."""
 
+START_ORDERS = ORDERS[:4]
+"""Those that say where the crane and its load are at the start, and how fast."""
+
 DIMENSION = 3
 """Components of the load path."""
 

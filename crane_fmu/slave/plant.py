@@ -11,7 +11,7 @@ import numpy as np
 
 from crane_fmu.slave.base import TableSlave, load_once, required
 from crane_fmu.slave.checks import internal_steps
-from crane_fmu.slave.interface import CRANE_PARAMETERS, PLANT_FILE, components
+from crane_fmu.slave.interface import CRANE_PARAMETERS, DIMENSION, PLANT_FILE, START_ORDERS, components
 from crane_fmu.slave.paths import Array
 from crane_fmu.slave.saved_state import PlainState
 from servocore import IntegrationFailed, InvalidReference, Plant
@@ -38,6 +38,8 @@ class PlantState(PlainState):
         Its length in s; 0 if there is none to continue the inputs from.
     acting : ndarray, shape (3,)
         Inputs at `time`, continued.
+    stepped : bool
+        Whether a step has been taken.
     """
 
     time: float
@@ -46,6 +48,7 @@ class PlantState(PlainState):
     inputs: Array
     last_step: float
     acting: Array
+    stepped: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +79,8 @@ class Slave(TableSlave):
         self._at_end = self._held = self._brakes = False
         self._own = self._references(*CRANE_PARAMETERS, "mass_error")
         self._weather = self._references(*components("wind", "gust"), "gust_start", "gust_duration", "internal_step")
-        start = components("start.position", "start.velocity")
-        self._initial = self._references(*start, "start.swing[1]", "start.swing[2]")
+        start = components(*(f"start.{order}" for order in START_ORDERS))
+        self._initial = self._references(*start, "start.swing[1]", "start.swing[2]", "gravity")
 
     # --- start ----------------------------------------------------------------------------------------------------
 
@@ -89,11 +92,14 @@ class Slave(TableSlave):
 
     def _begin(self, time: float) -> PlantState:
         start = self._checked(self._initial)
-        state = _hanging(np.array(start[:3]), np.array(start[3:6]), start[6:])
+        *numbers, swing_in, swing_out, gravity = start
+        motion = np.array(numbers).reshape(len(START_ORDERS), DIMENSION)
+        state = _in_motion(motion, gravity)
+        state[3:5] += swing_in, swing_out
         u = np.array(self._finite_inputs(_INPUTS, time))
-        moving = bool(state[5:].any())  # then they are open: brakes keep velocities as they are, and would stop nothing
-        released = bool(u.any()) or moving or not self._brakes
-        found = PlantState(time, state, released, u, 0.0, u)
+        # One that starts in motion has open brakes: they keep velocities as they are, and would stop nothing.
+        released = bool(u.any()) or bool(motion[1:].any()) or not self._brakes
+        found = PlantState(time, state, released, u, 0.0, u, stepped=False)
         self._require_well(found)
         return found
 
@@ -104,13 +110,16 @@ class Slave(TableSlave):
 
     def _advance(self, now: PlantState, h: float) -> PlantState:
         u = np.array(self._finite_inputs(_INPUTS, now.time + h if self._at_end else now.time))
+        if self._brakes and not (now.stepped or u.any()):
+            u = now.inputs  # some masters pass connected values on after the first step only
         around, end = self._surroundings(), now.time + h
         if now.released or u.any():
             begin, slope = self._reconstructed(now, u, h)
             state = self._integrated(now.state, now.time, h, begin, slope, around)
-            after = PlantState(end, state, True, u, 0.0 if self._held else h, begin + slope * h)
+            after = PlantState(end, state, True, u, 0.0 if self._held else h, begin + slope * h, stepped=True)
         else:
-            after = PlantState(end, self._integrated(now.state, now.time, h, None, u, around), False, u, 0.0, u)
+            state = self._integrated(now.state, now.time, h, None, u, around)
+            after = PlantState(end, state, False, u, 0.0, u, stepped=True)
         if not np.isfinite(after.state).all():
             raise IntegrationFailed(
                 f"the step from t = {now.time:.6g} s to {end:.6g} s has no finite result: the inputs are too large, or"
@@ -184,15 +193,35 @@ class Slave(TableSlave):
         return found
 
 
-def _hanging(position: Array, velocity: Array, swing: Sequence[float]) -> Array:
-    """Return the state of a crane whose rope would hang vertically over a load, turned by the swing angles."""
-    x, y = position[:2]
-    s = math.hypot(x, y)
+def _in_motion(load: Array, gravity: float) -> Array:
+    """Return the state of a crane whose load has a position, velocity, acceleration and jerk."""
+    (x, y, z), v, (a_x, a_y, a_z), j = load
+    lift = a_z + gravity
+    if not z < 0.0:
+        raise InvalidReference(f"the load starts at z = {z:g} m, it must be below the girder")
+    if not lift > 0.0:
+        raise InvalidReference(
+            f"the load starts with a slack rope: g + z'' is {lift:.4g} m/s2, it must stay above 0 m/s2"
+        )
+    # The rope points along the load's acceleration less gravity, from the load up to the trolley at z = 0.
+    lean, lean_rate = np.array([a_x, a_y]) / lift, (j[:2] - np.array([a_x, a_y]) / lift * j[2]) / lift
+    p_x, p_y = x - z * lean[0], y - z * lean[1]
+    rate_x, rate_y = v[:2] - v[2] * lean - z * lean_rate
+    s = math.hypot(p_x, p_y)
     if s <= SMALLEST_RADIUS:
         raise InvalidReference(
             f"the load starts {s:g} m from the slewing axis, it must be more than {SMALLEST_RADIUS:g} m"
         )
-    if not position[2] < 0.0:
-        raise InvalidReference(f"the load starts at z = {position[2]:g} m, it must be below the girder")
-    along, turning = (x * velocity[0] + y * velocity[1]) / s, (x * velocity[1] - y * velocity[0]) / s**2
-    return np.array([math.atan2(y, x), s, -position[2], *swing, turning, along, -velocity[2], 0.0, 0.0])
+    along, turning = (p_x * rate_x + p_y * rate_y) / s, (p_x * rate_y - p_y * rate_x) / s**2
+    # In the bridge's frame: how far the rope leans outwards and sidewards a metre down, and how fast that changes.
+    cos, sin = p_x / s, p_y / s
+    turn = np.array([[-cos, -sin], [sin, -cos]])  # the load is on the other side of the trolley than the lean
+    (out, side), (out_rate, side_rate) = turn @ lean, turn @ lean_rate
+    out_rate, side_rate = out_rate + turning * side, side_rate - turning * out
+    inner, long = math.hypot(1.0, out), math.hypot(1.0, out, side)
+    swing_in, swing_out = math.atan(out), math.atan2(side, inner)
+    swing_in_rate = out_rate / inner**2
+    swing_out_rate = (side_rate * inner - side * out * out_rate / inner) / long**2
+    rope_rate = -v[2] * long - z * (out * out_rate + side * side_rate) / long
+    place = [math.atan2(p_y, p_x), s, -z * long, swing_in, swing_out]
+    return np.array([*place, turning, along, rope_rate, swing_in_rate, swing_out_rate])

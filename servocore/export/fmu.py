@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
@@ -18,6 +19,7 @@ from servocore.export.plant_model import PlantWishes, plant_model
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
+from servocore.export.variables import with_starts
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene, require_scene
 
@@ -36,6 +38,7 @@ def export_fmu(
     targets: str | None = None,
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
+    start: Mapping[str, float] | None = None,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -57,6 +60,8 @@ def export_fmu(
         A law that corrects the inputs by what is measured.
     estimates : SampledEstimates, optional
         What estimates derivatives of the path that are not connected.
+    start : mapping of str to float, optional
+        Start values of inputs and parameters in place of these, by the names of FMI 2.
     tell : callable
         Told what is being done.
 
@@ -83,7 +88,10 @@ def export_fmu(
     require_scene(scene, "export_fmu")
     require_built(path, targets, fmi)
     tell("analysing")
-    return written(inverse_model(scene, model, feedback, estimates), path, fmi, targets, tell)
+    made = inverse_model(scene, model, feedback, estimates)
+    if start is not None:
+        made = replace(made, variables=tuple(with_starts(each, start) for each in made.variables))
+    return written(made, path, fmi, targets, tell)
 
 
 def export_plant(

@@ -108,6 +108,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         own={
             "state_size": 2 * len(problem.system.coordinates),
             "pushed": len(problem.system.outputs),
+            "start_orders": _start_orders(problem),
             "errors": [problem.system.parameters.names.index(parameter) for parameter in wishes.errors.values()],
             "offsets": sum(len(offset) for offset in offsets.values()),
         },
@@ -123,6 +124,11 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         differentiable=True,
         terminals=TERMINALS,
     )
+
+
+def _start_orders(problem: Problem) -> int:
+    """Return how many derivatives of the output, itself included, say where the coordinates and their rates are."""
+    return max(2, problem.array.reference_order)  # the highest one says their accelerations
 
 
 def _coordinates(problem: Problem) -> list[str]:
@@ -170,7 +176,8 @@ def _variables(
     place = m + len(outputs)
     variables += rows.parameter_variables(system.parameters.declared, problem.p, place)
     place += len(system.parameters)
-    home = problem.reference.jet([problem.reference.start_time], 0)[0, 0]
+    home = np.zeros((_start_orders(problem), servo))
+    home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
     settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
@@ -223,13 +230,11 @@ def _functions(
 
 
 def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) -> ca.Function:
-    """Return (position and velocity of the output, offsets, p) -> state: the motion that goes on like this."""
+    """Return (position, velocity, ... of the output, offsets, p) -> state: the motion that goes on like this."""
     array, system = problem.array, problem.system
-    servo = len(system.outputs)
-    place, speed, p = ca.MX.sym("place", servo), ca.MX.sym("speed", servo), ca.MX.sym("p", system.p.numel())
-    path = ca.horzcat(place, speed, ca.MX.zeros(servo, max(array.reference_order - 1, 0)))[
-        :, : array.reference_order + 1
-    ]
+    servo, orders = len(system.outputs), _start_orders(problem)
+    motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())
+    path = ca.horzcat(motion, ca.MX.zeros(servo, 1))[:, : array.reference_order + 1]
     unknowns = problem.resolved.once(inversion).function(path, p)[0]
     coordinates = _coordinates(problem)
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
@@ -240,4 +245,4 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) ->
     added = ca.MX.sym("offsets", len(names))
     for k, each in enumerate(names):
         state[coordinates.index(each)] += added[k]
-    return ca.Function(name, [place, speed, added, p], [ca.densify(ca.vertcat(*state))])
+    return ca.Function(name, [motion, added, p], [ca.densify(ca.vertcat(*state))])

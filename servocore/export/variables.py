@@ -259,9 +259,12 @@ def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> l
 def plant_settings(
     outputs: Sequence[Quantity], tracked: str, home: Array, longest: float, errors: Mapping[str, str]
 ) -> list[Variable]:
-    """Return the parameters of a plant that are none of its model, in the order in which the kernel finds them."""
+    """Return the parameters of a plant that are none of its model, in the order in which the kernel finds them.
+
+    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values.
+    """
     pushes = [_pushing(each, outputs, tracked) for each in ("wind", "gust")]
-    starts = [("start.position", 0, tuple(map(float, home))), ("start.velocity", 1, (0.0,) * len(outputs))]
+    starts = [(f"start.{order_name(order)}", order, tuple(map(float, values))) for order, values in enumerate(home)]
     return [
         *(
             _setting(name, "1", f"the plant's {of} is larger by this fraction of it", (0.0,), -0.9, 10.0)

@@ -88,6 +88,8 @@ static Outcome first_moment(Instance *instance);
 static Outcome move(Instance *instance, double time, double h);
 /* Tell what is odd about a step that has been taken: GOOD or WARNING. */
 static Outcome remark_step(Instance *instance, double time);
+/* How many inputs, the first ones, are not left for zeros in the first step. */
+static size_t awaited(const State *state);
 /* Derivatives of the outputs as they were last computed, by inputs and parameters, along one direction. */
 static Outcome differentiate(Instance *instance, const double *input_seed, const double *parameter_seed, double *found);
 
@@ -269,14 +271,15 @@ static Outcome refresh(Instance *instance)
     return GOOD;
 }
 
-/* Some masters pass connected values on after the first step only: a path is not left for zeros then. */
+/* Some masters pass connected values on after the first step only: what was there at the start is not left for zeros. */
 static void take_inputs(Instance *instance)
 {
     State *state = &instance->state;
+    const size_t count = awaited(state);
     int nothing = state->steps == 0;
-    for (size_t k = 0; k < N_PATH && nothing; k++) nothing = state->inputs[k] == 0.0;
+    for (size_t k = 0; k < count && nothing; k++) nothing = state->inputs[k] == 0.0;
     memcpy(instance->told_inputs, state->inputs, sizeof instance->told_inputs);
-    if (nothing) memcpy(instance->told_inputs, state->heard, N_PATH * sizeof(double));
+    if (nothing) memcpy(instance->told_inputs, state->heard, count * sizeof(double));
 }
 
 /* One communication step: a step that is refused leaves everything as it was. */

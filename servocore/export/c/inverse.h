@@ -226,6 +226,12 @@ static Outcome remark_path(Instance *instance, double time)
                " they have to be connected too", time, VARIABLES[COMPONENTS].name);
 }
 
+static size_t awaited(const State *state)
+{
+    (void)state;
+    return N_PATH;
+}
+
 static Outcome remark_step(Instance *instance, double time)
 {
     /* The instant that the inputs belong to. */

@@ -35,7 +35,7 @@ typedef struct {
 #define PLACE_LONGEST (PLACE_GUST_DURATION + 1)
 #define PLACE_POSITION (PLACE_LONGEST + 1)
 #define PLACE_VELOCITY (PLACE_POSITION + N_PUSHED)
-#define PLACE_OFFSETS (PLACE_VELOCITY + N_PUSHED)
+#define PLACE_OFFSETS (PLACE_POSITION + N_STARTS * N_PUSHED)
 
 enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
 enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
@@ -165,16 +165,15 @@ static Outcome first_moment(Instance *instance)
     Moment *work = &instance->work;
     prepare(instance);
     instance->arguments[0] = parameters + PLACE_POSITION;
-    instance->arguments[1] = parameters + PLACE_VELOCITY;
-    instance->arguments[2] = parameters + PLACE_OFFSETS;
-    instance->arguments[3] = instance->scratch.parameters;
+    instance->arguments[1] = parameters + PLACE_OFFSETS;
+    instance->arguments[2] = instance->scratch.parameters;
     instance->results[0] = work->state;
     call(instance, MATHEMATICS(begin));
     if (!all_finite(work->state, N_STATE))
         return say(instance, DISCARD, "at t = %.6g s no motion has its output where start.position is", work->time);
     memcpy(work->acting, instance->state.inputs, sizeof work->acting);
-    /* A plant that starts with a velocity has them open: brakes keep velocities as they are, and would stop nothing. */
-    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, N_PUSHED) ||
+    /* A plant that starts in motion has them open: brakes keep velocities as they are, and would stop nothing. */
+    work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, (N_STARTS - 1) * N_PUSHED) ||
                      instance->state.choices[BRAKES] == NO_BRAKES;
     return checked_moment(instance, work, 0.0);
 }
@@ -234,11 +233,12 @@ static Outcome move(Instance *instance, double time, double h)
 {
     State *state = &instance->state;
     Moment *work = &instance->work;
-    const int released = work->released || any(state->inputs, N_INPUTS);
+    const double *told = instance->told_inputs;
+    const int released = work->released || any(told, N_INPUTS);
     double begin[N_INPUTS], slope[N_INPUTS];
     Outcome outcome;
     prepare(instance);
-    reconstructed(state, &state->now, state->inputs, state->heard, h, begin, slope);
+    reconstructed(state, &state->now, told, state->heard, h, begin, slope);
     outcome = integrated(instance, time, h, released ? begin : NULL, slope, NULL, NULL);
     if (outcome != GOOD) return outcome;
     for (size_t k = 0; k < N_INPUTS; k++) work->acting[k] = begin[k] + slope[k] * h;
@@ -247,6 +247,9 @@ static Outcome move(Instance *instance, double time, double h)
     work->time = time + h;
     return checked_moment(instance, work, h);
 }
+
+/* While there may be brakes zeros are no inputs yet. */
+static size_t awaited(const State *state) { return state->choices[BRAKES] == UNTIL_INPUTS ? N_INPUTS : 0; }
 
 static Outcome remark_step(Instance *instance, double time)
 {

@@ -111,6 +111,12 @@ static Outcome move(Instance *instance, double time, double h)
     return followed(instance, &instance->work);
 }
 
+static size_t awaited(const State *state)
+{
+    (void)state;
+    return 0;
+}
+
 static Outcome remark_step(Instance *instance, double time)
 {
     (void)instance;
