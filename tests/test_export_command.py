@@ -129,7 +129,15 @@ def test_equal_scenes_give_equal_bytes() -> None:
         (("cars", "-o", "x.fmu", "--c", "mine_too.py"), ("it is a file, not a folder",)),
         (("cars", "--c", "no/source"), ("there is no folder no",)),
         (("cars", "--c", "source", "--fmi", "4"), ("no export for FMI 4",)),
-        (("cars", "--c", "source", "--targets", "host"), ("name it with -o FILE.fmu",)),
+        (("cars", "--c", "source", "--targets", "host"), ("--targets is about an FMU: name it with -o FILE.fmu",)),
+        (("cars", "--wasm", "x.wasm", "--fmi", "3"), ("--fmi is about an FMU: name it with -o FILE.fmu",)),
+        (
+            ("cars", "--wasm", "x.wasm", "--fmi", "3", "--targets", "all", "--cross-check"),
+            ("--fmi, --targets and --cross-check are about an FMU",),
+        ),
+        (("cars", "--wasm", "x.wasm", "-o", "x.wasm"), ("--output and --wasm both name x.wasm",)),
+        (("cars", "--wasm", "x.wasm", "-o", "x.mjs"), ("--output and the loader of --wasm both name x.mjs",)),
+        (("cars", "-o", "x", "--c", "./x"), ("-o and --c both name x",)),
     ],
 )
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(

@@ -15,7 +15,7 @@ from servocore.errors import InvalidSetting, require_package
 from servocore.export.building import METHOD, inverse_model
 from servocore.export.c_source import export_c, require_folder
 from servocore.export.cross_check import STEPS, cross_check_files
-from servocore.export.fmu import export_fmu, export_plant, export_trajectory, require_built, require_version
+from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_trajectory, require_built, require_version
 from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
 from servocore.export.trajectory_model import TrajectoryWishes
 from servocore.export.wasm import export_wasm, loader_beside, require_module
@@ -37,8 +37,10 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore export rotary_crane --plant -o plant.fmu[/cyan]
 """
 
+NEWEST = VERSIONS[0]
+
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE.fmu", help="The FMU to write.")]
-Version = Annotated[int, typer.Option("--fmi", metavar="2|3", help="Version of FMI.")]
+Version = Annotated[int | None, typer.Option("--fmi", metavar="2|3", help=f"Version of FMI. Default: {NEWEST}.")]
 Targets = Annotated[
     str | None,
     typer.Option(
@@ -72,7 +74,7 @@ Module = Annotated[
 def export_scene(
     scene: SceneName,
     output: Output = None,
-    fmi: Version = 3,
+    fmi: Version = None,
     model: Model = None,
     parameters: Parameters = None,
     targets: Targets = None,
@@ -93,12 +95,14 @@ def export_scene(
     dynamics are unstable are refused. With --plant it is the forward dynamics that
     is exported, with --trajectory a generator of the path and its derivatives.
     """
-    carried = GivenPath(reference, waypoints, tolerance)
+    carried, version = GivenPath(reference, waypoints, tolerance), NEWEST if fmi is None else require_version(fmi)
     if plant or trajectory or carried.option():
-        _require_one(plant, trajectory, carried, (c, wasm, cross_check), output)
-        _export_beside(scene, plant, (output, parameters, carried), fmi, model, targets)
+        _require_one(plant, trajectory, carried, {"--c": c, "--wasm": wasm, "--cross-check": cross_check or None})
+        _require_named(output)
+        _export_beside(scene, plant, (output, parameters, carried), version, model, targets)
         return
-    subject = _possible(scene, parameters, {"-o": output, "--c": c, "--wasm": wasm}, fmi, targets, cross_check)
+    _require_fmu(output, {"--fmi": fmi, "--targets": targets, "--cross-check": cross_check or None}, c or wasm)
+    subject = _possible(scene, parameters, {"--output": output, "--c": c, "--wasm": wasm}, version, targets)
     with PatientProgress("exporting") as progress:
         checked = {}
         if output is not None and cross_check:
@@ -109,7 +113,7 @@ def export_scene(
         if output is not None:
             export_fmu(
                 subject, output,
-                fmi=fmi, model=model, targets=targets, tell=progress.describe,
+                fmi=version, model=model, targets=targets, tell=progress.describe,
             )  # fmt: skip
             write_together(checked)
         if c is not None:
@@ -117,7 +121,7 @@ def export_scene(
         if wasm is not None:
             progress.describe("compiling to WebAssembly")
             export_wasm(subject, wasm, model=model)
-    _told(subject, output, fmi, targets, c, wasm)
+    _told(subject, output, version, targets, c, wasm)
 
 
 def _told(
@@ -132,23 +136,38 @@ def _told(
         print(f"{wasm}, {loader_beside(wasm)}: WebAssembly of {subject.name}")
 
 
-def _possible(
-    scene: str, parameters: Path | None, results: Mapping[str, Path | None], fmi: int, targets: str | None, check: bool
-) -> SceneValue:
-    """Return the scene, after a look at all that can be refused before the work."""
-    output, c, wasm = results.values()
-    if not any(results.values()):
+def _require_fmu(output: Path | None, about: Mapping[str, object | None], beside: Path | None) -> None:
+    """Raise `InvalidSetting` without a file to write, or where options are about an FMU and none is wanted."""
+    given = _given(about)
+    if output is None and given:
+        raise InvalidSetting(f"{given} about an FMU: name it with -o FILE.fmu")
+    if output is None and beside is None:
         raise InvalidSetting(
             "name the file to write with -o FILE.fmu, a folder for C source with --c DIR, or a module with --wasm FILE"
         )
-    if output is None and (targets is not None or check):
-        raise InvalidSetting("--targets and --cross-check are about an FMU: name it with -o FILE.fmu")
-    require_version(fmi)
+
+
+def _given(options: Mapping[str, object | None]) -> str:
+    """Return those options that are given as the subject of a sentence, with its verb; empty without one."""
+    names = [name for name, value in options.items() if value is not None]
+    if not names:
+        return ""
+    *most, last = names
+    return f"{', '.join(most)} and {last} are" if most else f"{last} is"
+
+
+def _possible(
+    scene: str, parameters: Path | None, results: Mapping[str, Path | None], fmi: int, targets: str | None
+) -> SceneValue:
+    """Return the scene, after a look at all that can be refused before the work."""
+    output, c, wasm = results.values()
     require_package("jinja2")
     if output is not None:
         chosen_targets(targets, fmi)
     subject = chosen(scene, parameters)
-    require_places({"--output": output, "--wasm": wasm}, [parameters])
+    loader = None if wasm is None else loader_beside(wasm)
+    require_places({"--output": output, "--wasm": wasm, "the loader of --wasm": loader}, [parameters])
+    _require_apart(output, wasm, c)
     if wasm is not None:
         require_module(wasm)
     if c is not None:
@@ -156,16 +175,26 @@ def _possible(
     return subject
 
 
-def _require_one(
-    plant: bool, trajectory: bool, carried: GivenPath, others: tuple[object, ...], output: Path | None
-) -> None:
+def _require_apart(output: Path | None, wasm: Path | None, folder: Path | None) -> None:
+    """Raise `InvalidSetting` if a file is to be where a folder is to be."""
+    for option, file in (("-o", output), ("--wasm", wasm)):
+        if file is not None and folder is not None and file.resolve() == folder.resolve():
+            raise InvalidSetting(f"{option} and --c both name {file}")
+
+
+def _require_one(plant: bool, trajectory: bool, carried: GivenPath, others: Mapping[str, object | None]) -> None:
     """Raise `InvalidSetting` if options do not go with --plant or --trajectory."""
     if plant and trajectory:
         raise InvalidSetting("--plant and --trajectory are FMUs of their own: ask for one at a time")
     if carried.option() and not trajectory:
         raise InvalidSetting(f"{carried.option()} belongs to --trajectory")
-    if any(others):
-        raise InvalidSetting("--c, --wasm and --cross-check are about inverse models: not with --plant or --trajectory")
+    given = _given(others)
+    if given:
+        raise InvalidSetting(f"{given} about inverse models: not with {'--plant' if plant else '--trajectory'}")
+
+
+def _require_named(output: Path | None) -> None:
+    """Raise `InvalidSetting` if there is no file to write."""
     if output is None:
         raise InvalidSetting("name the file to write with -o FILE.fmu")
 
