@@ -137,7 +137,7 @@ def test_equal_scenes_give_equal_bytes() -> None:
         ),
         (("cars", "--wasm", "x.wasm", "-o", "x.wasm"), ("--output and --wasm both name x.wasm",)),
         (("cars", "--wasm", "x.wasm", "-o", "x.mjs"), ("--output and the loader of --wasm both name x.mjs",)),
-        (("cars", "-o", "x", "--c", "./x"), ("-o and --c both name x",)),
+        (("cars", "-o", "x", "--c", "./x"), ("--output and --c both name x",)),
     ],
 )
 def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(

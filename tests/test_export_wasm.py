@@ -224,7 +224,7 @@ def assert_as_in_the_library(found: Mapping[str, Array]) -> None:
         "a path has 15 values at each instant, at least at 1: 75014 do not fit",
         "rotary_crane has no parameter mass",
         "load_mass = -80 kg is outside its range [0.001, 1000000000] kg",
-        "gravity = NaN m/s2 is outside its range [0.001, 1000] m/s2",
+        "gravity = NaN m/s2 is not a finite number",
         "a path of 1 instants needs as many times, not 2",
         "a path has 15 values at each instant, at least at 2: 15 do not fit",
         "steps are above 0 s, not undefined s from 0 s on",

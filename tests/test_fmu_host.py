@@ -155,7 +155,7 @@ def test_fmpy_stops_short_at_a_refused_step_and_says_why() -> None:
         ({"model": "ring"}, "model = 99 is unknown"),
         ({"formulation": "guessed"}, "formulation = 99 is unknown"),
         ({"input_time": "middle"}, "input_time = 99 is unknown"),
-        ({"load_mass": math.nan}, "load_mass = nan kg is outside its range"),
+        ({"load_mass": math.nan}, "load_mass = nan kg is not a finite number"),
         ({"gravity": 0.0}, "gravity = 0 m/s2 is outside its range"),
         ({"internal_step": -1.0}, "internal_step = -1 s is outside its range"),
         ({"load.position[3]": 1.0}, "the load is not below the girder"),

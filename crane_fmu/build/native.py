@@ -81,8 +81,9 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         measured=_measured(),
         laws=feedback_functions(crane.model(LAW_MODEL)),
         judge=_judge(),
-        not_measured="the feedback needs a measured rope length above 0 m, a measured height of the load below 0 m and"
-        " all measured values connected; feedback = 0 does without",
+        not_measured="the measured rope length is %g m and the measured height of the load %g m: the feedback needs the"
+        " length above 0 m, the height below 0 m and all measured values connected; feedback = 0 does without",
+        shown=(FEEDBACK_INPUTS.index("measured.l"), FEEDBACK_INPUTS.index("measured.position[3]")),
         largest_turn=LARGEST_TURN,
         distance=_DISTANCE,
     )

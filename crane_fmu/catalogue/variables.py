@@ -75,12 +75,11 @@ def load_trajectory() -> Interface:
         *_vector("start", "m", start, "start of the path, component"),
         *_vector("end", "m", end, "end of the path, component"),
         _number("duration", "s", path.duration, "time of the motion", 1e-3, 1e9, change="fixed"),
-        _number("start_time", "s", 0.0, "when the motion starts; the load rests before", None, change="fixed"),
-        _number(
-            "ramp", "s", 0.0, f"time to accelerate, for {THREE_PHASE}; 0: a quarter of the duration", change="fixed"
-        ),
+        _number("start_time", "s", 0.0, "when the motion starts; the load rests before", -1e9, 1e9, change="fixed"),
+        _number("ramp", "s", 0.0, f"time to accelerate, for {THREE_PHASE}; 0: a quarter of the duration", 0.0, 1e9,
+                change="fixed"),
         _choice("profile", (*PROFILES, FROM_FILE), "time law along the line, or a table"),
-    )
+    )  # fmt: skip
     return Interface(rows)
 
 
@@ -112,8 +111,8 @@ def crane_plant() -> Interface:
         _number("mass_error", "1", 0.0, "the load is heavier by this fraction of load_mass", -0.9, 10.0),
         *_vector("wind", "N", _ZERO, "constant force on the load,", "tunable"),
         *_vector("gust", "N", _ZERO, "force on the load during the gust,", "tunable"),
-        _number("gust_start", "s", 0.0, "time at which the gust begins", None),
-        _number("gust_duration", "s", 0.0, "time that the gust lasts"),
+        _number("gust_start", "s", 0.0, "time at which the gust begins", -1e9, 1e9),
+        _number("gust_duration", "s", 0.0, "time that the gust lasts", 0.0, 1e9),
         _number("internal_step", "s", 0.002, "longest step of the solver, Runge-Kutta of order four", 1e-6, 1.0),
         _choice("input_time", INPUT_TIMES, "instant of a communication step that its inputs belong to"),
         _choice("hold", ("first_order", "zero_order"), "how inputs go on between communication points"),

@@ -36,7 +36,7 @@ def require_step(present: float, time: float, h: float) -> None:
     if abs(time - present) > 1e-6 * h + _ROUND_OFF * math.ulp(max(abs(time), abs(present))):
         direction = "behind" if time < present else "ahead of"
         raise InvalidSetting(
-            f"the communication point t = {float(time)!r} s lies {direction} the FMU's time {float(present)!r} s;"
+            f"the communication point t = {time:.12g} s lies {direction} the FMU's time {present:.12g} s;"
             f" to repeat a step restore the FMU's state first"
         )
 
@@ -65,15 +65,17 @@ def require_finite(inputs: Sequence[float], variables: Sequence[Variable], time:
 def chosen_item(variable: Variable, number: int) -> str:
     """Return the name of an enumeration's item; raises `InvalidSetting` if there is none of that number."""
     if not 1 <= number <= len(variable.choices):
-        items = ", ".join(f"{k} ({name})" for k, name in enumerate(variable.choices, start=1))
-        raise InvalidSetting(f"{variable.name} = {number} is unknown; it may be {items}")
+        *most, last = (f"{k} ({name})" for k, name in enumerate(variable.choices, start=1))
+        raise InvalidSetting(f"{variable.name} = {number} is unknown; it may be {', '.join(most)} or {last}")
     return variable.choices[number - 1]
 
 
 def require_legal(variable: Variable, number: float) -> None:
-    """Raise `InvalidSetting` if a parameter's value is outside its range."""
+    """Raise `InvalidSetting` if a parameter's value is not finite or outside its range."""
     low = -math.inf if variable.minimum is None else variable.minimum
     high = math.inf if variable.maximum is None else variable.maximum
-    if not (math.isfinite(number) and low <= number <= high):
-        unit = "" if variable.unit == "1" else f" {variable.unit}"
+    unit = "" if variable.unit == "1" else f" {variable.unit}"
+    if not math.isfinite(number):
+        raise InvalidSetting(f"{variable.name} = {number:g}{unit} is not a finite number")
+    if not low <= number <= high:
         raise InvalidSetting(f"{variable.name} = {number:g}{unit} is outside its range [{low:g}, {high:g}]{unit}")

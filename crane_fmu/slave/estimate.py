@@ -85,8 +85,9 @@ def contradiction(before: Sequence[float], now: Sequence[float], order: int) -> 
         changed = max(abs(now[j] - before[j]) for j in range(3 * k, 3 * k + 3)) > _SLIGHT * size
         above = range(3 * k + 3, 3 * order + 3)
         if changed and not any(before[j] or now[j] for j in above):
+            stay = "stay" if order - k > 1 else "stays"
             return (
-                f"the load's {ORDERS[k]} changes, but its {' and '.join(ORDERS[k + 1 : order + 1])} stay zero: connect"
-                f" what is missing, or set connected = {ORDERS[k]} to have it estimated"
+                f"the load's {ORDERS[k]} changes, but its {' and '.join(ORDERS[k + 1 : order + 1])} {stay} zero:"
+                f" connect what is missing, or set connected = {ORDERS[k]} to have it estimated"
             )
     return ""

@@ -94,7 +94,7 @@ class Slave(TableSlave):
         start = self._checked(self._initial)
         *numbers, swing_in, swing_out, gravity = start
         motion = np.array(numbers).reshape(len(START_ORDERS), DIMENSION)
-        state = _in_motion(motion, gravity)
+        state = _in_motion(motion, gravity, f"at t = {time:.6g} s")
         state[3:5] += swing_in, swing_out
         u = np.array(self._finite_inputs(_INPUTS, time))
         # One that starts in motion has open brakes: they keep velocities as they are, and would stop nothing.
@@ -166,10 +166,18 @@ class Slave(TableSlave):
     def _require_well(self, now: PlantState) -> None:
         values = self._values(now)
         when = f"at t = {now.time:.6g} s"
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise IntegrationFailed(f"{when} {name} is {value:g}, not a finite number")
         if not values["s"] > SMALLEST_RADIUS:
-            raise InvalidReference(f"{when} the trolley reaches the slewing axis: s is {values['s']:.4g} m")
+            raise InvalidReference(
+                f"{when} the trolley reaches the slewing axis: s is {values['s']:.4g} m, it must stay above"
+                f" {SMALLEST_RADIUS:g} m"
+            )
         if not (values["z"] < 0.0 and values["l"] > 0.0):
-            raise InvalidReference(f"{when} the load is not below the girder: z is {values['z']:.4g} m")
+            raise InvalidReference(
+                f"{when} the load is not below the girder: z is {values['z']:.4g} m, it must stay below 0 m"
+            )
         if not values["tension"] > 0.0:
             raise InvalidReference(
                 f"{when} the rope goes slack: its tension is {values['tension']:.4g} N, it must stay above 0 N"
@@ -193,24 +201,26 @@ class Slave(TableSlave):
         return found
 
 
-def _in_motion(load: Array, gravity: float) -> Array:
+def _in_motion(load: Array, gravity: float, when: str) -> Array:
     """Return the state of a crane whose load has a position, velocity, acceleration and jerk."""
     (x, y, z), v, (a_x, a_y, a_z), j = load
     lift = a_z + gravity
-    if not z < 0.0:
-        raise InvalidReference(f"the load starts at z = {z:g} m, it must be below the girder")
     if not lift > 0.0:
+        raise InvalidReference(f"{when} the rope goes slack: g + z'' is {lift:.4g} m/s2, it must stay above 0 m/s2")
+    if not z < 0.0:
         raise InvalidReference(
-            f"the load starts with a slack rope: g + z'' is {lift:.4g} m/s2, it must stay above 0 m/s2"
+            f"{when} the load is not below the girder: the load's depth below the girder is {0.0 - z:.4g} m, it must"
+            " stay above 0 m"
         )
     # The rope points along the load's acceleration less gravity, from the load up to the trolley at z = 0.
     lean, lean_rate = np.array([a_x, a_y]) / lift, (j[:2] - np.array([a_x, a_y]) / lift * j[2]) / lift
     p_x, p_y = x - z * lean[0], y - z * lean[1]
     rate_x, rate_y = v[:2] - v[2] * lean - z * lean_rate
     s = math.hypot(p_x, p_y)
-    if s <= SMALLEST_RADIUS:
+    if not s > SMALLEST_RADIUS:
         raise InvalidReference(
-            f"the load starts {s:g} m from the slewing axis, it must be more than {SMALLEST_RADIUS:g} m"
+            f"{when} the trolley reaches the slewing axis: the trolley's distance from the slewing axis is {s:.4g} m,"
+            f" it must stay above {SMALLEST_RADIUS:g} m"
         )
     along, turning = (p_x * rate_x + p_y * rate_y) / s, (p_x * rate_y - p_y * rate_x) / s**2
     # In the bridge's frame: how far the rope leans outwards and sidewards a metre down, and how fast that changes.

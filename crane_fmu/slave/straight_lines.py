@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from servocore import TIME_LAWS, InvalidSetting, Profile, Reference, rest_to_rest, three_phase
+from servocore import TIME_LAWS, InvalidReference, InvalidSetting, Profile, Reference, rest_to_rest, three_phase
 
 THREE_PHASE = "three-phase"
 """The time law that has a parameter, its ramp."""
@@ -46,6 +46,20 @@ def straight_line(
     law = PROFILES[profile]
     if ramp is not None:
         if profile != THREE_PHASE:
-            raise InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {profile}")
+            raise _no_ramp(profile)
+        if ramp > duration / 2.0:
+            raise InvalidReference(
+                f"a path with a ramp of {ramp:g} s takes at least {2.0 * ramp:g} s, but its duration is {duration:g} s"
+            )
         law = three_phase(ramp)
     return rest_to_rest(start, end, duration, law, start_time)
+
+
+def require_no_ramp(profile: str, ramp: float) -> None:
+    """Raise `InvalidSetting` if a ramp, in s, is given for a profile that has none; 0 is none."""
+    if ramp:
+        raise _no_ramp(profile)
+
+
+def _no_ramp(profile: str) -> InvalidSetting:
+    return InvalidSetting(f"a ramp belongs to the profile {THREE_PHASE}, not to {profile}")

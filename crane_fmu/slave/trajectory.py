@@ -11,7 +11,7 @@ import numpy as np
 from crane_fmu.slave.base import TableSlave, required
 from crane_fmu.slave.interface import DIMENSION, FROM_FILE, ORDERS, PATH_FILE, components
 from crane_fmu.slave.saved_state import PlainState
-from crane_fmu.slave.straight_lines import straight_line
+from crane_fmu.slave.straight_lines import require_no_ramp, straight_line
 from servocore import InvalidReference, InvalidSetting, Reference, from_csv
 
 
@@ -38,6 +38,7 @@ class Slave(TableSlave):
         *points, duration, start_time, ramp = self._checked(self._numbers)
         self._path = None
         if profile == FROM_FILE:
+            require_no_ramp(profile, ramp)
             self._path = self._from_file()
         else:
             start, end = points[:DIMENSION], points[DIMENSION:]

@@ -177,7 +177,7 @@ def _possible(
 
 def _require_apart(output: Path | None, wasm: Path | None, folder: Path | None) -> None:
     """Raise `InvalidSetting` if a file is to be where a folder is to be."""
-    for option, file in (("-o", output), ("--wasm", wasm)):
+    for option, file in (("--output", output), ("--wasm", wasm)):
         if file is not None and folder is not None and file.resolve() == folder.resolve():
             raise InvalidSetting(f"{option} and --c both name {file}")
 

@@ -27,11 +27,13 @@ class SampledFeedback:
         (path before, measured, p, h) -> (whether what is measured makes sense, distance from the path, turn of the
         step).
     not_measured : str
-        What to say where it makes none, behind the time.
+        What to say where it makes none, behind the time; a format of the numbers that are shown.
     largest_turn : float
         Beyond this turn of a step there is the feedforward only.
     distance : float
         Start value of the distance from the path up to which there is feedback, in m.
+    shown : tuple of int
+        Places of measured numbers that `not_measured` tells, each as ``%g``.
     """
 
     measured: tuple[tuple[Quantity, int | None], ...]
@@ -40,6 +42,7 @@ class SampledFeedback:
     not_measured: str
     largest_turn: float
     distance: float
+    shown: tuple[int, ...] = ()
 
     @property
     def numbers(self) -> int:
@@ -78,4 +81,5 @@ class SampledFeedback:
             "drives": law.numel_out(1),
             "largest_turn": self.largest_turn,
             "not_measured": self.not_measured,
+            "shown": self.shown,
         }

@@ -95,8 +95,10 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
     )
     variables = _variables(problem, scene.tracked, used, offsets, wishes)
     require_different(problem, variables, (*(choice.name for choice in CHOICES), "time"))
-    limits, margins = _limits(problem)
+    limits, margins = _limits(problem, 1)
+    start_limits, start_margins = _limits(problem, _start_orders(problem))
     functions = _functions(problem, plant, (identifier, [each.name for each in used], margins), offsets)
+    functions["start_margins"] = _renamed(start_margins, f"{identifier}_start_margins")
     m = len(problem.system.inputs)
     return NativeModel(
         identifier=identifier,
@@ -109,6 +111,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
             "state_size": 2 * len(problem.system.coordinates),
             "pushed": len(problem.system.outputs),
             "start_orders": _start_orders(problem),
+            "start_limits": start_limits,
             "errors": [problem.system.parameters.names.index(parameter) for parameter in wishes.errors.values()],
             "offsets": sum(len(offset) for offset in offsets.values()),
         },
@@ -187,15 +190,23 @@ def _variables(
     return tuple(rows.with_starts(each, wishes.start) for each in variables)
 
 
-def _limits(problem: Problem) -> tuple[tuple[Bound, ...], ca.Function]:
-    """Return those limits of the path that say where its output may be, and (path, p) -> how far each is."""
+def _limits(problem: Problem, orders: int) -> tuple[tuple[Bound, ...], ca.Function]:
+    """Return those limits of the path that its first derivatives tell, and (these, p) -> how far each is."""
     system = problem.system
+    orders = min(orders, system.gamma.shape[1])
     kept = [
-        limit for limit in problem.limits if limit.of_path and highest_derivative(limit.on(system), system.gamma) == 0
+        limit
+        for limit in problem.limits
+        if limit.of_path and 0 <= highest_derivative(limit.on(system), system.gamma) < orders
     ]
     margins = ca.vertcat(ca.SX(0, 1), *[each.on(system) - each.bound for each in kept])
     bounds = tuple(Bound(e.quantity, e.unit, e.reason, e.bound, 1.0, -1) for e in kept)
-    return bounds, ca.Function("margins", [system.gamma[:, 0], system.p], [ca.densify(margins)])
+    return bounds, ca.Function("margins", [system.gamma[:, :orders], system.p], [ca.densify(margins)])
+
+
+def _renamed(function: ca.Function, name: str) -> ca.Function:
+    arguments = function.mx_in()
+    return ca.Function(name, arguments, function.call(arguments))
 
 
 def _functions(

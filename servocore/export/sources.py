@@ -137,7 +137,8 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
 
 def _numbers(variable: Variable) -> list[dict[str, Any]]:
     starts = variable.starts or (0.0,) * (variable.size or 1)
-    common = {"unit": variable.unit, "low": variable.low, "high": variable.high, "fixed": variable.fixed}
+    unit = "" if variable.unit == "1" else f" {variable.unit}"  # as it follows a number in a sentence
+    common = {"unit": unit, "low": variable.low, "high": variable.high, "fixed": variable.fixed}
     return [{"name": n, "start": s, **common} for n, s in zip(variable.scalar_names, starts, strict=True)]
 
 

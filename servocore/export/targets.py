@@ -100,7 +100,11 @@ def chosen_targets(wanted: str | None, fmi: int) -> tuple[str, ...]:
     if wanted is None:
         wanted = "all" if zig() else HOST
     names = [label.strip() for label in wanted.split(",")]
-    names = known if names == ["all"] else [host() if label == HOST else label for label in names]
+    names = (
+        known
+        if "all" in names and set(names) <= {"all", HOST, *known}
+        else [host() if label == HOST else label for label in names]
+    )
     for name in names:
         if name not in known:
             raise InvalidSetting(f"FMI {fmi} has no platform {name!r}; there are {', '.join(known)}, all and {HOST}")

@@ -113,6 +113,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
             "components": len(servo),
             "orders": orders,
             "laws": [f"law_{k}" for k in range(1, len(LAWS) + 1)],
+            "law_names": [*LAWS, FROM_FILE],
             "ramped": 1 + list(LAWS).index("three-phase"),
             **_table(None if baked is None else _polynomial(baked, orders), orders),
             "period": baked.period if isinstance(baked, Periodic) else 0.0,

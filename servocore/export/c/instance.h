@@ -32,6 +32,10 @@
 #define N_KEPT 0                  /* numbers that only some kernels keep beside a moment: too many to be copied with it */
 #endif
 
+#ifndef N_MEASURED
+#define N_MEASURED 0              /* the last inputs: what a feedback is told of the system */
+#endif
+
 #if N_INPUTS > 0
 #define AT_START_OF_STEP(state) ((state)->choices[INPUT_TIME] == AT_START)
 #else
@@ -184,7 +188,9 @@ static void free_instance(Instance *instance)
 /* The times of the experiment, which a host tells before or with the initialization. */
 static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
 {
-    if (!(fabs(start) <= DBL_MAX) || (stops && !(stop >= start)))
+    if (!(fabs(start) <= DBL_MAX))
+        return say(instance, ERROR, "the start time must be a finite number, not %g s", start);
+    if (stops && !(stop >= start))
         return say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop);
     instance->state.now.time = start;
     instance->state.stop = stops ? stop : DBL_MAX;
@@ -199,13 +205,15 @@ static int all_finite(const double *values, size_t count)
         if (!(fabs(values[k]) <= DBL_MAX)) return 0;
     return 1;
 }
-static Outcome require_finite_inputs(const Instance *instance, double time)
+
+/* The inputs of a step belong to an instant of it, what is measured always to its start. */
+static Outcome require_finite_inputs(const Instance *instance, double start, double time)
 {
     const double *inputs = instance->state.inputs;
     for (size_t k = 0; k < N_INPUTS; k++)
         if (!(fabs(inputs[k]) <= DBL_MAX))
-            return say(instance, DISCARD, "at t = %.6g s the input %s is %g, not a finite number", time,
-                       VARIABLES[k].name, inputs[k]);
+            return say(instance, DISCARD, "at t = %.6g s the input %s is %g, not a finite number",
+                       k < N_INPUTS - N_MEASURED ? time : start, VARIABLES[k].name, inputs[k]);
     return GOOD;
 }
 
@@ -221,7 +229,7 @@ static Outcome require_step(const Instance *instance, double time, double h)
         return say(instance, ERROR, "at t = %.17g s a communication step of %g s is lost in round-off", time, h);
     if (!(fabs(time - present) <= JITTER * h + 4.0 * DBL_EPSILON * size))
         return say(instance, ERROR,
-                   "the communication point t = %.9g s lies %s the FMU's time %.9g s;"
+                   "the communication point t = %.12g s lies %s the FMU's time %.12g s;"
                    " to repeat a step restore the FMU's state first",
                    time, time < present ? "behind" : "ahead of", present);
     if (time + h > instance->state.stop + JITTER * h + 4.0 * DBL_EPSILON * size)
@@ -257,7 +265,7 @@ static Outcome refresh(Instance *instance)
     State *state = &instance->state;
     Outcome outcome;
     if (!state->due) return GOOD;
-    outcome = require_finite_inputs(instance, state->now.time);
+    outcome = require_finite_inputs(instance, state->now.time, state->now.time);
     if (outcome != GOOD) return outcome;
     memset(&instance->work, 0, sizeof instance->work);
     instance->work.time = state->now.time;
@@ -289,7 +297,7 @@ static Outcome do_step(Instance *instance, double time, double h)
     Outcome outcome = require_step(instance, time, h), remark;
     if (outcome == GOOD) outcome = refresh(instance);
     if (outcome == GOOD)
-        outcome = require_finite_inputs(instance, AT_START_OF_STEP(state) ? time : time + h);
+        outcome = require_finite_inputs(instance, time, AT_START_OF_STEP(state) ? time : time + h);
     if (outcome != GOOD) return outcome;
     instance->work = state->now;
     instance->keeps = 0;
@@ -341,8 +349,10 @@ static Outcome set_number(Instance *instance, size_t k, double value)
     }
     if (k < FIRST_PARAMETER || k >= FIRST_INTERNAL)
         return say(instance, ERROR, "%s is calculated and cannot be set", variable->name);
-    if (!(value >= variable->low && value <= variable->high && fabs(value) <= DBL_MAX))
-        return say(instance, ERROR, "%s = %g %s is outside its range [%g, %g] %s", variable->name, value, variable->unit,
+    if (!(fabs(value) <= DBL_MAX))
+        return say(instance, ERROR, "%s = %g%s is not a finite number", variable->name, value, variable->unit);
+    if (!(value >= variable->low && value <= variable->high))
+        return say(instance, ERROR, "%s = %g%s is outside its range [%g, %g]%s", variable->name, value, variable->unit,
                    variable->low, variable->high, variable->unit);
     if (variable->fixed && state->phase == STEPPING)
         return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",

@@ -100,10 +100,23 @@ static int solve_step(Instance *instance, Moment *moment, double h)
 
 /* Checks, each with its sentence ------------------------------------------------------------------------------------- */
 
+/* Whether a limit is broken; a rate may be none. */
+static int breaks(const Instance *instance, int k)
+{
+    return !(instance->scratch.margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->scratch.margins[k]));
+}
+
+static int outside(const Instance *instance)
+{
+    for (int k = 0; k < N_LIMITS; k++)
+        if (breaks(instance, k)) return 1;
+    return 0;
+}
+
 static Outcome require_limits(const Instance *instance, double time)
 {
     for (int k = 0; k < N_LIMITS; k++)
-        if (!(instance->scratch.margins[k] > 0.0) && !(LIMITS[k].rate && isnan(instance->scratch.margins[k])))
+        if (breaks(instance, k))
             return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay %s %g %s", time,
                        LIMITS[k].reason, *LIMITS[k].reason ? ": " : "", LIMITS[k].quantity,
                        LIMITS[k].bound + LIMITS[k].side * instance->scratch.margins[k], LIMITS[k].unit,
@@ -116,7 +129,7 @@ static Outcome require_branch(const Instance *instance, const Moment *moment, do
     for (size_t k = 0; k < N_OUTPUTS; k++)
         if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
             return say(instance, DISCARD,
-                       "at t = %.6g s %s is %.4g %s, on another branch of the equations than the one wanted", time,
+                       "at t = %.6g s %s is %.4g%s, on another branch of the equations than the one wanted", time,
                        VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit);
     return GOOD;
 }
@@ -210,6 +223,12 @@ static Outcome remark_estimates(Instance *instance, double time)
 #define ORDERS_TOLD(state) ((size_t)ORDERS)
 #endif
 
+#if HAS_ESTIMATES
+#define OR_ESTIMATED ", or connected = position lets them be estimated"
+#else
+#define OR_ESTIMATED ""
+#endif
+
 /* Tell once if the path moves where all its derivatives say that it rests. */
 static Outcome remark_path(Instance *instance, double time)
 {
@@ -223,7 +242,7 @@ static Outcome remark_path(Instance *instance, double time)
         if (instance->told_inputs[k] != 0.0 || state->heard[k] != 0.0) return GOOD;
     state->warned |= 1;
     return say(instance, WARNING, "at t = %.6g s the path moves, but all its derivatives are zero (%s and further):"
-               " they have to be connected too", time, VARIABLES[COMPONENTS].name);
+               " they have to be connected too" OR_ESTIMATED, time, VARIABLES[COMPONENTS].name);
 }
 
 static size_t awaited(const State *state)
@@ -292,11 +311,11 @@ static Outcome with_feedback(Instance *instance, const double *told, double time
     instance->arguments[3] = &h;
     instance->results[0] = judged;
     call(instance, MATHEMATICS(judge));
-    if (!(judged[0] > 0.0)) return say(instance, DISCARD, "at t = %.6g s " NOT_MEASURED, time);
+    if (!(judged[0] > 0.0)) return say(instance, DISCARD, "at t = %.6g s " NOT_MEASURED, time NOT_MEASURED_VALUES);
     work->is_far = judged[1] > (work->is_far ? 0.5 : 1.0) * p[PLACE_DISTANCE];
     if (work->is_far)
-        return left_out(instance, 1, "at t = %.6g s what is measured is %.3g from its path, more than feedback_distance ="
-                        " %g: it is left to the feedforward until it is within half of that", time, judged[1],
+        return left_out(instance, 1, "at t = %.6g s what is measured is %.3g m from its path, more than feedback_distance ="
+                        " %g m: it is left to the feedforward until it is within half of that", time, judged[1],
                         p[PLACE_DISTANCE]);
     if (judged[2] > LARGEST_TURN)
         return left_out(instance, 2, "at t = %.6g s the step of %g s is too long for the feedback, it may be %.3g s at most;"
@@ -388,6 +407,25 @@ static Outcome move(Instance *instance, double time, double h)
     return GOOD;
 }
 #else
+/* Say why there is no instant at the end of a step: what is wrong may be so at its start, which the path is told for. */
+static Outcome refuse_instant(Instance *instance, const double *told, double time, double h)
+{
+    Moment *work = &instance->work;
+    double ahead[N_PATH];
+    int solved;
+    memcpy(ahead, work->path, sizeof ahead);
+    if (instance->state.choices[INPUT_TIME] == AT_START) {
+        memcpy(work->path, told, sizeof work->path);
+        work->time = time;
+        solved = solve_instant(instance, work);
+        if (checked_moment(instance, work, solved, time) != GOOD) return DISCARD;
+        memcpy(work->path, ahead, sizeof work->path);
+        work->time = time + h;
+    }
+    solved = solve_instant(instance, work);
+    return checked_moment(instance, work, solved, time + h);
+}
+
 static Outcome move(Instance *instance, double time, double h)
 {
     const State *state = &instance->state;
@@ -403,7 +441,8 @@ static Outcome move(Instance *instance, double time, double h)
     else
         memcpy(work->path, told, sizeof work->path);
     work->time = time + h;
-    outcome = checked_moment(instance, work, solve_instant(instance, work), time + h);
+    if (!solve_instant(instance, work) || outside(instance)) return refuse_instant(instance, told, time, h);
+    outcome = require_branch(instance, work, time + h);
     if (outcome != GOOD) return outcome;
     keep_turning(work, &state->now);
 #if HAS_ESTIMATES

@@ -18,7 +18,8 @@ export async function load(source) {
     if (unknown !== undefined) refuse(`${about.title} has no parameter ${unknown}`);
     const values = about.parameters.map(({ name, unit, start, min = -Infinity, max = Infinity }) => {
       const value = Number(parameters[name] ?? start);
-      return Number.isFinite(value) && value >= min && value <= max ? value
+      if (!Number.isFinite(value)) refuse(`${name} = ${parameters[name]} ${unit} is not a finite number`);
+      return value >= min && value <= max ? value
         : refuse(`${name} = ${parameters[name]} ${unit} is outside its range [${min}, ${max}] ${unit}`);
     });
     if (path.length !== count * about.path.length || !(instants > 0))

@@ -19,7 +19,7 @@ typedef struct {
 } Moment;
 
 typedef struct {
-    double parameters[AT_LEAST_1(N_PARAMETERS)], next[N_STATE], margins[AT_LEAST_1(N_LIMITS)];
+    double parameters[AT_LEAST_1(N_PARAMETERS)], next[N_STATE], margins[N_LIMITS + N_START_LIMITS + 1];
     double seeds[AT_LEAST_1(N_PARAMETERS)], state_seed[N_STATE], next_seed[N_STATE];
 } Work;
 
@@ -138,24 +138,34 @@ static void observe(Instance *instance, const Moment *moment, double *outputs, c
 
 /* Steps -------------------------------------------------------------------------------------------------------------- */
 
+/* Whether the margins of limits, which have been worked out, are left. */
+static Outcome within(const Instance *instance, double time, const Limit *limits, int count)
+{
+    const double *margins = instance->scratch.margins;
+    for (int k = 0; k < count; k++)
+        if (!(margins[k] > 0.0))
+            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay above %g %s", time,
+                       limits[k].reason, *limits[k].reason ? ": " : "", limits[k].quantity, limits[k].bound + margins[k],
+                       limits[k].unit, limits[k].bound, limits[k].unit);
+    return GOOD;
+}
+
 static Outcome checked_moment(Instance *instance, Moment *moment, double h)
 {
     if (!all_finite(moment->state, N_STATE))
         return say(instance, DISCARD, "the step from t = %.6g s to %.6g s has no finite result: the inputs are too large,"
                    " or internal_step is", moment->time - h, moment->time);
     observe(instance, moment, moment->outputs, NULL);
-    for (int k = 0; k < N_LIMITS; k++)
-        if (!(instance->scratch.margins[k] > 0.0))
-            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g %s, it must stay above %g %s", moment->time,
-                       LIMITS[k].reason, *LIMITS[k].reason ? ": " : "", LIMITS[k].quantity,
-                       LIMITS[k].bound + instance->scratch.margins[k], LIMITS[k].unit, LIMITS[k].bound, LIMITS[k].unit);
+    for (size_t k = 0; k < N_OUTPUTS; k++)
+        if (!all_finite(&moment->outputs[k], 1))
+            return say(instance, DISCARD, "at t = %.6g s %s is %g, not a finite number", moment->time,
+                       VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k]);
+    if (within(instance, moment->time, LIMITS, N_LIMITS) != GOOD) return DISCARD;
     for (size_t k = 0; k < N_OUTPUTS; k++)
         if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
-            return say(instance, DISCARD, "at t = %.6g s %s is %.4g %s, it must stay above 0 %s", moment->time,
+            return say(instance, DISCARD, "at t = %.6g s %s is %.4g%s, it must stay above 0%s", moment->time,
                        VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit,
                        VARIABLES[FIRST_OUTPUT + k].unit);
-    if (!all_finite(moment->outputs, N_OUTPUTS))
-        return say(instance, DISCARD, "at t = %.6g s the outputs are not finite", moment->time);
     return GOOD;
 }
 
@@ -165,12 +175,17 @@ static Outcome first_moment(Instance *instance)
     Moment *work = &instance->work;
     prepare(instance);
     instance->arguments[0] = parameters + PLACE_POSITION;
+    instance->arguments[1] = instance->scratch.parameters;
+    instance->results[0] = instance->scratch.margins;
+    call(instance, MATHEMATICS(start_margins));
+    if (within(instance, work->time, START_LIMITS, N_START_LIMITS) != GOOD) return DISCARD;
+    instance->arguments[0] = parameters + PLACE_POSITION;
     instance->arguments[1] = parameters + PLACE_OFFSETS;
     instance->arguments[2] = instance->scratch.parameters;
     instance->results[0] = work->state;
     call(instance, MATHEMATICS(begin));
     if (!all_finite(work->state, N_STATE))
-        return say(instance, DISCARD, "at t = %.6g s no motion has its output where start.position is", work->time);
+        return say(instance, DISCARD, "at t = %.6g s no motion goes on with start.position and its derivatives", work->time);
     memcpy(work->acting, instance->state.inputs, sizeof work->acting);
     /* A plant that starts in motion has them open: brakes keep velocities as they are, and would stop nothing. */
     work->released = any(work->acting, N_INPUTS) || any(parameters + PLACE_VELOCITY, (N_STARTS - 1) * N_PUSHED) ||

@@ -79,14 +79,15 @@ static Outcome followed(Instance *instance, Moment *moment)
     const double *settings = instance->state.parameters, duration = settings[PLACE_DURATION], ramp = settings[PLACE_RAMP];
     const double end_time = settings[PLACE_START_TIME] + duration;
     const int64_t law = instance->state.choices[PROFILE];
+    if (ramp > 0.0 && law != RAMPED)
+        return say(instance, DISCARD, "a ramp belongs to the profile %s, not to %s", LAW_NAMES[RAMPED - 1],
+                   LAW_NAMES[law - 1]);
 #if N_PIECES > 0
     if (law > N_LAWS) {
         follow_table(moment->time, moment->outputs);
         return GOOD;
     }
 #endif
-    if (ramp > 0.0 && law != RAMPED)
-        return say(instance, DISCARD, "a ramp belongs to the profile %d, not to %d", RAMPED, (int)law);
     if (ramp > duration / 2.0)
         return say(instance, DISCARD, "a path with a ramp of %g s takes at least %g s, but its duration is %g s", ramp,
                    2.0 * ramp, duration);

@@ -1,0 +1,134 @@
+"""What is wrong is told by native FMUs as by those with Python: the same culprit, value, limit and time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import pytest
+from fmpy.fmi1 import FMICallException
+from fmu_host import JET, fmu_file
+from native_fmu import END, Native
+
+from crane_fmu.slave.interface import FEEDBACK_INPUTS
+
+pytestmark = pytest.mark.usefixtures("compiler")
+KINDS = {
+    "inverse model": ("RotaryCrane", "rotary_crane loop"),
+    "plant": ("CranePlant", "rotary_crane plant"),
+    "trajectory": ("LoadTrajectory", "rotary_crane trajectory"),
+}
+SENSED = dict(zip(FEEDBACK_INPUTS, [0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 5.0, 0.0, -5.0, 0.0, 0.0, 0.0], strict=True))
+LATE = {"input_time": END}
+RESTING = dict(zip(JET, [5.0, 0.0, -5.0, *[0.0] * 12], strict=True))
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """What a host sets before the start and before the first step, the steps it asks for, and what it is told."""
+
+    kind: str
+    sentence: str
+    settings: Mapping[str, float] = field(default_factory=dict)
+    inputs: Mapping[str, float] = field(default_factory=dict)
+    steps: Sequence[tuple[float, float]] = ((0.0, 0.1),)
+    start: float = 0.0
+
+
+def inverse(sentence: str, settings: Mapping[str, float] | None = None, **inputs: float) -> Mistake:
+    named = {name.replace("__", "."): value for name, value in inputs.items()}
+    return Mistake("inverse model", sentence, settings or {}, RESTING | named)
+
+
+def settings(kind: str, sentence: str, **values: float) -> Mistake:
+    return Mistake(kind, sentence, {name.replace("__", "."): value for name, value in values.items()})
+
+
+GIRDER = (
+    "at t = 0 s the load is not below the girder: the load's depth below the girder is {} m, it must stay above 0 m"
+)
+AXIS = (
+    "at t = 0 s the trolley reaches the slewing axis: the trolley's distance from the slewing axis is 0 m, it must stay"
+    " above 0.001 m"
+)
+SENSELESS = (
+    "at t = 0 s the measured rope length is {} m and the measured height of the load {} m: the feedback needs the"
+    " length above 0 m, the height below 0 m and all measured values connected; feedback = 0 does without"
+)
+MISTAKES = [
+    settings("inverse model", "load_mass = nan kg is not a finite number", load_mass=math.nan),
+    settings("inverse model", "feedback = 2 is outside its range [0, 1]", feedback=2.0),
+    settings("inverse model", "limit.M_b = -1 N.m is outside its range [0.001, 1e+09] N.m", limit__M_b=-1.0),
+    settings("inverse model", "input_time = 9 is unknown; it may be 1 (start) or 2 (end)", input_time=9),
+    settings("plant", "mass_error = -2 is outside its range [-0.9, 10]", mass_error=-2.0),
+    settings("plant", "wind[1] = inf N is not a finite number", **{"wind[1]": math.inf}),
+    settings("plant", "gust_start = 1e+10 s is outside its range [-1e+09, 1e+09] s", gust_start=1e10),
+    settings("plant", "start.velocity[2] = nan m/s is not a finite number", **{"start.velocity[2]": math.nan}),
+    settings("plant", GIRDER.format("0"), **{"start.position[3]": 0.0}),
+    settings("plant", AXIS, **{"start.position[1]": 0.0}),
+    settings("plant", AXIS, **{"start.acceleration[1]": -9.81}),
+    settings(
+        "plant", "at t = 0 s the rope goes slack: g + z'' is -0.19 m/s2, it must stay above 0 m/s2",
+        **{"start.acceleration[3]": -10.0},
+    ),
+    settings("plant", "brakes = 0 is unknown; it may be 1 (until_inputs) or 2 (none)", brakes=0),
+    settings("trajectory", "duration = nan s is not a finite number", duration=math.nan),
+    settings("trajectory", "ramp = -1 s is outside its range [0, 1e+09] s", ramp=-1.0),
+    settings("trajectory", "a ramp belongs to the profile three-phase, not to degree13", profile=2, ramp=3.0),
+    settings("trajectory", "a ramp belongs to the profile three-phase, not to file", profile=4, ramp=3.0),
+    settings(
+        "trajectory", "a path with a ramp of 11 s takes at least 22 s, but its duration is 20 s", profile=3, ramp=11.0
+    ),
+    inverse("at t = 0 s the input load.jerk[2] is nan, not a finite number", **{"load.jerk[2]": math.nan}),
+    inverse("at t = 0.1 s the input load.jerk[2] is nan, not a finite number", LATE, **{"load.jerk[2]": math.nan}),
+    inverse("at t = 0 s the input measured.s is inf, not a finite number", LATE, **{**SENSED, "measured.s": math.inf}),
+    inverse(SENSELESS.format("0", "-5"), **{**SENSED, "measured.l": 0.0}),
+    inverse(SENSELESS.format("5", "1"), LATE, **{**SENSED, "measured.position[3]": 1.0}),
+    inverse(GIRDER.format("-1"), **{"load.position[3]": 1.0}),
+    inverse(AXIS, **{"load.position[1]": 0.0}),
+    Mistake("plant", "at t = 0 s the input F is nan, not a finite number", inputs={"F": math.nan}),
+    Mistake("plant", "at t = 0.1 s the input F is nan, not a finite number", LATE, {"F": math.nan}),
+    *(
+        Mistake(kind, sentence, steps=steps)
+        for kind in KINDS
+        for sentence, steps in {
+            "at t = 0 s the communication step is nan s, it must be above 0 s and at most 3600 s": [(0.0, math.nan)],
+            "the communication point t = 0.5 s lies ahead of the FMU's time 0 s; to repeat a step restore the FMU's"
+            " state first": [(0.5, 0.1)],
+            "at t = 0.5 s a communication step of 1e-18 s is lost in round-off": [(0.0, 0.5), (0.5, 1e-18)],
+            "the communication point must be a finite number, not nan s": [(math.nan, 0.1)],
+        }.items()
+    ),
+    *(Mistake(kind, "the start time must be a finite number, not nan s", start=math.nan) for kind in KINDS),
+]  # fmt: skip
+
+
+def told(host: Native, mistake: Mistake) -> str:
+    """Return the first sentence that a host hears, without where it was found."""
+    calls = [
+        *(lambda name=name, value=value: host.set(**{name: value}) for name, value in mistake.settings.items()),
+        lambda: host.fmu.setupExperiment(startTime=mistake.start),
+        host.fmu.enterInitializationMode,
+        host.fmu.exitInitializationMode,
+        lambda: host.numbers_set(list(mistake.inputs), list(mistake.inputs.values())),
+        *(lambda time=time, h=h: host.fmu.doStep(time, h) for time, h in mistake.steps),
+    ]
+    refused = False
+    for call in calls:
+        try:
+            call()
+        except FMICallException:
+            refused = True
+            break
+    assert refused
+    return host.messages[0].removeprefix("the initialization failed: ")
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=lambda each: each.sentence)
+def test_both_kinds_say_the_same(mistake: Mistake) -> None:
+    python, native = KINDS[mistake.kind]
+    for host in (Native("python", 2, fmu_file(python)), Native(native, 2)):
+        host.fmu.setDebugLogging(True, [])
+        with host:
+            assert told(host, mistake) == mistake.sentence, host.name
