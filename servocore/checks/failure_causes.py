@@ -14,9 +14,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
+from servocore.checks.impulses import first_jump, has_switches
+from servocore.checks.instants import survey
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
-from servocore.numerics.compiled_calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
+from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
 from servocore.structure.signature import condition_number, lost_rank
 
@@ -38,8 +41,25 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
     missed = out_of_reach(problem)
     if missed:
         return InvalidReference(missed)
-    reason = singular(problem)
+    reason = _jump(problem) or singular(problem)
     return type(error)(reason) if reason else error
+
+
+def _jump(problem: Problem) -> str:
+    """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
+    array = problem.resolved.outcome
+    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.once(has_switches)):
+        return ""
+    if problem.reference.max_order < array.reference_order:
+        return ""
+    inverse = problem.resolved.once(inversion)
+
+    def states(t: Array) -> Array:
+        jets = problem.reference.jet(t, array.reference_order)
+        return np.asarray(at_instants(inverse.function, jets=jets, p=problem.p)[0])
+
+    jump = first_jump(problem, survey(problem.reference), states)
+    return f"{problem.system.name}: {jump}" if jump else ""
 
 
 @contextmanager

@@ -18,8 +18,7 @@ from servocore.planning.time_laws import polynomial_path
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.timed_path import TimedPath
-from servocore.solvers.branch_continuation import prepared_table
-from servocore.solvers.within_limits import exact_states
+from servocore.solvers.branch_continuation import exact_states, prepared_table
 
 _INSTANTS = 1001
 _PLAN, _OTHER, _ACTIVE, _BOUND = "#0072b2", "#999999", "#d55e00", "#000000"

@@ -93,3 +93,14 @@ def singular_values(matrix: Array) -> Array:
     # Empty rows and columns are singular values of zero, which no part brings.
     values = np.sort(np.concatenate([*of_parts, np.zeros(min(matrix.shape))]))[::-1]
     return np.asarray(values[: min(matrix.shape)])
+
+
+def balanced(matrices: Array) -> Array:
+    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
+
+    At a single instant scaling would hide an equation that loses all its terms there.
+    """
+    for axes in ((0, 2), (0, 1)):
+        largest = np.abs(matrices).max(axis=axes, keepdims=True)
+        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
+    return matrices

@@ -11,8 +11,7 @@ from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import Active, Certificate
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import prepared_table
-from servocore.solvers.within_limits import exact_states
+from servocore.solvers.branch_continuation import exact_states, prepared_table
 
 _INSTANTS = 20_001
 _MOMENT = 0.02  # of the duration

@@ -17,8 +17,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem, ResolvedSystem
-from servocore.solvers.branch_continuation import prepared_table
-from servocore.solvers.within_limits import exact_states
+from servocore.solvers.branch_continuation import exact_states, prepared_table
 from servocore.stepping.forward_dynamics import forward_rate
 
 _STEPS = 2000

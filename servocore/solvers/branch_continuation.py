@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.impulses import LESS_THAN_HALF, States, has_switches, require_no_strikes
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
-from servocore.numerics.components import Part
+from servocore.numerics.components import Part, balanced
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.taylor import SLIGHT, Taylor
@@ -37,7 +39,6 @@ CLOSED_FORM = "one: the closed form of the model at every instant, which turns t
 
 _STILL = 1e-6  # of the nominal value: a coordinate with a smaller range may be round-off altogether
 _MOST_BISECTIONS = 45
-_LESS_THAN_HALF = 0.4531  # of an interval: in the middle of symmetric paths singular instants are to be expected
 _MANY = 500  # instants from which on machine code compares neighbours
 _MOST_TRIALS = 3000  # between two instants: nearer and nearer to a singularity, steps would go on for ever
 _MOST_CONNECTED = 4  # intervals that are looked into where the model gives its motion in closed form
@@ -104,7 +105,7 @@ class Branch:
             if reached is not None:
                 state, begin = reached, waiting.pop()
                 continue
-            middle = begin + _LESS_THAN_HALF * (waiting[-1] - begin)
+            middle = begin + LESS_THAN_HALF * (waiting[-1] - begin)
             exhausted = len(waiting) > _MOST_BISECTIONS or trials > _MOST_TRIALS
             if exhausted or not min(begin, waiting[-1]) < middle < max(begin, waiting[-1]):
                 raise IntegrationFailed(
@@ -122,7 +123,7 @@ class Branch:
         IntegrationFailed
             If the equations determine no answer at one of some `instants`, or beside a sign that changes.
         """
-        matrices = _balanced(system_jacobians(self.problem, t, states))
+        matrices = balanced(system_jacobians(self.problem, t, states))
         signs, _ = np.linalg.slogdet(matrices)
         passed = np.flatnonzero(signs[:-1] * signs[1:] <= 0.0)
         for k in np.unique(np.concatenate([instants, passed, passed + 1])):
@@ -143,7 +144,7 @@ class Branch:
         changes, intervals = signs[:-1] * signs[1:] < 0.0, []
         for k in np.flatnonzero(changes.any(axis=1)):
             matrices = system_jacobians(self.problem, t[looked], states[:, looked])
-            if np.linalg.cond(_balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
+            if np.linalg.cond(balanced(matrices))[k : k + 2].max() < _SINGULAR_CONDITION:  # else round-off
                 first, last, part = looked[k], looked[k + 1], changes[k].argmax()
                 while last - first > 1:
                     middle = (first + last) // 2
@@ -163,16 +164,13 @@ class Branch:
         nothing has to where the model gives its motion in closed form. The sign of the determinant is the alarm for a
         guess that changes over to another branch.
         """
-        q = self.taylor.q
-        guess = at_instants(
-            self.problem.resolved.once(inversion).guess,
-            jets=self.problem.reference.jet(t, self.problem.array.reference_order),
-            p=self.problem.p,
-        )[0]
+        problem, q = self.problem, self.taylor.q
+        jets = problem.reference.jet(t, problem.array.reference_order)
+        guess = at_instants(problem.resolved.once(inversion).guess, jets=jets, p=problem.p)[0]
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
-        parts, entries = _jacobian_entries(self.problem, t, states)
+        parts, entries = _jacobian_entries(problem, t, states)
         signs = determinant_signs(parts, entries)
         return bool((signs == signs[0]).all()) and is_regular_throughout(parts, entries, _SINGULAR_CONDITION)
 
@@ -193,7 +191,7 @@ class Branch:
         """
         for k in seeming[1:][np.diff(seeming) == 1]:
             conditions = np.linalg.cond(
-                _balanced(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
+                balanced(system_jacobians(self.problem, t[k - 1 : k + 2], states[:, k - 1 : k + 2]))
             )
             worse = not conditions[1] < _WORSE * max(conditions[0], conditions[2])
             if worse and not self.connects(t[[k - 1, k + 1]], states[:, [k - 1, k + 1]]):
@@ -261,17 +259,6 @@ def _jacobian_entries(problem: Problem, t: Array, states: Array) -> tuple[tuple[
     function, parts = problem.resolved.once(system_jacobian_entries)
     jets = problem.reference.jet(t, problem.array.reference_order)
     return parts, np.nan_to_num(at_instants(function, states, jets=jets, p=problem.p)[0])
-
-
-def _balanced(matrices: Array) -> Array:
-    """Return matrices (N, size, size) with rows and columns scaled alike at all instants.
-
-    At a single instant scaling would hide an equation that loses all its terms there.
-    """
-    for axes in ((0, 2), (0, 1)):
-        largest = np.abs(matrices).max(axis=axes, keepdims=True)
-        matrices = matrices / np.where(largest > 0.0, largest, 1.0)
-    return matrices
 
 
 def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:
@@ -392,6 +379,20 @@ def prepared_table(problem: Problem) -> BranchTable | None:
         states, _, residual = at_instants(inverse.function, jets=jets, p=problem.p)
     kept, how = on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))
     branch = Branch.along(problem, kept)
-    if not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept)):
-        return None
-    return BranchTable(branch, t, kept)
+    closed = not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept))
+    table = None if closed else BranchTable(branch, t, kept)
+    if problem.resolved.once(has_switches):
+        require_no_strikes(problem, t, exact_states(problem, table))
+    return table
+
+
+def exact_states(problem: Problem, table: BranchTable | None) -> States:
+    """Return the exact inversion of a problem as a function of times; `table` is its `prepared_table`."""
+    return partial(_answers, problem, table)
+
+
+def _answers(problem: Problem, table: BranchTable | None, t: Array) -> Array:
+    jets = problem.reference.jet(t, problem.array.reference_order)
+    if table is not None:
+        return table.states_at(t, side_by_side(jets))
+    return np.asarray(at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)[0])

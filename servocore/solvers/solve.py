@@ -35,7 +35,11 @@ from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.route import Route
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.warm_start import inversion_near, perturbed_inversion, unknowns_near
-from servocore.solvers.within_limits import run_within_limits, survey_between
+from servocore.solvers.within_limits import (
+    require_no_impulses,
+    run_within_limits,
+    survey_between,
+)
 from servocore.stepping.argument_checks import require_callable, require_formulation, require_method, require_number
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.structure.inversion import inversion
@@ -135,6 +139,7 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Refuse or warn of jumps, poles, negative masses and wrong inputs; return the solution with its branch stated."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
+    require_no_impulses(problem, solution, unknowns_near)
     native = _native_checks(route, solution.t)
     warned = survey_between(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:

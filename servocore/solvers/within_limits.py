@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import look_between, suspects
+from servocore.checks.impulses import has_switches, require_no_strikes
 from servocore.checks.motion_limits import (
     States,
     Watched,
@@ -25,7 +26,7 @@ from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
-from servocore.solvers.branch_continuation import BranchTable, prepared_table, system_jacobians
+from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table, system_jacobians
 from servocore.stepping.path_function import PathFunction
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
@@ -78,17 +79,26 @@ def _margins(limited: Iterable[tuple[Limit, Array]], t: Array) -> dict[str, Marg
     return margins
 
 
-def exact_states(problem: Problem, table: BranchTable | None) -> States:
-    """Return the exact inversion of a problem as a function of times; `table` is its `prepared_table`."""
-    order, inverse = problem.array.reference_order, problem.resolved.once(inversion)
+def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[Problem, Solution], Array]) -> None:
+    """Raise `IntegrationFailed` if the motion of a solution jumps between its instants, so that inputs hold impulses.
+
+    Without internal dynamics the exact motion is looked at; with them all that follows from internal states and path.
+    """
+    if not (isinstance(problem.resolved.outcome, DerivativeArray) and problem.resolved.once(has_switches)):
+        return
+    if problem.flat and not problem.follow_branch:
+        try:
+            prepared_table(problem)
+        except IntegrationFailed:  # the guess of the model may still do
+            require_no_strikes(problem, solution.t, exact_states(problem, None))
+        return
+    known, order, inverse = beside(problem, solution), problem.array.reference_order, problem.resolved.once(inversion)
 
     def states(t: Array) -> Array:
-        jets = problem.reference.jet(t, order)
-        if table is not None:
-            return table.states_at(t, side_by_side(jets))
-        return np.asarray(at_instants(inverse.function, jets=jets, p=problem.p)[0])
+        start = np.stack([np.interp(t, solution.t, row) for row in known])
+        return inverse.search_at_instants(side_by_side(problem.reference.jet(t, order)), problem.p, start)
 
-    return states
+    require_no_strikes(problem, solution.t, states)
 
 
 def _require_regular(problem: Problem, solution: Solution, states: Array, suspected: list[tuple[int, int]]) -> None:
