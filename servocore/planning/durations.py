@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from servocore.checks.instants import survey
-from servocore.errors import LimitBroken, PlanningFailed, ServocoreError
+from servocore.errors import InvalidModel, LimitBroken, PlanningFailed, ServocoreError
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
@@ -46,12 +46,14 @@ def shortest_duration(scene: Scene, model: str | None = None) -> float:
     InvalidReference
         If a limit is broken at rest somewhere on the path: then no duration helps.
     InvalidModel
-        If a limit is on the rate of something that is differentiated already.
+        If a limit is on the rate of something that is differentiated already, or the equations hold the time.
     PlanningFailed
         If no duration was found.
     """
     require_scene(scene, "shortest_duration")
     problem, path = Problem.of(scene, model), scene.reference
+    if problem.system.time.numel():
+        raise InvalidModel(f"{scene.name}: its equations hold the time, and no duration can be found for it")
     t = survey(path)
     places = path.jet(t, 0)[:, 0]
     rows = limit_rows(problem, places[0])

@@ -80,7 +80,7 @@ def checked_settings(
             declared[name].check(float(values.max()))
     for path in paths:
         bounded.with_reference(path)  # refuses what is no path of this scene
-    paths = paths or (problem.reference,)
+    paths = paths or (bounded.reference,)  # that of the problem has the time beside it where equations hold it
     return SweepSettings(bounded, model, problem, motion_limits(problem), grid, paths, int(instants), bool(inputs))
 
 

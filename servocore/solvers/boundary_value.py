@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.dae import Dae
-from servocore.errors import IntegrationFailed, InvalidReference, InvalidSetting, require_real
+from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
@@ -84,6 +84,8 @@ class BoundaryValue:
         ------
         InvalidReference
             If the reference neither starts and ends at rest nor repeats itself, or lacks derivatives.
+        InvalidModel
+            If the equations hold the time, so that nothing rests.
         IntegrationFailed
             If Newton's method fails or the mesh cannot be refined to the tolerance.
         """
@@ -151,6 +153,11 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
         )
     ends = reference.jet(np.array([reference.start_time, reference.end_time]), array.reference_order)
     periodic = _repeats(ends, reference.duration)
+    if problem.system.time.numel() and not periodic:
+        raise InvalidModel(
+            f"a bounded inversion begins and ends at rest, but the equations of {name} hold the time; Reduced() with a"
+            " method computes the motion that starts at rest"
+        )
     size = float(np.abs(ends[:, 0]).max()) + 1.0
     for time, jet in zip((reference.start_time, reference.end_time), ends, strict=True):
         if not periodic and np.abs(jet[1]).max() > _AT_REST * size / reference.duration:

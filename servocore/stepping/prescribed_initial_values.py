@@ -5,7 +5,7 @@ A start is a mapping from names to numbers: ``theta`` a coordinate in its unit, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import casadi as ca
 import numpy as np
@@ -90,6 +90,7 @@ def _search(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tu
 def _states(array: DerivativeArray, start: Start, name: str) -> list[tuple[int, int]]:
     """Return variable and order of every state that a start names."""
     _require_numbers(start, name)
+    _require_clear(start, [_plain(array.names[j], order) for j, order in array.unknowns], name)
     known = {_plain(array.names[j], order): (j, order) for j, order in array.unknowns}
     wrong = [name for name in start if name not in known]
     if wrong or len(start) != len(array.states):
@@ -109,6 +110,16 @@ def _require_numbers(start: Start, name: str) -> None:
         require_real(value, f"{name}: the start of {label}", "a finite number", InvalidSetting)
         if not np.isfinite(value):
             raise InvalidSetting(f"{name}: the start of {label} must be a finite number, not {value!r}")
+
+
+def _require_clear(start: Start, names: Sequence[str], system: str) -> None:
+    """Raise `InvalidSetting` if a start names a coordinate that is called as the rate of another one is."""
+    for name in start:
+        if names.count(name) > 1:
+            raise InvalidSetting(
+                f"{system}: a start cannot tell the coordinate {name} from the rate of {name.removesuffix(_RATE)}: the"
+                " coordinate needs another name"
+            )
 
 
 def _plain(variable: str, order: int) -> str:
@@ -138,6 +149,7 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     wrong = [name for name in start if name not in names]
     if wrong:
         raise InvalidSetting(f"{system.name}: a start gives coordinates and their rates, not {', '.join(wrong)}")
+    _require_clear(start, names, system.name)
     free, consistent = np.array([name not in start for name in names]), state.copy()
     consistent[~free] = [start[name] for name in names if name in start]
     if not system.lam.numel():

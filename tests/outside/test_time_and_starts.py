@@ -156,3 +156,44 @@ def test_a_path_out_of_reach_is_told_of_a_system_that_knows_the_time_too() -> No
     with pytest.raises(sc.InvalidReference, match=r"at t = 2 s .* X = 2\.5 m by 0\.618 m and Y = .*, 0\.657 m in all"):
         sc.solve(scene)
     assert float(np.hypot(2.5, 0.9)) - 2.0 == pytest.approx(0.657, abs=5e-4)
+
+
+def test_cases_of_a_sweep_are_the_solutions_where_the_time_counts() -> None:
+    """The inputs depend on when the path is followed, so every case is solved by itself."""
+    scene = timed.load_below_a_ship().scene
+    own = scene.reference.duration
+    found = sc.sweep(scene, {"duration": [own, 1.5 * own]}, instants=101)
+    assert (found.failure == "").all()
+    ends = (scene.reference.jet(time, 0)[0] for time in (scene.reference.start_time, scene.reference.end_time))
+    slow = scene.with_reference(sc.rest_to_rest(*ends, duration=1.5 * own))
+    for k, each in enumerate((scene, slow)):
+        solution = sc.solve(each, step=each.reference.duration / 100)
+        for name in ("F", "W"):
+            assert float(found[f"peak_{name}"][k]) == pytest.approx(np.abs(solution[name]).max(), rel=1e-9)
+
+
+def test_what_knows_no_time_says_so() -> None:
+    crane = timed.load_below_a_ship().scene.with_limits(F=10.0)
+    with pytest.raises(sc.InvalidModel, match="its equations hold the time, and no duration can be found for it"):
+        sc.shortest_duration(crane)
+    with pytest.raises(sc.InvalidModel, match="hold the time, which SUNDIALS is not given; RadauIIA is"):
+        sc.solve(timed.pendulum_in_the_wind().scene, None, sc.Sundials())
+    with pytest.raises(sc.InvalidModel, match="begins and ends at rest, but the equations of cart in the wind hold"):
+        sc.solve(timed.pendulum_in_the_wind().scene, None, sc.BoundaryValue())
+
+
+def test_a_coordinate_that_is_called_as_a_rate_is_told_from_it() -> None:
+    q = coordinates("x s s_dot")
+    x, s, other = ca.vertsplit(q.q)
+    system = lagrange(
+        "names", q, (3 * q.v[0] ** 2 + (q.v[0] + q.v[1]) ** 2 + q.v[2] ** 2) / 2, {"X": x}, {"F": x},
+        potential=10 * (s**2 + other**2), guess=lambda at: [at[0], 0.0, 0.0], home=(0.1,),
+    )  # fmt: skip
+    scene = sc.Scene("names", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
+    words = "a start cannot tell the coordinate s_dot from the rate of s: the coordinate needs another name"
+    with pytest.raises(sc.InvalidSetting, match=words):
+        sc.simulate(scene, lambda _: [0.0], t=np.linspace(0.0, 1.0, 11), start={"s_dot": 0.3})
+    with pytest.raises(sc.InvalidSetting, match=words):
+        sc.solve(scene, start={"s": 0.1, "s_dot": 0.3, "s_dot_dot": 0.0})
+    found = sc.simulate(scene, lambda _: [0.0], t=np.linspace(0.0, 1.0, 11), start={"s": 0.1, "s_dot_dot": 0.2})
+    assert (found["s"][0], found["s_dot"][0]) == (0.1, 0.0)
