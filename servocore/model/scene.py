@@ -13,6 +13,7 @@ from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.references.base import Reference
+from servocore.references.consistency import require_consistent
 
 ModelFactory = Callable[[], MechanicalSystem]
 """Makes a model. Factories that compare equal make one model; one without a hash makes a new one every time."""
@@ -92,6 +93,8 @@ class Scene:
                     f" models={{{name!r}: lambda: system}}"
                 )
         require_kind(self.reference, Reference, f"{self.name}: the reference", "a Reference", InvalidReference)
+        if not type(self.reference).__module__.startswith(f"{__package__.partition('.')[0]}."):
+            require_consistent(self.reference)
         require_kind(self.parameters, Mapping, f"{self.name}: parameters", "values by name", InvalidModel)
         listed = isinstance(self.limits, Sequence) and all(isinstance(limit, Limit) for limit in self.limits)
         if not listed:

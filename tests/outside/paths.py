@@ -28,3 +28,22 @@ class Steady(sc.Reference):
         found[:, 0] = np.array(self.start) + t[:, None] * np.array(self.velocity)
         found[:, 1:2] = self.velocity
         return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sine(sc.Reference):
+    """sin(w t), whose derivatives of order k have the factors that are given."""
+
+    rate: float
+    factors: tuple[float, ...]
+
+    @classmethod
+    def of(cls, rate: float, factors: tuple[float, ...]) -> Sine:
+        return cls(
+            start_time=0.0, end_time=4.0, dimension=1, max_order=len(factors) - 1, smoothness=99,
+            rate=rate, factors=factors,
+        )  # fmt: skip
+
+    def _derivatives(self, t: np.ndarray, order: int) -> np.ndarray:
+        columns = [self.factors[k] * np.sin(self.rate * t + k * np.pi / 2) for k in range(order + 1)]
+        return np.stack(columns, axis=1)[:, :, None]
