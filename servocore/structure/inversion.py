@@ -10,6 +10,7 @@ from typing import Protocol
 import casadi as ca
 import numpy as np
 
+from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
@@ -118,8 +119,23 @@ class Analysed(Protocol):
 
 
 def inversion(resolved: Analysed) -> Inversion:
-    """Compile the exact inversion of a system; meant for `ResolvedSystem.once`."""
-    return compile_inversion(resolved.array)
+    """Compile the exact inversion of a system; meant for `ResolvedSystem.once`.
+
+    Raises
+    ------
+    InvalidModel
+        If the equations call a function without the derivatives that are needed.
+    """
+    try:
+        return compile_inversion(resolved.array)
+    except RuntimeError as error:
+        if "are free" not in str(error):
+            raise
+        # CasADi takes the slopes of a linear table for constants, and leaves what they depend on in the expression.
+        raise InvalidModel(
+            f"{resolved.array.system.name}: its equations call a function that cannot be differentiated as often as the"
+            " inputs ask for, such as a table that is interpolated linearly; one of the kind bspline can be"
+        ) from None
 
 
 def system_jacobian(resolved: Analysed) -> ca.Function:

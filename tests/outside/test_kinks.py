@@ -139,3 +139,24 @@ def test_inputs_that_jump_with_friction_of_the_driven_body_are_right() -> None:
 def test_a_smooth_model_is_not_looked_at(make: Callable[[], sc.Scene], has: bool) -> None:
     """Kinks are looked for where the model holds what makes them: others pay nothing."""
     assert Problem.of(make()).resolved.once(has_switches) is has
+
+
+@pytest.mark.parametrize("how", HOW, ids=str)
+def test_a_table_without_derivatives_is_refused_and_a_smooth_one_solved(how: tuple[Any, ...]) -> None:
+    """A measured force on the car that follows its path: the inputs hold its second derivative."""
+    places = np.linspace(-1.0, 2.0, 13)
+
+    def scene(kind: str) -> sc.Scene:
+        table = ca.interpolant("table", kind, [places.tolist()], np.sin(places))
+        q = coordinates("x y")
+        x, y = ca.vertsplit(q.q)
+        system = lagrange(
+            "cars", q, square(q.v) / 2, {"Y": y}, {"F": x}, potential=50 * (x - y) ** 2,
+            guess=lambda at: (at[0], at[0]), home=(0.1,),
+        )  # fmt: skip
+        system = replace(system, force=ca.vertcat(0, table(y)))
+        return sc.Scene("cars", {"only": lambda: system}, ALONG)
+
+    with pytest.raises(sc.InvalidModel, match="such as a table that is interpolated linearly"):
+        sc.solve(scene("linear"), *how, step=0.005)
+    assert sc.solve(scene("bspline"), *how, step=0.005).error.largest is not None
