@@ -48,11 +48,14 @@ class ResolvedSystem:
         Rows of the holonomic constraints that were left out.
     outcome : DerivativeArray or InvalidModel
         What the signature method leads to, or why it does not apply.
+    left_out : casadi.SX
+        These rows, expressions of the system's symbols: around home they follow from the others.
     """
 
     system: MechanicalSystem
     redundant: tuple[int, ...]
     outcome: DerivativeArray | InvalidModel
+    left_out: ca.SX = field(default_factory=lambda: ca.SX(0, 1), repr=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     @property
@@ -122,7 +125,7 @@ def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
         outcome = derivative_array(kept)
     except InvalidModel as error:
         outcome = error
-    return ResolvedSystem(kept, redundant, outcome)
+    return ResolvedSystem(kept, redundant, outcome, _rows(system.constraints, redundant))
 
 
 def _require_driving(system: MechanicalSystem) -> None:
@@ -145,16 +148,21 @@ def _require_mass(system: MechanicalSystem, p: Array) -> None:
 
 def without_constraints(system: MechanicalSystem, dropped: tuple[int, ...]) -> MechanicalSystem:
     """Return the system without some of its holonomic constraints; their multipliers become zero."""
-    kept = [k for k in range(system.lam.numel()) if k not in dropped]
+    kept = tuple(k for k in range(system.lam.numel()) if k not in dropped)
     multipliers, zeros = system.lam[list(dropped)], ca.SX.zeros(len(dropped))
     observables = {k: ca.substitute(e, multipliers, zeros) for k, e in system.observables.items()}
     return replace(
         system,
-        constraints=system.constraints[kept],
-        multipliers=system.lam[kept],
+        constraints=_rows(system.constraints, kept),
+        multipliers=_rows(system.lam, kept),
         observables=observables,
         constraint_names=tuple(system.constraint_names[k] for k in kept if system.constraint_names),
     )
+
+
+def _rows(column: ca.SX, rows: tuple[int, ...]) -> ca.SX:
+    """Return some rows of a column; CasADi itself makes a row of none."""
+    return ca.vertcat(ca.SX(0, 1), *[column[k] for k in rows])
 
 
 @dataclass(frozen=True, eq=False)

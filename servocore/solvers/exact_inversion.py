@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.failure_causes import explained
+from servocore.checks.instants import survey
+from servocore.checks.left_out import require_left_out
 from servocore.checks.limits import require_feasible
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
@@ -21,7 +23,14 @@ from servocore.numerics.machine_code import compiled
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
-from servocore.solvers.branch_continuation import FOLLOWED, BranchTable, on_one_branch, prepared_table, require_followed
+from servocore.solvers.branch_continuation import (
+    FOLLOWED,
+    BranchTable,
+    exact_states,
+    on_one_branch,
+    prepared_table,
+    require_followed,
+)
 from servocore.solvers.fixed_step_loop import Progress, Run, run_steps, step_failure, step_of
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
@@ -208,7 +217,8 @@ class ExactInversion:
     Raises
     ------
     InvalidModel
-        If the model has internal dynamics, or the scene follows a branch from instant to instant.
+        If the model has internal dynamics, or the scene follows a branch from instant to instant, or a constraint that
+        is redundant at home does not hold along the path.
     InvalidReference
         If the path or the motion breaks a limit of the scene, or the path is out of reach or lacks derivatives.
     IntegrationFailed
@@ -246,6 +256,12 @@ class ExactInversion:
         try:
             self._table = prepared_table(problem)
             require_exact_within_limits(problem, self._table)
+            if problem.resolved.redundant:
+                t = survey(scene.reference)
+                q = exact_states(problem, self._table)(t)[
+                    array.places((k, 0) for k in range(len(problem.system.coordinates)))
+                ]
+                require_left_out(problem, t, q.T)
         except IntegrationFailed as error:
             cause = explained(problem, error)
             if cause is not error:

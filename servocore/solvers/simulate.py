@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.before_run import require_smooth
+from servocore.checks.left_out import require_left_out
 from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
@@ -89,7 +90,8 @@ def simulate(
         If neither times nor a solution are given, times do not rise or leave those of the inputs, or there are not as
         many inputs as the scene has, or `start` names no coordinate, or a step goes without a method.
     InvalidModel
-        If the system has no energy that `EnergyMomentum` conserves.
+        If the system has no energy that `EnergyMomentum` conserves, or a constraint that is redundant at home, and was
+        left out, does not hold.
     """
     require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
@@ -201,6 +203,7 @@ class _Motion:
 
 def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
     known, function = problem.resolved.once(_observation)
+    require_left_out(problem, motion.t, motion.states[: len(problem.system.coordinates)].T)
     jets = problem.reference.jet(motion.t, 1)
     values, violations, deviations = at_instants(
         function, motion.states, motion.multipliers.T, motion.inputs.T, jets=jets, p=problem.p

@@ -10,11 +10,12 @@ import numpy as np
 
 from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before
-from servocore.checks.branches import require_one_branch
+from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.left_out import require_left_out
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
 from servocore.errors import InvalidSetting
@@ -139,6 +140,7 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Refuse or warn of jumps, poles, negative masses and wrong inputs; return the solution with its branch stated."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
+    require_left_out(problem, solution.t, configurations(problem, solution))
     require_no_impulses(problem, solution, unknowns_near)
     native = _native_checks(route, solution.t)
     warned = survey_between(problem, solution, unknowns_near, native)
