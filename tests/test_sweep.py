@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import subprocess
 import sys
 import time
@@ -446,6 +447,27 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
     assert "10100 cases, 0 of them not solved" in run.stdout
 
 
+def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    xarray = pytest.importorskip("xarray")
+    monkeypatch.chdir(tmp_path)
+    words = ["sweep", "rotary_crane", "--vary", "winch_radius=0.1:0.2", "--vary", "load_mass=50:150", "--sample", "9"]
+    run = CommandLine(app, "servocore")(*words, "-o", "study")
+    assert run.exit_code == 0, run.stderr
+    page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
+    assert "What varies: winch_radius from" in page
+    quantities = re.findall("<tr><td>(\\w+)", page)
+    assert quantities == ["peak_F", "peak_M_b", "peak_M_w", "swing"]
+    opening = re.search(r'xarray.open_zarr\("sweep.zarr"(.*)\)</code>', page)
+    assert opening is not None
+    assert opening[1] == ", consolidated=False"
+    with xarray.open_zarr(tmp_path / "study" / "sweep.zarr", consolidated=False) as found:
+        assert {*found.coords} == {"case", "winch_radius", "load_mass"}
+        assert found.load_mass.dims == ("case",)
+    assert [str(each.message) for each in recwarn] == []
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -455,6 +477,7 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
         ("rotary_crane --vary load_mass=50:150:3 --vary load_mass=1:2:2 -o study", "names something twice"),
         ("rotary_crane --vary weight=1:2:2 -o study", "has no parameter weight"),
         ("rotary_crane --vary load_mass=50:150 --sample 0 -o study", "--sample must be at least 1"),
+        ("rotary_crane --vary load_mass=50:150:3 --sample 5 -o study", "beside --sample, which says how many"),
     ],
 )
 def test_the_command_refuses_in_one_sentence(

@@ -27,8 +27,8 @@ EXAMPLES = """[bold]Examples[/bold]
 [cyan]servocore sweep rotary_crane --vary load_mass=50:150:100 --vary duration=10:30:50
 --limit F=60 --output study[/cyan]
 
-[cyan]servocore sweep rotary_crane --vary load_mass=50:150 --vary slew_inertia=400:600
---sample 100000 --seed 1 --output study --resume[/cyan]
+[cyan]servocore sweep rotary_crane --vary load_mass=50:150 --vary bridge_inertia=400:600
+--sample 100000 --seed 1 --output drawn --resume[/cyan]
 """
 
 _RANGE = re.compile(r"([^=]+)=([^:]+):([^:]+)(?::([^:]+))?")
@@ -136,11 +136,13 @@ def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
     found = _RANGE.fullmatch(text)
     wanted = "NAME=LOW:HIGH:COUNT" if counted else "NAME=LOW:HIGH"
     try:
-        if found is None or (counted and found[4] is None):
+        if found is None or (found[4] is None) is counted:
             raise ValueError
         low, high, count = float(found[2]), float(found[3]), int(found[4] or 1)
     except ValueError:
-        raise InvalidSetting(f"--vary {text} is not {wanted}, as in load_mass=50:150{':100' * counted}") from None
+        beside = "" if counted else " beside --sample, which says how many"
+        example = f"as in load_mass=50:150{':100' * counted}"
+        raise InvalidSetting(f"--vary {text} is not {wanted}{beside}, {example}") from None
     if not (np.isfinite([low, high]).all() and count >= 1):
         raise InvalidSetting(f"--vary {text}: the range must be finite, and its count at least 1")
     return found[1].strip(), (low, high, count)

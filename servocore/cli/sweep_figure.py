@@ -40,7 +40,7 @@ def sweep_page(swept: Any, title: str, store: str) -> tuple[str, bytes]:
 
 def _draw(axes: Axes, figure: Figure, swept: Any, name: str) -> None:
     """Draw a peak over one or two of the things that vary; over more dimensions the largest."""
-    varied = [coord for coord in swept.coords if coord not in ("case", "path", "instant")]
+    varied = list(json.loads(swept.attrs["settings"])["varied"])  # in the order of the options, which coordinates lose
     label = f"peak of {name.removeprefix('peak_')} ({swept[name].attrs['units']})"
     if "case" in swept.sizes:
         x = swept[varied[0]].to_numpy()
@@ -77,11 +77,16 @@ def _titled(swept: Any, name: Any) -> str:
     return f"{str(name).replace('_', ' ')} ({unit})" if unit else str(name)
 
 
+def _order(name: str) -> tuple[int, str]:
+    """Return what sorts the variables of a dataset: a store gives them in no order of its own."""
+    return (name.startswith("margin_") - name.startswith("peak_"), name)
+
+
 def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str:
     failures = swept.failure.to_numpy().ravel()
     told = list(dict.fromkeys(str(failure) for failure in failures[failures != ""]))
     rows = []
-    for name in swept:
+    for name in sorted(swept, key=_order):
         if name == "failure" or "instant" in swept[name].dims:
             continue
         values = swept[name].to_numpy()
@@ -99,7 +104,9 @@ def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str
         f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
         for name, (_, values) in settings["varied"].items()
     )
-    opening = f'{"pandas.read_parquet" if store.endswith(".parquet") else "xarray.open_zarr"}("{store}")'
+    opening = f'pandas.read_parquet("{store}")'
+    if not store.endswith(".parquet"):  # a store that grows has no consolidated metadata, of whose lack xarray warns
+        opening = f'xarray.open_zarr("{store}", consolidated=False)'
     return _PAGE.format(
         title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()), varied=html.escape(varied),
         alt=f"{first} over what varies", picture=base64.b64encode(picture).decode(), rows="".join(rows), failures=more,

@@ -232,10 +232,12 @@ def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None
                     dimension_names=(*dimensions, *([INSTANT] if variable.over_time else [])),
                     attributes=_attributes(variable),
                 )  # fmt: skip
-            for name, (dimension, values, attributes) in _coordinates(swept).items():
+            coordinates = _coordinates(swept)
+            for name, (dimension, values, attributes) in coordinates.items():
                 group.create_array(name, data=np.asarray(values), dimension_names=(dimension,), attributes=attributes)
             group.create_array(DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
-            group.attrs.update({_SETTINGS: json.dumps(settings)})
+            # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is told otherwise.
+            group.attrs.update({_SETTINGS: json.dumps(settings), "coordinates": " ".join(coordinates)})
     except OSError as error:
         raise not_written(path, error) from error
 
