@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -192,6 +193,41 @@ def test_a_stream_that_takes_nothing_is_refused_with_a_sentence(line: str) -> No
     assert run.stderr.splitlines()[-1].startswith("servocore: ")
     assert os.strerror(errno.ENOSPC) in run.stderr
     assert "Traceback" not in run.stderr
+
+
+@pytest.mark.skipif(os.name != "posix", reason="how a shell closes streams")
+@pytest.mark.parametrize(
+    ("line", "code", "told"),
+    [
+        ("feedforward cars -o new.csv >&-", 0, "at rest at start and end"),
+        ("feedforward cars >&-", 2, "servocore: cannot write to the standard output stream: it is closed"),
+        ("scenes >&-", 0, ""),
+        ("feedforward cars 2>&-", 0, ""),
+    ],
+)
+def test_streams_that_are_closed_are_left_alone(line: str, code: int, told: str, tmp_path: Path) -> None:
+    command = shlex.join([sys.executable, "-c", f"{CODE['servocore']}; main()"])
+    run = subprocess.run(["sh", "-c", f"{command} {line}"], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert run.returncode == code
+    assert told in run.stderr
+    assert "Traceback" not in run.stderr
+    rows = run.stdout.splitlines()
+    assert all(re.fullmatch(r"[-+.e,\d]+", row) for row in rows[1:])  # a table and nothing that is told
+    assert len(rows) == (202 if "2>&-" in line else 0)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Windows has no such pipes")
+@pytest.mark.parametrize("line", ["feedforward cars --step 0.0001", "scenes"])
+def test_a_reader_that_goes_ends_a_command_quietly_with_a_code_of_its_own(line: str) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", f"{CODE['servocore']}; main()", *line.split()],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as run:  # fmt: skip
+        assert run.stdout is not None
+        run.stdout.close()
+        assert run.stderr is not None
+        assert "Traceback" not in run.stderr.read()
+    assert run.returncode == 141
 
 
 def test_without_a_folder_for_temporary_files_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

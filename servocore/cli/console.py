@@ -1,12 +1,14 @@
 """What command lines of this project share: refusals in one sentence, a progress bar that waits, tables.
 
 Exit codes: 0 when everything asked for was done; 1 when it was done and is of no use, 2 when it was not done, 130 when
-Ctrl-C stopped it, each with one sentence on the standard error stream. Whatever else is raised is a defect and ends
+Ctrl-C stopped it, each with one sentence on the standard error stream; 141, without one, where nobody reads what is
+written any more. Whatever else is raised is a defect and ends
 with its traceback.
 """
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
@@ -24,8 +26,8 @@ from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning, missing_package
 from servocore.files import FULL, MORE_SPACE, write_together
 
-OF_NO_USE, REFUSED = 1, 2
-"""Exit codes beside 0 and `INTERRUPTED`."""
+OF_NO_USE, REFUSED, UNREAD = 1, 2, 141
+"""Exit codes beside 0 and `INTERRUPTED`; the last is what shells report of a program that a closed pipe ends."""
 
 _STAGES_APART = 5.0  # seconds between lines that say what goes on, where no terminal shows a bar
 
@@ -64,6 +66,8 @@ class SentenceGroup(TyperGroup):
 
     def main(self, *args: Any, **options: Any) -> Any:
         """Run the command line and end the process; the arguments are Typer's own."""
+        if sys.stderr is None:  # closed: print takes no stream for the standard output stream, and tables go there
+            sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
         try:
             with self._notes_on_the_error_stream(), heeded_interruption():
                 code = super().main(*args, **{**options, "standalone_mode": False})
@@ -92,9 +96,10 @@ class SentenceGroup(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; Ctrl-C ends it with a sentence and `INTERRUPTED`, whatever error came of it."""
-        with self._stoppable():
+        with self._stoppable(), _quiet_where_nobody_reads():
             result = super().invoke(ctx)
-            sys.stdout.flush()  # what the stream cannot take is refused, not left for the interpreter's end
+            if sys.stdout is not None:  # the stream may be closed
+                sys.stdout.flush()  # what it cannot take is refused, not left for the interpreter's end
             return result
 
     @contextmanager
@@ -130,6 +135,16 @@ class SentenceGroup(TyperGroup):
     def _refuse(self, sentence: str) -> NoReturn:
         print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
         sys.exit(REFUSED)
+
+
+@contextmanager
+def _quiet_where_nobody_reads() -> Iterator[None]:
+    """End with `UNREAD` where whoever reads the standard output stream, such as ``head``, wants no more."""
+    try:
+        yield
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
+        raise typer.Exit(UNREAD) from None
 
 
 def _hindered(error: OSError) -> str | None:
@@ -210,9 +225,17 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
             stop_if_asked()
 
 
+class _PipeConsole(Console):
+    """A console that leaves a pipe which nobody reads to `SentenceGroup`; Rich's own ends the process with 1."""
+
+    def on_broken_pipe(self) -> None:
+        """Raise what Rich has caught."""
+        raise BrokenPipeError
+
+
 def table_console() -> Console:
     """Return the console of the standard output stream, wide enough for tables where it is no terminal."""
-    console = Console()
+    console = _PipeConsole()
     if not console.is_terminal:
         console.width = max(console.width, WIDE)
     return console
@@ -247,12 +270,14 @@ def write_to_stdout(pieces: Iterable[str]) -> None:
     Raises
     ------
     InvalidSetting
-        If the stream cannot take it, for example because the disk is full.
+        If the stream cannot take it, for example because the disk is full or the stream is closed.
     """
+    if sys.stdout is None:
+        raise InvalidSetting("cannot write to the standard output stream: it is closed; name a file with --output")
     try:
         sys.stdout.writelines(pieces)
         sys.stdout.flush()
     except BrokenPipeError:
-        raise  # whoever reads has seen enough: Typer ends quietly
+        raise  # whoever reads has seen enough
     except OSError as error:
         raise InvalidSetting(f"cannot write to the standard output stream: {error.strerror or error}") from error
