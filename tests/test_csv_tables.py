@@ -87,6 +87,9 @@ CLEAR = {
     "a line for spreadsheets above": ("sep=;\r\n" + text(ROWS, "time;x;y;z", ";"), "semicolons between cells"),
     "the Greek letter for micro": (text(ROWS * [1e6, 1, 1, 1], "time [\u03bcs],x,y,z"), "time in µs"),
     "capitals": (text(ROWS, "Time,X,Y,Z"), "Time,X,Y,Z as time,x,y,z"),
+    "tabs and no more cells": (
+        text(ROWS).replace(",", "\t").rstrip() + "\n\t\t\t\n", "tabs between cells"
+    ),
     "capitals and units": (
         text(MILLI, "TIME [ms],X [mm],y [mm],Z [mm]"), "TIME,X,y,Z as time,x,y,z, time in ms, x, y, z in mm"
     ),
@@ -164,6 +167,31 @@ UNCLEAR = {
 def test_what_is_unclear_is_refused_with_the_remedy(content: str | bytes, sentence: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidReference, match=r"path\.csv.*" + sentence):
         read(tmp_path, content)
+
+
+@pytest.mark.parametrize("divider", [",", ";", "\t"])
+def test_empty_cells_at_the_end_of_waypoints_are_empty_cells(divider: str, tmp_path: Path) -> None:
+    rows = [
+        "time,x,y,z,vx,vy,vz,stop",
+        "0,6,0,-6,,,,",
+        "8,6,0.2,-4.4,0,0.1,0.2,",
+        "16,5.4,2,-2.6,,,,1",
+        "25,2.8,4.2,-2,,,,",
+    ]
+    file = tmp_path / "way.csv"
+    file.write_text("\n".join(rows).replace(",", divider) + "\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", sc.ServocoreWarning)
+        path = sc.waypoints_from_csv(file)
+    np.testing.assert_allclose(path.jet(25.0, 1), [[2.8, 4.2, -2.0], [0.0, 0.0, 0.0]], atol=1e-14)
+    np.testing.assert_allclose(path.jet(8.0, 1), [[6.0, 0.2, -4.4], [0.0, 0.1, 0.2]], atol=1e-14)
+
+
+def test_a_space_between_tabs_makes_no_second_cell(tmp_path: Path) -> None:
+    file = tmp_path / "path.csv"
+    file.write_text(text(ROWS).replace(",", "\t").replace("5.0\t0.0\t", "5.0 0.0\t\t", 1))
+    with pytest.raises(sc.InvalidReference, match="line 2, column x: '5.0 0.0' is not a finite number"):
+        sc.from_csv(file)
 
 
 def test_dates_of_several_zones_are_one_time(tmp_path: Path) -> None:

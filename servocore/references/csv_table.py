@@ -245,8 +245,8 @@ def _factor(file: Path, line: int, name: str, unit: str | None, column: int, mea
 
 def _body(file: Path, data: bytes, layout: _Layout) -> tuple[bytes, _Layout, list[str]]:
     """Return the rows, in which times are numbers, what is known of them, and notes of what was converted."""
-    body = data[layout.first :].rstrip()
-    if not body:
+    body = data[layout.first :].rstrip(b" \n")  # tabs at the end divide cells that are empty
+    if not body.strip():
         raise InvalidReference(f"{file}, line {layout.line - 1}: there is a header but no rows of data below it")
     timed = with_seconds(file, body, layout.delimiter.encode(), layout.line)
     if timed is None:
@@ -282,6 +282,8 @@ def _numbers_of(
 def _quickly(body: bytes, layout: _Layout) -> FloatArray | None:
     """Read rows of plain finite numbers at once; None where there is anything else, for a closer look."""
     divider, width = layout.delimiter.encode(), len(layout.names)
+    if divider == b"\t" and b" " in body:
+        return None  # NumPy takes a space for a tab: of cells '5 0' and '' it would make 5 and 0
     signs = np.frombuffer(body, np.uint8)
     dividers = signs[(signs == divider[0]) | (signs == ord("\n"))]
     row = np.array([divider[0]] * (width - 1) + [ord("\n")], np.uint8)
