@@ -190,7 +190,7 @@ def test_empty_cells_at_the_end_of_waypoints_are_empty_cells(divider: str, tmp_p
 def test_a_space_between_tabs_makes_no_second_cell(tmp_path: Path) -> None:
     file = tmp_path / "path.csv"
     file.write_text(text(ROWS).replace(",", "\t").replace("5.0\t0.0\t", "5.0 0.0\t\t", 1))
-    with pytest.raises(sc.InvalidReference, match="line 2, column x: '5.0 0.0' is not a finite number"):
+    with pytest.raises(sc.InvalidReference, match=r"line 2, column x: '5\.0 0\.0' is not a finite number"):
         sc.from_csv(file)
 
 

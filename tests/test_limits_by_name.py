@@ -159,6 +159,8 @@ class TestWhatALimitIs:
             ({"F": (1, 2, 3)}, "the limit of F must be one number or a lower and an upper one, not (1, 2, 3)"),
             ({"F": float("nan")}, "the limit of F must be a number or a text with its unit, such as '2 N', not nan"),
             ({"F": sc}, "the limit of F must be a number or a text with its unit"),
+            ({"swing": 5}, "the limit of swing is 5 without a unit: 5 rad would be 286 deg; write '5 deg', or '5 rad'"),
+            ({"phi": ("-170", "170")}, "the limit of phi is -170 without a unit: -170 rad would be -9740 deg"),
             ({"force": 60}, "rotary crane, points reports nothing called force that could have a limit; there are d_x"),
             ({"force.rate": 60}, "rotary crane, points reports nothing called force.rate that could have a limit"),
         ],
@@ -169,6 +171,10 @@ class TestWhatALimitIs:
         with pytest.raises(sc.InvalidSetting) as refused:
             CRANE.with_limits(**limits)  # type: ignore[arg-type]  # wrong on purpose
         assert str(refused.value).startswith(sentence)
+
+    def test_an_angle_has_its_unit_or_is_likely_to_be_in_radians(self) -> None:
+        limits = CRANE.with_limits(swing="5 rad", phi=(-6.0, 6.0), **{"swing.rate": 5.0}).limits[-3:]
+        assert [limit.upper for limit in limits] == [5.0, 6.0, 5.0]
 
     def test_a_rate_for_which_the_path_has_not_enough_derivatives_is_refused_with_both_orders(self) -> None:
         t = np.linspace(0.0, 20.0, 41)
@@ -450,6 +456,15 @@ class TestWhatIsLeft:
         file.write_text(text)
         with pytest.raises(sc.InvalidModel, match=r"limits\.toml"):
             sc.read_limits(file)
+
+    @pytest.mark.parametrize("text", ["s = 9\ns.rate = 1.2", "s.rate = 1.2\ns = 9"])
+    def test_a_limit_beside_one_of_its_rate_is_told_how_to_be_written(self, text: str, tmp_path: Path) -> None:
+        file = tmp_path / "limits.toml"
+        file.write_text(text)
+        with pytest.raises(sc.InvalidModel, match=r'then written "s.rate" = 1.2, in quotation marks'):
+            sc.read_limits(file)
+        file.write_text(text.replace("s.rate", '"s.rate"'))
+        assert sc.read_limits(file) == {"s": 9, "s.rate": 1.2}
 
     @pytest.mark.parametrize("name", ["swing", "M_b", "phi"])
     def test_what_rests_on_a_lower_bound_of_nought_keeps_it_until_it_goes_below(self, name: str) -> None:

@@ -162,6 +162,14 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step must be a positive time, not nan s"),
         (["--from", 0, -4, "--to", 0, -4, "--limit", "F=200"], "the path does not move there"),
         ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=1.1..0.9"], "must be a smallest and a largest factor"),
+        (
+            [*LEVEL, "--limit", "F=200", "--robust", "load_mass=90..110"],
+            "has to hold 1, its own value",
+        ),
+        (
+            [*LEVEL, "--limit", "F=200", *("--robust", "load_mass=0.9..1.1") * 2],
+            "--robust gives load_mass twice, the second time as 'load_mass=0.9..1.1'",
+        ),
     ],
 )
 def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Sequence[str], sentence: str) -> None:

@@ -27,10 +27,12 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     for text in texts:
         name, equals, bounds = (part.strip() for part in text.partition("="))
         lower, pair, upper = (side.strip() for side in bounds.partition(".." if ".." in bounds else ":"))
-        if not (name and equals and bounds) or name in by_name:
+        if name in by_name:
+            raise InvalidSetting(f"--limit gives {name} twice, the second time as {text!r}")
+        if not (name and equals and bounds):
             raise InvalidSetting(
-                f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, each name once, such as F=60, M_w=-104..-92,"
-                f" swing=5deg or s.rate=1.2"
+                f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60, M_w=-104..-92, swing=5deg or"
+                f" s.rate=1.2"
             )
         by_name[name] = (lower or None, upper or None) if pair else lower
     return by_name
@@ -75,12 +77,14 @@ def factors_of_texts(texts: Iterable[str]) -> dict[str, tuple[float, float]]:
     Raises
     ------
     InvalidSetting
-        If a text is none.
+        If a text is none, or a name is given twice.
     """
     factors: dict[str, tuple[float, float]] = {}
     for text in texts:
         name, _, both = (part.strip() for part in text.partition("="))
         low, _, high = both.partition("..")
+        if name in factors:
+            raise InvalidSetting(f"--robust gives {name} twice, the second time as {text!r}")
         try:
             factors[name] = (float(low), float(high))
         except ValueError:
@@ -99,7 +103,8 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
     Returns
     -------
     dict
-        For `Scene.with_limits`, which knows the names.
+        For `Scene.with_limits`, which knows the names. Beside a limit of ``s``, that of its rate stands in quotation
+        marks, ``"s.rate" = 1.2``: TOML takes ``s.rate`` for a part of a table ``s``.
 
     Raises
     ------
@@ -107,7 +112,15 @@ def read_limits(path: str | Path) -> dict[str, Bounds]:
         If the file cannot be read or is not TOML, or a value is no number, text or pair of these.
     """
     path = Path(path)
-    table = read_table(path)
+    try:
+        table = read_table(path)
+    except InvalidModel as error:
+        if "overwrite" not in str(error):
+            raise
+        raise InvalidModel(
+            f'{error}: a name is given twice, or one and its rate, which is then written "s.rate" = 1.2, in quotation'
+            " marks"
+        ) from None
     inner = table.get("limits")
     if isinstance(inner, Mapping) and len(table) == 1:
         table = dict(inner)

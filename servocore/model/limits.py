@@ -163,11 +163,14 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
         if len(bounds) != 2:
             raise InvalidSetting(f"{what} must be one number or a lower and an upper one, not {bounds!r}")
         lower, upper = (_value(bound, unit, what) for bound in bounds)
+        for bound, value in zip(bounds, (lower, upper), strict=True):
+            _require_likely_angle(quantity if not rate else None, bound, value, what)
         lower, upper = (-math.inf if lower is None else lower, math.inf if upper is None else upper)
         if not lower < upper or (lower, upper) == (-math.inf, math.inf):
             raise InvalidSetting(f"{what} must run from a lower to an upper number, not {bounds!r}")
     else:
         largest = _value(bounds, unit, what)
+        _require_likely_angle(quantity if not rate else None, bounds, largest, what)
         if largest is None or largest <= 0.0:
             raise InvalidSetting(
                 f"{what} is {bounds!r}: one number is the largest magnitude and must be positive; for other bounds give"
@@ -175,6 +178,18 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
             )
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
     return Limit(name, unit, lower, "", Named(of), upper=upper, rate=rate)
+
+
+def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:
+    """Ask about a bound of an angle that nothing may ever reach: degrees that have lost their unit."""
+    if angle is None or angle.unit != "rad" or value is None or math.isinf(value):
+        return
+    bare = not isinstance(bound, str) or bound.strip()[-1] in "0123456789."
+    if bare and abs(value) > (math.pi if angle.never_negative else 2.0 * math.pi):
+        raise InvalidSetting(
+            f"{what} is {bound} without a unit: {value:g} rad would be {math.degrees(value):.0f} deg; write"
+            f" '{value:g} deg', or '{value:g} rad' if that is meant"
+        )
 
 
 def _value(bound: object, unit: str, what: str) -> float | None:

@@ -50,6 +50,11 @@ def corner_problems(scene: Scene, model: str | None, robust: Mapping[str, tuple[
     for name, ends in robust.items():
         if not (isinstance(ends, tuple | list) and len(ends) == 2 and ends[0] <= ends[1]):
             raise InvalidSetting(f"the range of {name} must be a smallest and a largest factor, not {ends!r}")
+        if not ends[0] <= 1.0 <= ends[1]:
+            raise InvalidSetting(
+                f"the range of {name} is one of factors and has to hold 1, its own value, as 0.9..1.1 does:"
+                f" {ends[0]:g}..{ends[1]:g} does not"
+            )
         if name not in scene.parameter_values():
             raise InvalidSetting(
                 f"{scene.name} has no parameter {name}; there are {', '.join(scene.parameter_values())}"
