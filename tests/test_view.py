@@ -284,6 +284,26 @@ def test_it_moves_and_stops(opened: Page) -> None:
     assert opened.run(picture) == stopped
 
 
+@pytest.mark.parametrize("width", [1280, 400])
+def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -> None:
+    require_browser()
+    path = sc.rest_to_rest((5.1234, 0.0, -5.0), (-2.0, 2.0456, -2.0), 20.25)
+    crane = sc.scenes.rotary_crane().with_parameters(load_mass=12345.6, bridge_inertia=1234567.0).with_reference(path)
+    file = sc.view(sc.solve(crane.with_limits(F=123456.7, swing="5.25 deg")), tmp_path / "crane.html")
+    fields = '[...document.querySelectorAll("input[type=number]")]'
+    with Page(file, tmp_path / "profile", width=width) as page:
+        shown = page.run(f"{fields}.map((field) => field.value)")
+        assert {"20.25", "12345.6", "1234567", "5.1234", "2.0456", "123456.7", "5.25"} <= {*shown}
+        assert (
+            page.run(
+                f"{fields}.filter((field) => field.scrollWidth > field.clientWidth + 1).map((field) => field.value)"
+            )
+            == []
+        )
+        assert page.run("document.documentElement.scrollWidth <= window.innerWidth")
+        assert page.errors == []
+
+
 def test_a_slider_changes_the_curves_to_what_the_library_gives(opened: Page) -> None:
     before = outline(opened, 2)
     settled(opened, SET % ("load mass", 137.0))

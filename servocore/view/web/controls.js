@@ -15,12 +15,15 @@ function slider({ label, unit, value, low, high, lower = -Infinity, upper = Infi
   const bent = low > 0 && high / low > 8, place = (x) => (bent ? Math.log(x / low) / Math.log(high / low) : (x - low) / (high - low));
   const at = (share) => (bent ? low * (high / low) ** share : low + share * (high - low));
   const range = made("input", { type: "range", min: 0, max: 1, step: "any", value: place(value) });
-  const number = made("input", { type: "number", step: "any", value: shortened(value), inputMode: "decimal" });
+  const number = made("input", { type: "number", step: "any", value: precise(value), inputMode: "decimal" });
   const name = made("span", { className: "control-name" }, label);
   range.setAttribute("aria-label", `${describe || name.textContent} in ${shownUnit(unit)}`);
   number.setAttribute("aria-label", `${describe || name.textContent} in ${shownUnit(unit)}, as a number`);
   if (describe) name.title = describe;
-  const said = () => range.setAttribute("aria-valuetext", `${number.value} ${shownUnit(unit)}`);
+  const said = () => {
+    range.setAttribute("aria-valuetext", `${number.value} ${shownUnit(unit)}`);
+    fit(number);
+  };
   range.addEventListener("input", () => {
     number.value = shortened(at(Number(range.value)));
     said();
@@ -43,8 +46,18 @@ function slider({ label, unit, value, low, high, lower = -Infinity, upper = Infi
   });
   said();
   const element = made("div", { className: "control" }, name, range, number, made("span", { className: "unit" }, shownUnit(unit)));
-  const set = (x) => { range.value = place(x); number.value = x; said(); };
+  const set = (x) => { range.value = place(x); number.value = precise(x); said(); };
   return { element, set };
+}
+
+// What was given, without the round-off of degrees.
+function precise(value) {
+  return Number(value.toPrecision(12));
+}
+
+// As wide as its number at least: 184000 without its last digit would be read as 18400.
+function fit(field) {
+  field.style.minWidth = `calc(${field.value.length}ch + 1rem)`;
 }
 
 // Three digits are enough for what is dragged.

@@ -126,11 +126,13 @@ class LivePage {
   boundField(i) {
     const { name, unit } = about.outputs[i], factor = factorOf(unit), bounds = this.bounds[i];
     const largest = bounds && Math.max(...[bounds.low, bounds.high].map(Math.abs).filter(Number.isFinite));
-    const field = made("input", { type: "number", min: 0, step: "any", placeholder: "none", value: bounds ? Number((largest * factor).toPrecision(6)) : "" });
+    const field = made("input", { type: "number", min: 0, step: "any", placeholder: "none", value: bounds ? precise(largest * factor) : "" });
+    fit(field);
     field.setAttribute("aria-label", `limit of the magnitude of ${name} in ${shownUnit(unit)}`);
     if (bounds?.own) field.title = "a quarter more than the first run takes, until you set your own";
     field.addEventListener("input", () => {
       const value = Number(field.value) / factor;
+      fit(field);
       this.bounds[i] = field.value === "" || !(value > 0) ? null : { low: -value, high: value, own: true };
       this.show();
     });
