@@ -93,6 +93,12 @@ def test_columns_need_names_of_their_own(columns: list[str], tmp_path: Path) -> 
         from_csv(tmp_path / "path.csv", columns=columns)
 
 
+def test_a_path_is_not_written_into_columns_of_one_name() -> None:
+    for columns in (("x", "x", "z"), ("time", "y", "z")):
+        with pytest.raises(sc.InvalidReference, match="position columns with names of their own"):
+            sc.csv_of(sc.scenes.rotary_crane().reference, columns)
+
+
 def test_a_wrong_derivative_is_named_by_the_column_that_was_asked_for(tmp_path: Path) -> None:
     rows = table(CURVE, 0.1, 2)
     rows[123, 5] += 0.1

@@ -5,16 +5,21 @@ from __future__ import annotations
 import csv
 import os
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 from command_lines import CommandLine, write
+from typer.core import TyperGroup
 
 import servocore as sc
+from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import commands
 from servocore.cli.commands import app, described
+from servocore.scenes import REGISTRY
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
@@ -178,6 +183,45 @@ def test_every_command_has_a_help_that_says_more_than_its_name(command: str) -> 
     assert result.exit_code == 0
     assert len(result.stdout.split()) > 20
     assert command in run("--help").stdout
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("mine.py:scene", "mine.py:scene: there is no module mine; in the folder of mine.py it is mine:scene"),
+        ("./mine.py:scene", "./mine.py:scene: there is no module ./mine.py; in the folder of mine.py it is mine:scene"),
+        ("ends:scene", "ends:scene: the module cannot be imported: SystemExit: 3 (ends.py, line 1)"),
+        ("leaves:scene", "leaves:scene returns no scene: SystemExit: 4 (leaves.py, line 2)"),
+    ],
+)
+def test_a_module_that_is_none_or_ends_the_process_is_told(name: str, said: str) -> None:
+    write("ends.py", "raise SystemExit(3)\n")
+    write("leaves.py", "def scene():\n    raise SystemExit(4)\n")
+    assert_refused(run("feedforward", name), said)
+
+
+def examples() -> list[str]:
+    """Return the command lines that stand in the help of both programs."""
+    programs = {"servocore": app, "crane-fmu": crane_app}
+    return [
+        " ".join(line.split())
+        for program in programs.values()
+        for command in program.registered_commands
+        for line in re.findall(r"\[cyan\]((?:servocore|crane-fmu) .+?)\[/cyan\]", command.epilog or "", re.DOTALL)
+    ]
+
+
+@pytest.mark.parametrize("line", examples())
+def test_the_examples_of_the_help_have_options_and_names_that_there_are(line: str) -> None:
+    program, name, *words = shlex.split(line.replace("\\[", "["))
+    group = typer.main.get_command({"servocore": app, "crane-fmu": crane_app}[program])
+    assert isinstance(group, TyperGroup)
+    command = group.commands[name]
+    values = command.make_context(name, words).params  # raises what a wrong option would be refused with
+    scene = REGISTRY.get(values.get("scene") or "rotary_crane")
+    if scene is not None:
+        varied = [*(values.get("vary") or ()), *(values.get("robust") or ()), *(values.get("wrt") or ())]
+        assert {text.partition("=")[0] for text in varied} <= {*scene().parameter_values(), "duration"}
 
 
 def test_the_module_runs_as_the_command() -> None:

@@ -80,6 +80,13 @@ def test_an_entry_that_is_no_finite_number_is_refused_by_name(
     refused(sc.InvalidModel, said, lambda: changed(system, **{field: wrong}))
 
 
+@pytest.mark.parametrize("value", ["80", True, np.True_, None, 1j])
+def test_a_parameter_is_a_number_and_no_text_of_one(value: Any) -> None:
+    crane = sc.scenes.rotary_crane()
+    said = f"parameter load_mass must be a number, not {value!r}"
+    refused(sc.InvalidModel, said, lambda: sc.solve(crane.with_parameters(load_mass=value)))
+
+
 @pytest.mark.parametrize("value", NOT_FINITE)
 def test_numbers_of_a_model_are_finite(value: float) -> None:
     for said, make in {

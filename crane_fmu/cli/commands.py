@@ -18,6 +18,7 @@ from crane_fmu import feedforward as ff
 from crane_fmu.cli import plan
 from crane_fmu.cli.options import (
     AbsoluteTolerance,
+    DriveStep,
     Duration,
     End,
     FormulationName,
@@ -233,7 +234,7 @@ def drive(
     profile: ProfileName = None,
     ramp: Ramp = None,
     parameters: ParametersFile = None,
-    step: Step = None,
+    step: DriveStep = None,
     limit: Limits = None,
     limits: LimitsFile = None,
     output: OutputFile = None,
@@ -261,7 +262,8 @@ def drive(
 def run_demo(output: OutputFolder = Path("out")) -> None:
     """Build the FMU, run it, compare it with the closed form and with a forward simulation, and write a report.
 
-    The folder then holds RotaryCrane.fmu, inputs.csv, report.html and a folder of figures. Inputs are those of the
+    The folder then holds RotaryCrane.fmu, the folder system of the command ssp, inputs.csv, report.html and a folder of
+    figures. Inputs are those of the
     default, exact inversion; the scheme of the paper is shown beside it. Takes half a minute.
     """
     from crane_fmu.demo import REPORT, demo  # noqa: PLC0415

@@ -67,6 +67,11 @@ Step = Annotated[
     float | None,
     _crane("--step", metavar="H", help="Step (s); divides the duration. Default: duration/200."),
 ]
+DriveStep = Annotated[
+    float | None,
+    _crane("--step", metavar="H",
+           help="Communication step (s); divides the duration. Default: 0.01, or a little less to divide it."),
+]  # fmt: skip
 RelativeTolerance = Annotated[
     float | None,
     _crane("--rtol", metavar="R", help="In place of a step: error of the inputs relative to their peaks."),

@@ -113,7 +113,7 @@ def _scene_of_user(name: str) -> Scene:
             scene.model()  # made once, here, where an error of its factory can be reported
     except ServocoreError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         if error.__traceback__ is not None and error.__traceback__.tb_next is None:  # raised by the call itself
             raise InvalidSetting(f"{name} cannot be called without arguments: {error}") from error
         raise InvalidSetting(f"{name} returns no scene: {_in_one_line(error)}") from error
@@ -129,10 +129,14 @@ def _function_of_user(name: str) -> Callable[[], object]:
     if here not in sys.path:
         sys.path.insert(0, here)
     try:
+        if "/" in module_name or "\\" in module_name:
+            raise ModuleNotFoundError(name=module_name)
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        raise InvalidSetting(f"{name}: there is no module {error.name}") from None
-    except Exception as error:  # the user's own code may raise anything
+        file = Path(module_name)
+        hint = f"; in the folder of {file.name} it is {file.stem}:{function_name}" if file.suffix == ".py" else ""
+        raise InvalidSetting(f"{name}: there is no module {error.name}{hint}") from None
+    except (Exception, SystemExit) as error:  # the user's own code may raise anything
         raise InvalidSetting(f"{name}: the module cannot be imported: {_in_one_line(error)}") from error
     function: object = getattr(module, function_name, None)
     if not callable(function):
@@ -140,7 +144,7 @@ def _function_of_user(name: str) -> Callable[[], object]:
     return function
 
 
-def _in_one_line(error: Exception) -> str:
+def _in_one_line(error: BaseException) -> str:
     """Return an error of a user's module in one line, with file and line of its innermost frame."""
     place = traceback.extract_tb(error.__traceback__)[-1]
     where = "" if isinstance(error, SyntaxError) else f" ({Path(place.filename).name}, line {place.lineno})"

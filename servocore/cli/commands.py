@@ -58,7 +58,9 @@ inputs along a path, plan their fastest motions, and export them for other tools
     **SETTINGS,
 )
 
-_SCENE = typer.Argument(metavar="SCENE", help=f"One of {', '.join(REGISTRY)}.", show_default=False)
+_SCENE = typer.Argument(
+    metavar="SCENE", help=f"One of {', '.join(REGISTRY)}, or module:function of your own.", show_default=False
+)
 SceneName = Annotated[str, _SCENE]
 
 

@@ -69,6 +69,8 @@ class Parameter:
             The same value.
         """
         try:
+            if isinstance(value, bool | np.bool_ | str):  # numbers to Python: a text from a file would pass unseen
+                raise TypeError
             number = float(value)
         except (TypeError, ValueError):
             raise InvalidModel(f"parameter {self.name} must be a number, not {value!r}") from None

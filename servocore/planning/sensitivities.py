@@ -56,6 +56,8 @@ class Sensitivities:
     sizes: Array
 
     def __getitem__(self, names: tuple[str, str]) -> Array:
+        if not isinstance(names, tuple) or len(names) != 2:
+            raise KeyError(f"{names!r} is not what changes and by which parameter, such as found['F', 'load_mass']")
         quantity, parameter = names
         known = [channel.name for channel in self.quantities]
         if quantity not in known or parameter not in self.parameters:

@@ -145,10 +145,13 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None =
     Raises
     ------
     InvalidReference
-        If there are more or fewer names than components, or `each` is not a whole number of one or more.
+        If there are more or fewer names than components, two are the same, or `each` is not a whole number of one or
+        more.
     """
     if len(columns) != path.dimension:
         raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
+    if len({"time", *columns}) <= len(columns):
+        raise InvalidReference(f"a path needs position columns with names of their own, not {', '.join(columns)}")
     if each is not None and not (isinstance(each, int) and each >= 1):
         raise InvalidReference(f"every stretch of a path has one or more whole rows, not {each}")
     t, jets = _rows_enough(path) if each is None else _rows_of(path, each)

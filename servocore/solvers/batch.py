@@ -135,6 +135,8 @@ class Batch:
         p, references = self._cases(parameters, paths)
         if self._dynamic is not None:
             return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
+        if not times.size:
+            return np.empty((_count(p, references), 0, len(self.names)))
         inputs = self._by_expression.of_cases(references or [self._problem.reference], times, p)[0]
         if not np.isfinite(inputs).all():
             inputs = self._solved_by_newton(inputs, references, times, p)
@@ -178,7 +180,7 @@ class Batch:
         if steps < 1:
             raise InvalidSetting(f"a path is divided into one step or more, not {steps}")
         p, references = self._cases(parameters, paths)
-        count = len(p) if p.ndim == 2 else max(len(references), 1)
+        count = _count(p, references)
         values_of_cases = np.empty((count, steps + 1, len(self.names)))
         for case in range(count):
             values = zip(self._problem.system.parameters.names, (p[case] if p.ndim == 2 else p).tolist(), strict=True)
@@ -228,6 +230,11 @@ class Batch:
             jets = reference.jet(t[at], self._by_expression.order)
             inputs[case][:, at] = at_instants(self._by_newton, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
         return inputs
+
+
+def _count(p: Array, references: Sequence[Reference]) -> int:
+    """Return how many cases there are."""
+    return len(p) if p.ndim == 2 else max(len(references), 1)
 
 
 def _require_allowed(parameter: Parameter, values: Array) -> None:
