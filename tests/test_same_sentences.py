@@ -36,9 +36,8 @@ class Mistake:
     start: float = 0.0
 
 
-def inverse(sentence: str, settings: Mapping[str, float] | None = None, **inputs: float) -> Mistake:
-    named = {name.replace("__", "."): value for name, value in inputs.items()}
-    return Mistake("inverse model", sentence, settings or {}, RESTING | named)
+def inverse(sentence: str, inputs: Mapping[str, float], settings: Mapping[str, float] | None = None) -> Mistake:
+    return Mistake("inverse model", sentence, settings or {}, {**RESTING, **inputs})
 
 
 def settings(kind: str, sentence: str, **values: float) -> Mistake:
@@ -80,13 +79,13 @@ MISTAKES = [
     settings(
         "trajectory", "a path with a ramp of 11 s takes at least 22 s, but its duration is 20 s", profile=3, ramp=11.0
     ),
-    inverse("at t = 0 s the input load.jerk[2] is nan, not a finite number", **{"load.jerk[2]": math.nan}),
-    inverse("at t = 0.1 s the input load.jerk[2] is nan, not a finite number", LATE, **{"load.jerk[2]": math.nan}),
-    inverse("at t = 0 s the input measured.s is inf, not a finite number", LATE, **{**SENSED, "measured.s": math.inf}),
-    inverse(SENSELESS.format("0", "-5"), **{**SENSED, "measured.l": 0.0}),
-    inverse(SENSELESS.format("5", "1"), LATE, **{**SENSED, "measured.position[3]": 1.0}),
-    inverse(GIRDER.format("-1"), **{"load.position[3]": 1.0}),
-    inverse(AXIS, **{"load.position[1]": 0.0}),
+    inverse("at t = 0 s the input load.jerk[2] is nan, not a finite number", {"load.jerk[2]": math.nan}),
+    inverse("at t = 0.1 s the input load.jerk[2] is nan, not a finite number", {"load.jerk[2]": math.nan}, LATE),
+    inverse("at t = 0 s the input measured.s is inf, not a finite number", {**SENSED, "measured.s": math.inf}, LATE),
+    inverse(SENSELESS.format("0", "-5"), {**SENSED, "measured.l": 0.0}),
+    inverse(SENSELESS.format("5", "1"), {**SENSED, "measured.position[3]": 1.0}, LATE),
+    inverse(GIRDER.format("-1"), {"load.position[3]": 1.0}),
+    inverse(AXIS, {"load.position[1]": 0.0}),
     Mistake("plant", "at t = 0 s the input F is nan, not a finite number", inputs={"F": math.nan}),
     Mistake("plant", "at t = 0.1 s the input F is nan, not a finite number", LATE, {"F": math.nan}),
     *(

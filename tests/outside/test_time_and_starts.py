@@ -164,8 +164,8 @@ def test_cases_of_a_sweep_are_the_solutions_where_the_time_counts() -> None:
     own = scene.reference.duration
     found = sc.sweep(scene, {"duration": [own, 1.5 * own]}, instants=101)
     assert (found.failure == "").all()
-    ends = (scene.reference.jet(time, 0)[0] for time in (scene.reference.start_time, scene.reference.end_time))
-    slow = scene.with_reference(sc.rest_to_rest(*ends, duration=1.5 * own))
+    start, end = (scene.reference.jet(time, 0)[0] for time in (scene.reference.start_time, scene.reference.end_time))
+    slow = scene.with_reference(sc.rest_to_rest(start, end, 1.5 * own))
     for k, each in enumerate((scene, slow)):
         solution = sc.solve(each, step=each.reference.duration / 100)
         for name in ("F", "W"):
@@ -192,8 +192,8 @@ def test_a_coordinate_that_is_called_as_a_rate_is_told_from_it() -> None:
     scene = sc.Scene("names", {"only": lambda: system}, sc.rest_to_rest((0.0,), (1.0,), 2.0))
     words = "a start cannot tell the coordinate s_dot from the rate of s: the coordinate needs another name"
     with pytest.raises(sc.InvalidSetting, match=words):
-        sc.simulate(scene, lambda _: [0.0], t=np.linspace(0.0, 1.0, 11), start={"s_dot": 0.3})
+        sc.simulate(scene, lambda _: np.zeros(1), t=np.linspace(0.0, 1.0, 11), start={"s_dot": 0.3})
     with pytest.raises(sc.InvalidSetting, match=words):
         sc.solve(scene, start={"s": 0.1, "s_dot": 0.3, "s_dot_dot": 0.0})
-    found = sc.simulate(scene, lambda _: [0.0], t=np.linspace(0.0, 1.0, 11), start={"s": 0.1, "s_dot_dot": 0.2})
+    found = sc.simulate(scene, lambda _: np.zeros(1), t=np.linspace(0.0, 1.0, 11), start={"s": 0.1, "s_dot_dot": 0.2})
     assert (found["s"][0], found["s_dot"][0]) == (0.1, 0.0)
