@@ -36,7 +36,7 @@ def require_step(present: float, time: float, h: float) -> None:
     if abs(time - present) > 1e-6 * h + _ROUND_OFF * math.ulp(max(abs(time), abs(present))):
         direction = "behind" if time < present else "ahead of"
         raise InvalidSetting(
-            f"the communication point t = {time:.12g} s lies {direction} the FMU's time {present:.12g} s;"
+            f"the communication point t = {time:.16g} s lies {direction} the FMU's time {present:.16g} s;"
             f" to repeat a step restore the FMU's state first"
         )
 

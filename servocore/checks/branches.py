@@ -274,15 +274,17 @@ def require_one_branch(problem: Problem, solution: Solution) -> str:
 
 
 def configurations(problem: Problem, solution: Solution) -> Array | None:
-    """Return the coordinates of a solution, shape (N, n); None if something else is reported under a name of one."""
+    """Return the coordinates of a solution, shape (N, n); None where it does not report them by their names."""
     places = problem.resolved.once(_columns, solution.names)
     return None if places is None else solution.values[:, places]
 
 
 def _columns(resolved: ResolvedSystem, names: tuple[str, ...]) -> list[int] | None:
-    """Places of the coordinates among reported names; None if something else is reported under a name of one."""
+    """Places of the coordinates among reported names; None if one is missing or its name is that of something else."""
     reported = {quantity.name: expression for quantity, expression in observed(resolved.system)}
     coordinates = resolved.system.coordinates
+    if not set(coordinates.names) <= set(names):
+        return None
     if not all(ca.is_equal(reported[name], coordinates[name]) for name in coordinates.names):
         return None
     return [names.index(name) for name in coordinates.names]

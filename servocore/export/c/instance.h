@@ -229,7 +229,7 @@ static Outcome require_step(const Instance *instance, double time, double h)
         return say(instance, ERROR, "at t = %.17g s a communication step of %g s is lost in round-off", time, h);
     if (!(fabs(time - present) <= JITTER * h + 4.0 * DBL_EPSILON * size))
         return say(instance, ERROR,
-                   "the communication point t = %.12g s lies %s the FMU's time %.12g s;"
+                   "the communication point t = %.16g s lies %s the FMU's time %.16g s;"
                    " to repeat a step restore the FMU's state first",
                    time, time < present ? "behind" : "ahead of", present);
     if (time + h > instance->state.stop + JITTER * h + 4.0 * DBL_EPSILON * size)
