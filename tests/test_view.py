@@ -304,6 +304,29 @@ def test_fields_show_every_digit_of_what_was_given(width: int, tmp_path: Path) -
         assert page.errors == []
 
 
+def test_limits_that_differ_by_more_than_the_sign_have_a_field_each(tmp_path: Path) -> None:
+    require_browser()
+    crane = sc.scenes.rotary_crane().with_limits(M_w=(-104.0, -92.0))
+    field = (
+        """((about) => [...document.querySelectorAll("input")].find((each) => each.ariaLabel === `${about} in N m`))"""
+    )
+    status = 'document.querySelector(".status").textContent'
+    with Page(sc.view(sc.solve(crane), tmp_path / "crane.html"), tmp_path / "profile") as page:
+        assert [page.run(f'{field}("{side} limit of M_w").value') for side in ("lower", "upper")] == ["-104", "-92"]
+        assert page.run(status) == "All limits are kept."
+        settled(
+            page,
+            f'const upper = {field}("upper limit of M_w"); upper.value = -99; upper.dispatchEvent(new Event("input"))',
+        )
+        assert re.match("Limit exceeded: M_w reaches −9", str(page.run(status)))
+        settled(
+            page,
+            f'const upper = {field}("upper limit of M_w"); upper.value = ""; upper.dispatchEvent(new Event("input"))',
+        )
+        assert page.run(status) == "All limits are kept."
+        assert page.errors == []
+
+
 def test_a_slider_changes_the_curves_to_what_the_library_gives(opened: Page) -> None:
     before = outline(opened, 2)
     settled(opened, SET % ("load mass", 137.0))

@@ -122,21 +122,30 @@ class LivePage {
       button("−", "zoom out", () => this.closer(1 / 1.5, this.now)), button("whole run", "show the whole run", () => this.zoom()));
   }
 
-  // A field for the largest magnitude that an output may have.
+  // A field for the largest magnitude that an output may have, or two where its limits differ by more than the sign.
   boundField(i) {
-    const { name, unit } = about.outputs[i], factor = factorOf(unit), bounds = this.bounds[i];
-    const largest = bounds && Math.max(...[bounds.low, bounds.high].map(Math.abs).filter(Number.isFinite));
-    const field = made("input", { type: "number", min: 0, step: "any", placeholder: "none", value: bounds ? precise(largest * factor) : "" });
-    fit(field);
-    field.setAttribute("aria-label", `limit of the magnitude of ${name} in ${shownUnit(unit)}`);
-    if (bounds?.own) field.title = "a quarter more than the first run takes, until you set your own";
-    field.addEventListener("input", () => {
-      const value = Number(field.value) / factor;
-      fit(field);
-      this.bounds[i] = field.value === "" || !(value > 0) ? null : { low: -value, high: value, own: true };
+    const { name, nonnegative } = about.outputs[i], bounds = this.bounds[i];
+    const { low, high } = bounds ?? { low: -Infinity, high: Infinity }, one = nonnegative ? low === -Infinity : low === -high;
+    const text = one ? (nonnegative ? "limit" : "limit ±") : "limits";
+    const shown = one ? [[`limit of the magnitude of ${name}`, high]] : [[`lower limit of ${name}`, low], [`upper limit of ${name}`, high]];
+    const fields = shown.map(([describe, value]) => this.numberOfBound(i, describe, value));
+    if (bounds?.own) fields[0].title = "a quarter more than the first run takes, until you set your own";
+    const given = (field, none) => (field.value === "" ? none : Number(field.value) / factorOf(about.outputs[i].unit));
+    const set = () => {
+      const least = one ? -given(fields[0], Infinity) : given(fields[0], -Infinity), most = given(fields.at(-1), Infinity);
+      this.bounds[i] = least < most && !(least === -Infinity && most === Infinity) ? { low: least, high: most, own: true } : null;
       this.show();
-    });
-    return made("label", { className: "bound-field" }, about.outputs[i].nonnegative ? "limit" : "limit ±", field);
+    };
+    fields.forEach((field) => field.addEventListener("input", () => { fit(field); set(); }));
+    return made(one ? "label" : "span", { className: "bound-field" }, text, ...fields);
+  }
+
+  numberOfBound(i, describe, value) {
+    const { unit } = about.outputs[i];
+    const field = made("input", { type: "number", step: "any", placeholder: "none", value: Number.isFinite(value) ? precise(value * factorOf(unit)) : "" });
+    field.setAttribute("aria-label", `${describe} in ${shownUnit(unit)}`);
+    fit(field);
+    return field;
   }
 
   buildTransport() {

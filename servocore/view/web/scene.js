@@ -154,12 +154,14 @@ class Stage {
     context.clearRect(0, 0, this.width, this.height);
     context.lineCap = context.lineJoin = "round";
     context.font = this.font;
+    this.labels = [];
     this.drawFloor();
     this.drawPath(time);
     const drawn = about.parts.map((part, k) => ({ part, at: part.places.map((number) => this.pointAt(number, time)), reach: this.reach[k] }));
     drawn.map((each) => ({ ...each, depth: Math.max(...each.at.map((point) => this.project(point).depth)) - (SOLID.has(each.part.kind) ? this.radius : 0) }))
       .sort((a, b) => b.depth - a.depth)
       .forEach((each) => PAINT[each.part.kind](this, each, time));
+    this.drawLabels();
     this.drawAxes();
   }
 
@@ -189,12 +191,20 @@ class Stage {
   }
 
   write(text, point, right = 10, down = 4, colour = this.ink.ink) {
-    const { x, y } = this.project(point), { context } = this;
+    const { x, y } = this.project(point);
+    this.labels.push({ text, x: x + right, y: y + down, colour });
+  }
+
+  // Labels come last, each with a rim in the colour of the card: a part that is drawn over one would make it illegible.
+  drawLabels() {
+    const { context } = this;
     context.lineWidth = 4;
     context.strokeStyle = this.ink.card;
-    context.strokeText(text, x + right, y + down);
-    context.fillStyle = colour;
-    context.fillText(text, x + right, y + down);
+    for (const { text, x, y, colour } of this.labels) {
+      context.strokeText(text, x, y);
+      context.fillStyle = colour;
+      context.fillText(text, x, y);
+    }
   }
 
   drawFloor() {
