@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -65,3 +66,8 @@ def test_the_script_measures_its_own_routes(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setitem(problem.settings, "simulate, rtol", (1e-6,))
     (row,) = own_rows(problem)
     assert min(digits(row.found, problem.reference()).values()) > 4.0
+
+
+def test_the_study_needs_nothing_that_its_environment_lacks() -> None:
+    code = "import sys; sys.modules['pytest'] = None; import benchmarks.ivp.__main__"
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, timeout=120)

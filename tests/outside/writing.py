@@ -9,7 +9,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import pytest
 
 import servocore as sc
 from servocore.scenes.jets import Jet
@@ -48,6 +47,8 @@ class Case:
     warned: str = ""
 
     def solution(self) -> sc.Solution:
+        import pytest  # here, because `make ivp` runs these problems in an environment without it
+
         said = pytest.warns(sc.ServocoreWarning, match=self.warned) if self.warned else nullcontext()
         with said:
             return self._solved()
