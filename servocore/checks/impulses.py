@@ -1,22 +1,27 @@
 """Where a motion jumps although its path does not: the inputs would have to strike between two instants.
 
 A spring with two stiffnesses, a rail with a corner or a stop make the inputs of a flat system hold impulses: they are
-derivatives of a force that has a kink. The equations hold at every instant that is asked for, and nothing shows.
+derivatives of a force that has a kink. The equations hold at every instant that is asked for, and nothing shows. Where
+an output has a step, no motion may follow the path for a while; a potential or a mass with a step strikes by itself.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
+import numpy.typing as npt
 
+from servocore.checks.switching_instants import with_switching_instants
 from servocore.errors import IntegrationFailed
+from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
 from servocore.references.base import Reference
 from servocore.structure.derivative_array import DerivativeArray
 
@@ -26,32 +31,41 @@ States = Callable[[Array], Array]
 LESS_THAN_HALF = 0.4531
 """Of an interval: in the middle of symmetric paths singular instants are to be expected."""
 
+_ELSEWHERE = 0.25, 0.75, 0.05, 0.95, 0.01, 0.99  # of an interval: where a motion is looked for if it has none there
 _MOST = 2000  # intervals at first; of more instants some are left out
 _LEAST = 1e-4  # of the range of a quantity: a jump that is smaller is no more than other errors
+_ROUND_OFF = 1e-12  # of a quantity: a range that is smaller is none
 _HALVINGS = 60
 _RESOLVED = 1e-12  # of the time: what changes over less jumps
 _ASIDE = 1e-8  # of the duration: instants beside a jump, where round-off would show
 _STEADY = 0.2  # of a jump: by how much values beside it may differ
+_KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
+
+
 _FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "input_matrix"
-_SWITCHES = {
-    getattr(ca, f"OP_{name}")
-    for name in (
-        "LT", "LE", "EQ", "NE", "NOT", "AND", "OR", "IF_ELSE_ZERO", "FLOOR", "CEIL", "FABS", "SIGN", "FMIN", "FMAX",
-        "FMOD", "COPYSIGN", "CALL",
-    )
-}  # fmt: skip
 
 
-class Modelled(Protocol):
-    """Whatever has a system, as `servocore.problem.ResolvedSystem` has."""
+class Resolved(Protocol):
+    """A system with what was compiled for it, as `servocore.problem.ResolvedSystem` is."""
 
     @property
     def system(self) -> MechanicalSystem:
         """The system."""
 
+    def once(self, make: Callable[..., Any], *settings: Any) -> Any:
+        """Return what is made of it, made once."""
 
-class Posed(Modelled, Protocol):
-    """A system with its derivative array and a path, as `servocore.problem.Problem` has them."""
+
+class Posed(Protocol):
+    """A system with parameter values and a path, as `servocore.problem.Problem` has them."""
+
+    @property
+    def system(self) -> MechanicalSystem:
+        """The system."""
+
+    @property
+    def resolved(self) -> Resolved:
+        """What was compiled for it."""
 
     @property
     def array(self) -> DerivativeArray:
@@ -61,10 +75,14 @@ class Posed(Modelled, Protocol):
     def reference(self) -> Reference:
         """The path."""
 
+    @property
+    def p(self) -> Array:
+        """Parameter values."""
+
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump of a coordinate, or of its velocity.
+    """A jump of a coordinate, of its velocity, of a mass or of the potential; or times without any motion.
 
     Attributes
     ----------
@@ -76,6 +94,10 @@ class Jump:
         In s.
     before, after : float
         Values on both sides of it.
+    until : float
+        In s; later than `time` where there is no motion in between.
+    strikes : bool
+        Whether it is of a mass or of the potential, which need no input to jump.
     """
 
     what: str
@@ -83,22 +105,33 @@ class Jump:
     time: float
     before: float
     after: float
+    until: float = 0.0
+    strikes: bool = False
 
     def __str__(self) -> str:
+        smooth = f"{_KINDS}; a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
+        if self.until > self.time:
+            return (
+                f"from t = {self.time:.9g} s to {self.until:.9g} s no motion is found that follows the path, with"
+                f" {self.what} at {self.before:.6g} {self.unit} before and at {self.after:.6g} {self.unit} after:"
+                f" {smooth}"
+            )
+        jumps = "jumps" if self.strikes else "would have to jump"
+        and_inputs = "which is an impulse" if self.strikes else "and the inputs to strike"
         return (
-            f"at t = {self.time:.9g} s {self.what} would have to jump from {self.before:.4g} to {self.after:.4g}"
-            f" {self.unit}, and the inputs to strike: the model has a kink or a jump there (fabs, sign, fmin, fmax,"
-            " if_else); a smooth form of it does, such as sqrt(x^2 + e^2) for |x|"
+            f"at t = {self.time:.9g} s {self.what} {jumps} from {self.before:.4g} to {self.after:.4g}"
+            f" {self.unit}, {and_inputs}: {smooth}"
         )
 
 
-def has_switches(resolved: Modelled) -> bool:
+def has_switches(resolved: Resolved) -> bool:
     """Whether the equations of a system hold operations with a kink or a jump; what has none, has no impulses."""
-    system = resolved.system
-    expressions = [getattr(system, name) for name in _FIELDS]
-    symbols = ca.symvar(ca.vertcat(*(ca.vec(expression) for expression in expressions)))
-    function = ca.Function("sc_switches", [ca.vertcat(ca.SX(0, 1), *symbols)], expressions)
-    return any(function.instruction_id(k) in _SWITCHES for k in range(function.n_instructions()))
+    return any(holds_any(getattr(resolved.system, name), KINKS) for name in _FIELDS)
+
+
+def has_jumps(resolved: Resolved) -> bool:
+    """Whether the equations of a system hold operations that jump."""
+    return any(holds_any(getattr(resolved.system, name), JUMPS) for name in _FIELDS)
 
 
 def first_jump(problem: Posed, t: Array, states: States) -> Jump | None:
@@ -117,7 +150,9 @@ def first_jump(problem: Posed, t: Array, states: States) -> Jump | None:
         return None
     every = -(-(len(t) - 1) // _MOST)
     motion, instants = _Motion.of(problem, states), np.append(t[:-1:every], t[-1])
-    jumps = (motion.jump(time, part) for time, part in _steepest(motion, instants))
+    if (arguments := motion.arguments()) is not None:
+        instants = with_switching_instants(instants, arguments)
+    jumps = (motion.jump(interval, row, gap) for interval, row, gap in _steepest(motion, instants))
     return next((jump for jump in jumps if jump), None)
 
 
@@ -128,15 +163,57 @@ def require_no_strikes(problem: Posed, t: Array, states: States) -> None:
         raise IntegrationFailed(f"{problem.system.name}: {jump}")
 
 
+def _switching_arguments(resolved: Resolved) -> ca.Function | None:
+    """Compile (q, v, path with the time, p) -> arguments of what switches, shape (k,); see `switching_levels`."""
+    system = resolved.system
+    levels = switching_levels(ca.vertcat(*(ca.vec(ca.densify(getattr(system, name))) for name in _FIELDS)))
+    given = [system.q, system.v, system.gamma[:, 0], system.p]
+    levels = [each for each in levels if not ca.Function("sc_probe", given, [each], {"allow_free": True}).get_free()]
+    return ca.Function("sc_switching", given, [ca.densify(ca.vertcat(*levels))]) if levels else None
+
+
+class _Struck(NamedTuple):
+    """(q, v, path with the time, p) -> what must not jump but the motion, and its rates but for jumps."""
+
+    function: ca.Function
+    quantities: tuple[Quantity, ...]
+
+
+def _struck(resolved: Resolved) -> _Struck | None:
+    """Compile entries of the mass and the potential that hold jumps, None if there is none."""
+    system = resolved.system
+    found: list[tuple[Quantity, ca.SX]] = []
+    names = system.coordinates.names
+    for i, j in zip(*system.mass.sparsity().get_triplet(), strict=True):
+        if i >= j and holds_any(system.mass[i, j], JUMPS):
+            of = f"of {names[i]}" if i == j else f"between {names[j]} and {names[i]}"
+            found.append((Quantity(f"the mass {of}", ""), system.mass[i, j]))
+    if holds_any(system.potential, JUMPS):
+        found.append((Quantity("the potential", "J"), system.potential))
+    if not found:
+        return None
+    values, gamma = ca.vertcat(*(each for _, each in found)), system.gamma[:, :2]
+    rates = ca.jtimes(values, system.q, system.v) + ca.jtimes(values, gamma[:, 0], gamma[:, 1])
+    results = [ca.densify(values), ca.densify(rates)]
+    return _Struck(
+        ca.Function("sc_struck", [system.q, system.v, gamma, system.p], results), tuple(each for each, _ in found)
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Coordinates and velocities, one below the other, with their rates; zero for accelerations that are not known."""
+    """Coordinates and velocities, one below the other, and what strikes; with their rates.
+
+    Accelerations that are not known count as zero.
+    """
 
     problem: Posed
     states: States
-    places: Array
-    rates: Array
-    wraps: Array
+    places: npt.NDArray[np.intp]
+    rates: npt.NDArray[np.intp]
+    wraps: npt.NDArray[np.bool_]
+    quantities: tuple[Quantity, ...]
+    struck: _Struck | None
 
     @classmethod
     def of(cls, problem: Posed, states: States) -> _Motion:
@@ -145,17 +222,37 @@ class _Motion:
         places = [array.places((k, order) for k in range(len(quantities))) for order in (0, 1)]
         known = {unknown: k for k, unknown in enumerate(array.unknowns)}
         second = [known.get((k, 2), -1) for k in range(len(quantities))]
-        wraps = [quantity.wraps for quantity in quantities] + [False] * len(quantities)
-        return cls(
-            problem, states, np.concatenate(places), np.array([*places[1], *second], dtype=np.intp), np.array(wraps)
-        )
+        struck = problem.resolved.once(_struck)
+        velocities = [Quantity(f"the velocity of {each.name}", f"{each.unit}/s") for each in quantities]
+        watched = (*quantities, *velocities, *(struck.quantities if struck else ()))
+        wraps = np.array([k < len(quantities) and quantities[k].wraps for k in range(len(watched))])
+        rates = np.array([*places[1], *second], dtype=np.intp)
+        return cls(problem, states, np.concatenate(places).astype(np.intp), rates, wraps, watched, struck)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Return values and rates at some times, shape (2 n, N) each."""
+        """Return values and rates at some times, shape (rows, N) each."""
         states = self.states(t)
-        rates = states[self.rates]
+        values, rates = states[self.places], states[self.rates]
         rates[self.rates < 0] = 0.0
-        return states[self.places], rates
+        if self.struck is None:
+            return values, rates
+        others = self._struck_at(self.struck, values, t)
+        return np.vstack([values, others[0]]), np.vstack([rates, others[1]])
+
+    def arguments(self) -> Callable[[Array], Array] | None:
+        """Return what switches as a function of times, None if nothing is known to."""
+        function = self.problem.resolved.once(_switching_arguments)
+        n = len(self.problem.system.coordinates)
+
+        def at(t: Array) -> Array:
+            known, jets = self.states(t)[self.places], self.problem.reference.jet(t, 0)
+            return at_instants(function, known[:n], known[n:], jets=jets, p=self.problem.p)[0]
+
+        return None if function is None else at
+
+    def _struck_at(self, struck: _Struck, values: Array, t: Array) -> tuple[Array, ...]:
+        n, jets = len(self.problem.system.coordinates), self.problem.reference.jet(t, 1)
+        return at_instants(struck.function, values[:n], values[n : 2 * n], jets=jets, p=self.problem.p)
 
     def moved(self, first: Array, last: Array) -> Array:
         """Return how far values go from one instant to another."""
@@ -163,50 +260,94 @@ class _Motion:
         way[self.wraps] = wrapped_angle(way[self.wraps])
         return way
 
-    def jump(self, interval: tuple[float, float], part: int) -> Jump | None:
-        """Return the jump in an interval that cannot be halved any more, None if values beside it are not steady."""
-        (left, right), path = interval, self.problem.reference
+    def jump(self, interval: tuple[float, float], row: int, gap: bool) -> Jump | None:
+        """Return the jump in an interval that cannot be halved any more, None if values beside it are not steady.
+
+        In a gap there is no motion.
+        """
+        (left, right), path, quantity = interval, self.problem.reference, self.quantities[row]
+        strikes, struck = row >= len(self.places), self.struck
+        if gap:
+            n = len(self.problem.system.coordinates)
+            quantity = self.quantities[row % n]
+            (before, after), until = self.at(np.array([left, right]))[0][row % n], right
+            return Jump(quantity.name, quantity.unit, left, float(before), float(after), until)
         aside = _ASIDE * path.duration * np.arange(1.0, 5.0)
-        sides = [self.at(np.clip(t, path.start_time, path.end_time))[0] for t in (left - aside, right + aside)]
-        before, after = (side[part] for side in sides)
-        way = float(self.moved(sides[0], sides[1])[part].mean())
+        times = [np.clip(t, path.start_time, path.end_time) for t in (left - aside, right + aside)]
+        sides = [self.at(t)[0] for t in times]
+        before, after = (side[row] for side in sides)
+        way = float(self.moved(sides[0], sides[1])[row].mean())
+        if strikes and struck:  # not what changes with the time alone
+            here = self._struck_at(struck, sides[1][: len(self.places)], times[0])[0][row - len(self.places)]
+            way = float((here - before).mean())
         if not max(np.ptp(before), np.ptp(after)) < _STEADY * abs(way):
             return None
-        n = len(self.problem.system.coordinates)
-        quantity = self.problem.system.coordinates.quantities[part % n]
-        what, unit = (f"the velocity of {quantity.name}", f"{quantity.unit}/s") if part >= n else (
-            quantity.name, quantity.unit)  # fmt: skip
-        return Jump(what, unit, left, float(before[0]), float(after[0]))
+        return Jump(quantity.name, quantity.unit, left, float(before[0]), float(after[0]), strikes=strikes)
 
 
-def _steepest(motion: _Motion, t: Array) -> Iterator[tuple[tuple[float, float], int]]:
-    """Yield intervals too short to be halved over which values change by more than their rates say, in rising order.
+_Sides = tuple[Array, Array, Array]
+"""Times (N,), values and rates (rows, N)."""
 
-    With each comes the row that changes most, a velocity before a coordinate.
+
+def _steepest(motion: _Motion, t: Array) -> Iterator[tuple[tuple[float, float], int, bool]]:
+    """Yield intervals over which values change by more than their rates say, in rising order.
+
+    They are too short to be halved, or nothing is known between their ends, as the last entry says. The entry between
+    is the row that changes most.
     """
     values, rates = motion.at(t)
-    known = np.isfinite(values).all(axis=0) & np.isfinite(rates).all(axis=0)  # not where the equations are singular
+    known = _known(values, rates)  # not where the equations are singular
     if known.sum() < 2:
         return
     t, values, rates = t[known], values[:, known], rates[:, known]
     size = np.ptp(values, axis=1)
-    least = np.where(size > 0.0, _LEAST * size, np.inf)[:, None]
-    left, right = (t[:-1], values[:, :-1], rates[:, :-1]), (t[1:], values[:, 1:], rates[:, 1:])
+    least = np.where(size > _ROUND_OFF * np.abs(values).max(axis=1), _LEAST * size, np.inf)[:, None]
+    left: _Sides = t[:-1], values[:, :-1], rates[:, :-1]
+    right: _Sides = t[1:], values[:, 1:], rates[:, 1:]
+    gaps: list[tuple[_Sides, _Sides]] = []
     for _ in range(_HALVINGS):
         missed = np.abs(motion.moved(left[1], right[1]) - (right[0] - left[0]) / 2.0 * (left[2] + right[2])) / least
         worst = np.nan_to_num(missed).max(axis=0)
         kept = np.argsort(-worst, kind="stable")[: min(_MOST, int((worst > 1.0).sum()))]
-        if not len(kept):
-            return
-        left, right = ((side[0][kept], side[1][:, kept], side[2][:, kept]) for side in (left, right))
-        if (right[0] - left[0]).max() <= _RESOLVED * max(np.ptp(t), float(np.abs(t).max())):
+        left, right = _some(left, kept), _some(right, kept)
+        if not len(kept) or (right[0] - left[0]).max() <= _RESOLVED * max(np.ptp(t), float(np.abs(t).max())):
             break
-        middle = left[0] + LESS_THAN_HALF * (right[0] - left[0])
-        halves = (middle, *motion.at(middle))
-        left, right = (
-            (np.concatenate([a[0], b[0]]), np.hstack([a[1], b[1]]), np.hstack([a[2], b[2]]))
-            for a, b in ((left, halves), (halves, right))
-        )
-    for k in np.argsort(left[0], kind="stable"):
-        way = np.abs(motion.moved(left[1][:, [k]], right[1][:, [k]]))[:, 0] / least[:, 0]
-        yield (float(left[0][k]), float(right[0][k])), int(way.argmax())
+        middle = _between(motion, left[0], right[0])
+        found = _known(middle[1], middle[2])
+        if not found.all():
+            gaps.append((_some(left, ~found), _some(right, ~found)))
+            left, middle, right = (_some(each, found) for each in (left, middle, right))
+        left, right = _joined(left, middle), _joined(middle, right)
+    marked = [(left, right, False), *((*gap, True) for gap in gaps)]
+    intervals = []
+    for begin, end, gap in marked:
+        way = np.abs(motion.moved(begin[1], end[1]) - gap * (end[0] - begin[0]) / 2.0 * (begin[2] + end[2])) / least
+        rows = way.argmax(axis=0)
+        intervals += [((float(a), float(b)), int(row), gap) for a, b, row in zip(begin[0], end[0], rows, strict=True)]
+    yield from sorted(intervals)
+
+
+def _known(values: Array, rates: Array) -> npt.NDArray[np.bool_]:
+    known: npt.NDArray[np.bool_] = np.logical_and.reduce(np.isfinite(np.vstack([values, rates])), axis=0)
+    return known
+
+
+def _some(side: _Sides, kept: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> _Sides:
+    return side[0][kept], side[1][:, kept], side[2][:, kept]
+
+
+def _joined(first: _Sides, second: _Sides) -> _Sides:
+    return np.concatenate([first[0], second[0]]), np.hstack([first[1], second[1]]), np.hstack([first[2], second[2]])
+
+
+def _between(motion: _Motion, left: Array, right: Array) -> _Sides:
+    """Return a time between others, about the middle where a motion is known there, with values and rates."""
+    t = left + LESS_THAN_HALF * (right - left)
+    values, rates = motion.at(t)
+    for share in _ELSEWHERE:
+        unknown = ~_known(values, rates)
+        if not unknown.any():
+            break
+        t[unknown] = left[unknown] + share * (right - left)[unknown]
+        values[:, unknown], rates[:, unknown] = motion.at(t[unknown])
+    return t, values, rates

@@ -28,7 +28,8 @@ from servocore.numerics.expressions import constants_kept, largest
 from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
 from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.linear_solutions import small_inverse_times, symbolic_solution
-from servocore.numerics.tearing import dependence, tear
+from servocore.numerics.step_operations import without_jumps
+from servocore.numerics.tearing import dependence, is_linear, tear
 
 NEWTON_TOLERANCE = 1e-9
 """Newton stops when the largest scaled correction is smaller; being quadratic, it then errs by its square."""
@@ -224,7 +225,7 @@ def _without_constants(system: SquareSystem) -> tuple[SquareSystem, list[tuple[c
     """
     constants: list[tuple[ca.SX, ca.SX]] = []
     while system.unknowns.numel():
-        jacobian = ca.jacobian(system.residual, system.unknowns)
+        jacobian = ca.jacobian(without_jumps(system.residual), system.unknowns)
         pattern = dependence(jacobian)
         explicit: dict[int, tuple[int, ca.SX]] = {}
         for i in np.flatnonzero(pattern.sum(axis=1) == 1).tolist():
@@ -272,7 +273,7 @@ def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
-    linear = not ca.depends_on(jacobian, unknowns)
+    linear = is_linear(residual, unknowns)
     if linear and size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
         solution = -small_inverse_times(jacobian, constant)
@@ -389,7 +390,7 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     unknowns, residual = block.unknowns, block.residual
     rough = [k for k in range(unknowns.numel()) if unknowns[k].name() in block.rough]
     matrix = ca.jacobian(residual, unknowns[rough])
-    if not rough or len(rough) > _EXPLICIT_SIZE or ca.depends_on(matrix, unknowns[rough]):
+    if not rough or len(rough) > _EXPLICIT_SIZE or not is_linear(residual, unknowns[rough]):
         return unknowns
     # From zero: nothing of what the guess says of them is left, so that nothing of it has to be computed.
     rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))

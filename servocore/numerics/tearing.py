@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.numerics.known_values import substituted
+from servocore.numerics.step_operations import without_jumps
 
 _FILL = 0  # a substitution must not leave more entries than it removes
 
@@ -17,7 +18,7 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     Returns the remaining unknowns and rows, and the substitutions in an order in which each holds unknowns that remain
     or come later in the list; they are returned already resolved among themselves.
     """
-    jacobian = ca.jacobian(residual, unknowns)
+    jacobian = ca.jacobian(without_jumps(residual), unknowns)
     pattern = dependence(jacobian)
     constant = {(int(i), int(j)) for i, j in zip(*np.nonzero(pattern), strict=True) if jacobian[i, j].is_constant()}
     active_rows, active_columns = set(range(len(pattern))), set(range(len(pattern)))
@@ -43,6 +44,11 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
         torn = [(s, ca.substitute(e, unknown, value)) for s, e in torn]
         torn.append((unknown, value))
     return sorted(active_columns), sorted(active_rows), torn
+
+
+def is_linear(residual: ca.SX, unknowns: ca.SX) -> bool:
+    """Whether a residual is linear in unknowns; one that jumps is not, whatever its derivatives say."""
+    return not ca.depends_on(ca.jacobian(without_jumps(residual), unknowns), unknowns)
 
 
 def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servocore.checks.impulses import has_jumps
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
@@ -159,6 +160,12 @@ def _one_by_one(problem: Problem, program: Program, t: Array, step: float, state
     return joined_runs(parts), True
 
 
+_STICKS = (
+    ", or a force that jumps, as dry friction does: where what it acts on sticks, no step has a solution, and a smooth"
+    " form of it has, such as tanh(v/e) for sign(v)"
+)
+
+
 def step_failure(problem: Problem, program: Program, state: Array, time: float, step: float) -> IntegrationFailed:
     """Return the error that says where a step failed and why that may be."""
     nodes = np.array([time + c * step for c in program.nodes])
@@ -166,6 +173,7 @@ def step_failure(problem: Problem, program: Program, state: Array, time: float, 
     return IntegrationFailed(
         f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
         f" the worst equation is the {worst}. Likely causes: {_likely_causes(program)}"
+        + (_STICKS if problem.resolved.once(has_jumps) else "")
     )
 
 

@@ -38,6 +38,8 @@ OP_ADD: int
 OP_AND: int
 OP_ASSIGN: int
 OP_ATAN2: int
+OP_CALL: int
+OP_CEIL: int
 OP_CONST: int
 OP_CONSTPOW: int
 OP_COPYSIGN: int
@@ -45,6 +47,7 @@ OP_COS: int
 OP_DIV: int
 OP_EQ: int
 OP_FABS: int
+OP_FLOOR: int
 OP_FMAX: int
 OP_FMIN: int
 OP_FMOD: int
@@ -61,6 +64,8 @@ OP_NOT: int
 OP_OR: int
 OP_OUTPUT: int
 OP_POW: int
+OP_REMAINDER: int
+OP_SIGN: int
 OP_SIN: int
 OP_SQ: int
 OP_SQRT: int
