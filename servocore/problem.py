@@ -21,6 +21,7 @@ from servocore.model.drawing import Drawing
 from servocore.model.limits import Limit
 from servocore.model.model_validation import probes, require_driving, require_mass
 from servocore.model.nominal_magnitudes import decades_of, scaled_to
+from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
@@ -30,6 +31,12 @@ from servocore.references.time_augmented import TimeAugmented
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
 
+LEFT_OUT_HOLDS = 1e-4
+"""Of how far its gradient lets a row go: a redundant constraint that is off by more does not hold.
+
+Solvers keep the others better."""
+
+_NO_REACH = 1e-300  # of a row that nothing moves, as a stop that is not touched
 _MOST_MADE = 128  # compiled functions that are kept with a system
 
 Settings = ParamSpec("Settings")
@@ -57,6 +64,24 @@ class ResolvedSystem:
     outcome: DerivativeArray | InvalidModel
     left_out: ca.SX = field(default_factory=lambda: ca.SX(0, 1), repr=False)
     _made: dict[Hashable, Any] = field(default_factory=dict, repr=False)
+
+    @property
+    def left_out_shares(self) -> ca.SX:
+        """How far each of `left_out` is from zero, as a share of what a motion as large as q changes it by."""
+        system = self.system
+        nominal = ca.DM(system.coordinates.nominal)
+        reach = ca.mtimes(ca.fabs(ca.jacobian(self.left_out, system.q)), ca.fmax(ca.fabs(system.q), nominal))
+        return ca.densify(self.left_out / ca.fmax(reach, _NO_REACH))
+
+    @property
+    def must_be_positive(self) -> list[tuple[Quantity, ca.SX]]:
+        """Observables that must be positive, and margins that are as long as what was left out holds."""
+        signs = [(quantity, each) for quantity, each in self.system.observables.items() if quantity.positive]
+        shares = ca.vertsplit(self.left_out_shares) if self.redundant else []
+        margins = [
+            (Quantity(f"left out {k}", positive=True), LEFT_OUT_HOLDS - ca.fabs(e)) for k, e in enumerate(shares)
+        ]
+        return signs + margins
 
     @property
     def array(self) -> DerivativeArray:

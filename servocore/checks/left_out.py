@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
 import casadi as ca
 import numpy as np
 
+from servocore.checks.instants import survey
 from servocore.errors import InvalidModel
+from servocore.model.limits import Limit
+from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
-from servocore.problem import Problem, ResolvedSystem
+from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
 
-_BROKEN = 1e-4  # of how far its gradient lets a row go: solvers keep the others better
+_WHY = "it follows from the others where the model is at home, and was left out"
 
 
 def require_left_out(problem: Problem, t: Array, q: Array | None) -> None:
@@ -31,22 +38,52 @@ def require_left_out(problem: Problem, t: Array, q: Array | None) -> None:
         return
     function = problem.resolved.once(_compiled_left_out)
     jets = problem.reference.jet(t, 0)
-    values, reach = at_instants(function, q.T, jets=jets, p=problem.p)
-    broken = np.abs(values) > _BROKEN * np.maximum(reach, np.finfo(float).tiny)
+    values, shares = at_instants(function, q.T, jets=jets, p=problem.p)
+    broken = np.abs(shares) > LEFT_OUT_HOLDS
     if broken.any():
         row, k = (int(place) for place in np.argwhere(broken.T)[0][::-1])
-        names = problem.left_out.split(", ")
-        name = names[row] if len(names) == len(values) else problem.left_out
         raise InvalidModel(
-            f"{problem.system.name}: at t = {t[k]:.6g} s the holonomic constraint {name} does not hold, by"
-            f" {abs(values[row, k]):.3g}: it follows from the others where the model is at home, and was left out"
+            f"{problem.system.name}: at t = {t[k]:.6g} s the holonomic constraint {_names(problem)[row]} does not hold,"
+            f" by {abs(values[row, k]):.3g}: {_WHY}"
         )
 
 
+def require_left_out_along(problem: Problem, states: Callable[[Array], Array]) -> None:
+    """Raise the same along the path, for a motion that is known at all times."""
+    if problem.resolved.redundant:
+        t, n = survey(problem.reference), len(problem.system.coordinates)
+        require_left_out(problem, t, states(t)[problem.array.places((k, 0) for k in range(n))].T)
+
+
+def with_left_out_as_limits(problem: Problem) -> Problem:
+    """Return the problem with limits that refuse a motion on which a constraint that was left out does not hold.
+
+    For what is exported: it meets other paths than the one of its scene.
+    """
+    if not problem.resolved.redundant:
+        return problem
+    limits = tuple(
+        Limit(
+            f"the share of {name} that is left", "1",
+            -LEFT_OUT_HOLDS, f"the holonomic constraint {name} does not hold, {_WHY}",
+            partial(_share, problem.resolved, row), upper=LEFT_OUT_HOLDS,
+        )
+        for row, name in enumerate(_names(problem))
+    )  # fmt: skip
+    return replace(problem, limits=problem.limits + limits)
+
+
+def _share(resolved: ResolvedSystem, row: int, system: MechanicalSystem) -> ca.SX:  # noqa: ARG001 - asked of one system
+    return resolved.left_out_shares[row]
+
+
+def _names(problem: Problem) -> list[str]:
+    names, rows = problem.left_out.split(", "), problem.resolved.left_out.numel()
+    return names if len(names) == rows else [problem.left_out] * rows
+
+
 def _compiled_left_out(resolved: ResolvedSystem) -> ca.Function:
-    """Compile (q, path with the time, p) -> constraints left out, and how much a motion as large as q changes them."""
+    """Compile (q, path with the time, p) -> constraints left out, and how far they are from holding."""
     system = resolved.system
-    nominal = ca.DM(system.coordinates.nominal)
-    reach = ca.mtimes(ca.fabs(ca.jacobian(resolved.left_out, system.q)), ca.fmax(ca.fabs(system.q), nominal))
-    results = [ca.densify(resolved.left_out), ca.densify(reach)]
+    results = [ca.densify(resolved.left_out), resolved.left_out_shares]
     return ca.Function("sc_left_out", [system.q, system.gamma[:, 0], system.p], results)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
+from servocore.checks.left_out import require_left_out_along, with_left_out_as_limits
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
 from servocore.errors import InvalidModel, InvalidReference
@@ -35,7 +36,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
-from servocore.solvers.branch_continuation import BranchTable, prepared_table
+from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table
 from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_restart
 from servocore.stepping.limit_margins import compile_margins, limits_order
@@ -80,7 +81,7 @@ def inverse_model(
     InvalidReference
         If the scene's own path breaks its limits.
     """
-    problem = followed(Problem.of(scene, model))
+    problem = with_left_out_as_limits(followed(Problem.of(scene, model)))
     kind = internal_dynamics(problem)
     if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
         grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
@@ -139,7 +140,9 @@ def followed(problem: Problem) -> Problem:
         )
     require_feasible(problem)  # first: a limit says more than a singular matrix
     with causes_explained(problem):
-        return replace(problem, follow_branch=isinstance(prepared_table(problem), BranchTable))
+        table = prepared_table(problem)
+    require_left_out_along(problem, exact_states(problem, table))
+    return replace(problem, follow_branch=isinstance(table, BranchTable))
 
 
 def _variables(

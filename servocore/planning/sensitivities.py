@@ -10,6 +10,7 @@ import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
+from servocore.checks.left_out import require_left_out_along
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
@@ -152,7 +153,9 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
     array, system = problem.array, problem.system
     n, m = len(system.coordinates), len(system.inputs)
     with causes_explained(problem):
-        states = exact_states(problem, prepared_table(problem))(t)
+        motion = exact_states(problem, prepared_table(problem))
+        states = motion(t)
+    require_left_out_along(problem, motion)
     jets = problem.reference.jet(t, array.reference_order)
     (slopes,) = at_instants(problem.resolved.once(_implicit), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]

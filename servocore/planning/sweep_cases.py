@@ -102,7 +102,7 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     swing = SWING in known
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
-    wanted += [observed_quantity for observed_quantity in known.values() if observed_quantity[0].positive]
+    wanted += problem.resolved.must_be_positive
     by_expression, by_newton = compile_inverted_quantities(problem.resolved, wanted)
     texts = [_in_time(function).serialize() for function in (by_expression or by_newton, by_newton)]
     bounds = tuple((limit.bound, limit.upper) for limit in limits)

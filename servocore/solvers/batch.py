@@ -259,6 +259,6 @@ def _compile_cases(
     known = observed(resolved.system)
     by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
     by_expression, by_newton = compile_inverted_quantities(
-        resolved, [*(by_name[name] for name in names), *(pair for pair in known if pair[0].positive)]
+        resolved, [*(by_name[name] for name in names), *resolved.must_be_positive]
     )
     return PathFunction(resolved, by_expression or by_newton, native), by_newton

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.failure_causes import explained
-from servocore.checks.instants import survey
-from servocore.checks.left_out import require_left_out
+from servocore.checks.left_out import require_left_out_along
 from servocore.checks.limits import require_feasible
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
@@ -256,12 +255,7 @@ class ExactInversion:
         try:
             self._table = prepared_table(problem)
             require_exact_within_limits(problem, self._table)
-            if problem.resolved.redundant:
-                t = survey(scene.reference)
-                q = exact_states(problem, self._table)(t)[
-                    array.places((k, 0) for k in range(len(problem.system.coordinates)))
-                ]
-                require_left_out(problem, t, q.T)
+            require_left_out_along(problem, exact_states(problem, self._table))
         except IntegrationFailed as error:
             cause = explained(problem, error)
             if cause is not error:

@@ -133,7 +133,7 @@ def compile_explicit_steps(
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
-    positive = sum(quantity.positive for quantity in system.observables)
+    positive = len(resolved.must_be_positive)
     inputs = system.u.numel()
     runs = SteppedRuns(step, read, range(inputs, inputs + positive), native, system.name)
     return ExplicitSteps(runs, order, formula, method.c)
@@ -142,7 +142,7 @@ def compile_explicit_steps(
 def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX, names: tuple[str, ...]) -> ca.SX:
     """Return what is read as expressions of the unknowns of the array, the path and parameters."""
     system, array, dae = resolved.system, resolved.array, resolved.dae(Reduced())
-    positive = [expression for quantity, expression in system.observables.items() if quantity.positive]
+    positive = [expression for _, expression in resolved.must_be_positive]
     known = {quantity.name: expression for quantity, expression in observed(system)}
     wanted = ca.substitute(
         ca.vertcat(system.u, *positive, *(known[name] for name in names)),

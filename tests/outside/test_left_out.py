@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
+from native_fmu import END, OK, Native
 from outside.writing import coordinates, lagrange, square
 
 import servocore as sc
@@ -60,6 +63,48 @@ def test_what_prepares_inputs_refuses_it_too() -> None:
     simulated = cars(stop_at(0.6), coupled=False)
     with pytest.raises(sc.InvalidModel, match="the holonomic constraint g_1 does not hold"):
         sc.simulate(simulated, sc.solve(simulated, step=0.02, checks=False))
+
+
+def test_what_exports_refuses_the_path_of_the_scene_with_the_same_sentence(tmp_path: Path) -> None:
+    scene = cars(stop_at(0.6), coupled=False)
+    for refused in (lambda: sc.export_fmu(scene, tmp_path / "cars.fmu"), lambda: sc.sensitivities(scene, wrt=())):
+        with pytest.raises(
+            sc.InvalidModel, match=r"at t = \S+ s the holonomic constraint g_1 does not hold, by \S+: it"
+        ):
+            refused()
+    assert not list(tmp_path.iterdir())
+
+
+NEAR, FAR = sc.rest_to_rest((0.0,), (0.4,), 2.0), sc.rest_to_rest((0.0,), (1.0,), 2.0)
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_fmu_refuses_a_path_of_its_host_that_breaks_it(fmi: int, tmp_path: Path) -> None:
+    scene = cars(stop_at(0.6), coupled=False).with_reference(NEAR)
+    file = sc.export_fmu(scene, tmp_path / "cars.fmu", fmi=fmi)
+    ended = {}
+    for path in (NEAR, FAR):
+        with Native("cars", fmi, file) as host:
+            host.start(path.jet(0.0, 4), 0.0, input_time=END)
+            steps = (host.tell(path.jet(0.1 * (k + 1), 4)).step(0.1 * k, 0.1) == OK for k in range(20))
+            ended[path] = all(steps), host.messages
+    assert ended[NEAR][0]
+    assert not ended[FAR][0]
+    assert "at t = 1.3 s the holonomic constraint g_1 does not hold, it follows from the others" in ended[FAR][1][-1]
+
+
+def test_sweeps_and_batches_refuse_a_path_that_breaks_it() -> None:
+    scene = cars(stop_at(0.6), coupled=False).with_reference(NEAR)
+    found = sc.sweep(scene, references=[NEAR, FAR])
+    assert found["failure"].values[0] == ""
+    assert "the holonomic constraint g_1 does not hold" in found["failure"].values[1]
+    batch = sc.Batch(scene)
+    values = batch(np.linspace(0.0, 2.0, 9), paths=[NEAR, FAR])
+    assert [np.isfinite(case).all() for case in values] == [True, False]
+    with pytest.raises(
+        sc.InvalidModel, match=r"case 1 of a batch: cars: at t = .* the holonomic constraint g_1 does not"
+    ):
+        batch.solve(paths=[NEAR, FAR])
 
 
 @pytest.mark.parametrize("size", [1e-8, 1.0, 1e8])
