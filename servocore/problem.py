@@ -24,7 +24,7 @@ from servocore.model.nominal_magnitudes import decades_of, scaled_to
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, read_only
 from servocore.numerics.components import filled
 from servocore.references.base import FloatArray, Reference
 from servocore.references.time_augmented import TimeAugmented
@@ -232,6 +232,9 @@ class Problem:
     left_out: str = ""
     start: Mapping[str, float] = field(default_factory=dict)
     drawing: Drawing | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "p", read_only(self.p))
 
     @classmethod
     def of(

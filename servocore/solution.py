@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, read_only
 from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, figure_of, html_table
 
 if TYPE_CHECKING:
@@ -137,7 +137,8 @@ NOTHING_KNOWN = ErrorEstimate({}, {}, "nobody compared these values with better 
 class Solution:
     """Trajectories by name.
 
-    ``solution["M_b"]`` is an array over ``solution.t``; ``solution.unit("M_b")`` its unit.
+    ``solution["M_b"]`` is an array over ``solution.t``; ``solution.unit("M_b")`` its unit. Arrays are read-only:
+    ``solution["M_b"].copy()`` can be written into.
 
     Attributes
     ----------
@@ -174,6 +175,14 @@ class Solution:
     margins: Mapping[str, Margin] = field(default_factory=dict)
     origin: Any = field(default=None, repr=False)  # a `Problem`, of a room above this one
 
+    def __post_init__(self) -> None:
+        self._lock()
+
+    def _lock(self) -> None:
+        """Let nobody write into the arrays: `error` and others were computed, or will be, from them as they are."""
+        for name in ("t", "values"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
     @cached_property  # it may take longer than the solution did, and is read again and again
     def error(self) -> ErrorEstimate:
         """How far the inputs are from the exact ones, computed at the first access."""
@@ -182,6 +191,10 @@ class Solution:
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in self.__dict__.items() if name not in ("estimator", "origin")}
         return {**kept, "estimator": None, "origin": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._lock()
 
     @property
     def names(self) -> tuple[str, ...]:

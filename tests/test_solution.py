@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import errno
 import os
+import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -182,3 +184,22 @@ def test_crossing_the_cut_of_the_arc_tangent_leaves_no_trace(model: str) -> None
     for name in ("M_b", "F", "M_w"):
         np.testing.assert_allclose(across[name], ahead[name], rtol=1e-8, atol=1e-7)
     np.testing.assert_allclose(np.diff(across["phi"]), np.diff(ahead["phi"]), atol=1e-10)
+
+
+def test_nobody_writes_into_a_solution_or_what_its_copies_hold() -> None:
+    times = np.linspace(0.0, CRANE.reference.end_time, 11)
+    solution = sc.solve(CRANE, step=2.0)
+    copies = (solution, replace(solution, route="copied"), pickle.loads(pickle.dumps(solution)))
+    for array in [each for one in copies for each in (one.t, one.values, one["M_b"], one.values[3])]:
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    made = sc.Solution(times, solution.channels[:1], solution.values[: len(times), :1], "by hand")
+    assert not made.t.flags.writeable
+    assert times.flags.writeable  # whoever made it keeps an array of his own
+
+
+def test_nobody_writes_into_sensitivities_or_a_problem() -> None:
+    found = sc.sensitivities(CRANE, step=2.0, wrt="load_mass")
+    for array in (found.t, found.values, found.sizes, found["F", "load_mass"], sc.Problem.of(CRANE).p):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0

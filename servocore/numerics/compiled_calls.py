@@ -17,6 +17,13 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 
+def read_only(array: Array) -> Array:
+    """Return a view of an array through which nothing can be written; whoever has the array itself still can."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
 class Call:
     """A `casadi.Function` with dense arguments and results, as a function of arrays.
 
