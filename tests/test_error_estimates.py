@@ -19,14 +19,14 @@ from present import present
 from problems import as_scene, scene
 
 import servocore as sc
-from servocore.checks.certificates import look
+from servocore.checks.better_solutions import warn_and_state_branch
 from servocore.checks.wrong_inputs import LARGEST_UNWARNED, steps_that_stand_out
 from servocore.numerics.compiled_calls import Array
 from servocore.scenes import jets
 from servocore.solution import ErrorEstimate
 from servocore.solvers.fixed_step import FixedStep
 from servocore.solvers.route import Route
-from servocore.solvers.solve import judge_of
+from servocore.solvers.solve import better_solver_of
 
 DAMPED = (sc.BackwardEuler(), sc.BDF(2), sc.BDF(4), sc.RadauIIA(2), sc.RadauIIA(3), sc.GeneralizedAlpha())
 UNDAMPED = (sc.Gauss(1), sc.Trapezoidal())
@@ -368,9 +368,9 @@ def test_a_motion_that_changes_over_is_neither_called_one_nor_right() -> None:
     values[after, found.names.index("f")] *= -1.0
     values[after, found.names.index("theta")] += np.pi
     turned, problem = replace(found, values=values), sc.Problem.of(aircraft.scene)
-    judge, how = judge_of(problem, FixedStep(sc.Projected(), sc.BDF(2))), (sc.Projected(), sc.BDF(2))
+    better_solver, how = better_solver_of(problem, FixedStep(sc.Projected(), sc.BDF(2))), (sc.Projected(), sc.BDF(2))
     with pytest.warns(sc.ServocoreWarning, match="f is off by 2 times its peak"):
-        said = look(problem, judge, turned, False, how)
+        said = warn_and_state_branch(problem, better_solver, turned, False, how)
     assert said == (
         "not known: the step from t = 2 s to 2.005 s is much larger than its neighbours, and the exact inversion gives"
         " another motion from t = 2.005 s"

@@ -416,7 +416,7 @@ class TestPoles:
 def test_a_run_without_anything_to_look_at_compiles_nothing_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """The price of the survey on runs that are smooth: a few differences."""
     looked = []
-    monkeypatch.setattr(within_limits, "look_between", lambda *_: looked.append(1))
+    monkeypatch.setattr(within_limits, "refuse_or_warn_of_poles", lambda *_: looked.append(1))
     for make in (sc.scenes.rotary_crane, sc.scenes.overhead_crane, sc.scenes.gantry_crane, sc.scenes.cars):
         sc.solve(make())
     assert looked == []

@@ -16,7 +16,7 @@ from present import present
 from typer.testing import CliRunner
 
 import servocore as sc
-from servocore.checks.between_instants import suspects
+from servocore.checks.between_instants import suspected_poles
 from servocore.cli.commands import app
 from servocore.numerics import code_cache
 from servocore.numerics import vectorized as vectorized_module
@@ -220,13 +220,13 @@ def test_many_instants_are_looked_at_in_parts_with_the_same_result(monkeypatch: 
 def test_what_stands_out_between_instants_is_found_in_machine_code_too() -> None:
     crane = sc.scenes.rotary_crane()
     problem, found = Problem.of(crane), sc.solve(crane, step=0.02)
-    assert suspects(problem, found, True) == suspects(problem, found) == []
+    assert suspected_poles(problem, found, True) == suspected_poles(problem, found) == []
     places = {name: found.names.index(name) for name in ("M_b", "s", "tension", "l")}
     for name, k in (("M_b", 500), ("s", 333), ("tension", 1), ("l", 2), ("M_b", 4), ("s", 996), ("tension", 999)):
         values = found.values.copy()
         values[k, places[name]] *= 0.5
         spoilt = replace(found, values=values)
-        assert suspects(problem, spoilt, True) == suspects(problem, spoilt) != [], (name, k)
+        assert suspected_poles(problem, spoilt, True) == suspected_poles(problem, spoilt) != [], (name, k)
 
 
 def test_machine_code_has_no_more_statements_than_the_expression_has_operations() -> None:

@@ -15,7 +15,7 @@ from servocore.problem import Problem
 _CALLER = 5  # the line that called `solve`
 
 
-def warn_before(problem: Problem, formulation: Formulation, method: Method) -> None:
+def warn_before_run(problem: Problem, formulation: Formulation, method: Method) -> None:
     """Warn of internal dynamics that grow, of a path that is too rough, and of inputs that do not converge.
 
     Raises

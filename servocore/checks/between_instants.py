@@ -32,7 +32,7 @@ _SECTIONS, _ROUNDS = 17, 11
 _NEARBY = 6  # rounds: as far as an eighth to this power of two intervals; nearer a singularity round-off may be all
 
 
-def suspects(problem: Problem, solution: Solution, native: bool | None = False) -> list[tuple[int, int]]:
+def suspected_poles(problem: Problem, solution: Solution, native: bool | None = False) -> list[tuple[int, int]]:
     """Return (channel, instant) beside which an input or an observable may grow beyond all that a solution reports.
 
     `native` says whether machine code may look first whether there is any; see `Vectorized`.
@@ -133,7 +133,9 @@ def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[
     return columns, [row for row, k in enumerate(columns) if channels[k].positive], coordinates
 
 
-def look_between(solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]) -> bool:
+def refuse_or_warn_of_poles(
+    solution: Solution, suspected: list[tuple[int, int]], values: Callable[[int, Array], Array]
+) -> bool:
     """Refuse or warn of what exact inversions find beside some instants of a solution; return whether it warned.
 
     Parameters

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.branches import constraint_rows
-from servocore.checks.impulses import first_jump, has_switches
+from servocore.checks.impulses import first_jump, has_kinks_or_jumps
 from servocore.checks.instants import survey
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
 from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
@@ -48,7 +48,7 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.once(has_switches)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.once(has_kinks_or_jumps)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""

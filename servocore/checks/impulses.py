@@ -124,7 +124,7 @@ class Jump:
         )
 
 
-def has_switches(resolved: Resolved) -> bool:
+def has_kinks_or_jumps(resolved: Resolved) -> bool:
     """Whether the equations of a system hold operations with a kink or a jump; what has none, has no impulses."""
     return any(holds_any(getattr(resolved.system, name), KINKS) for name in _FIELDS)
 
@@ -156,7 +156,7 @@ def first_jump(problem: Posed, t: Array, states: States) -> Jump | None:
     return next((jump for jump in jumps if jump), None)
 
 
-def require_no_strikes(problem: Posed, t: Array, states: States) -> None:
+def require_no_jumps(problem: Posed, t: Array, states: States) -> None:
     """Raise `IntegrationFailed` if a motion jumps between some instants; see `first_jump`."""
     jump = first_jump(problem, t, states)
     if jump:
@@ -172,14 +172,14 @@ def _switching_arguments(resolved: Resolved) -> ca.Function | None:
     return ca.Function("sc_switching", given, [ca.densify(ca.vertcat(*levels))]) if levels else None
 
 
-class _Struck(NamedTuple):
+class _SteppedQuantities(NamedTuple):
     """(q, v, path with the time, p) -> what must not jump but the motion, and its rates but for jumps."""
 
     function: ca.Function
     quantities: tuple[Quantity, ...]
 
 
-def _struck(resolved: Resolved) -> _Struck | None:
+def _stepped_quantities(resolved: Resolved) -> _SteppedQuantities | None:
     """Compile entries of the mass and the potential that hold jumps, None if there is none."""
     system = resolved.system
     found: list[tuple[Quantity, ca.SX]] = []
@@ -195,8 +195,8 @@ def _struck(resolved: Resolved) -> _Struck | None:
     values, gamma = ca.vertcat(*(each for _, each in found)), system.gamma[:, :2]
     rates = ca.jtimes(values, system.q, system.v) + ca.jtimes(values, gamma[:, 0], gamma[:, 1])
     results = [ca.densify(values), ca.densify(rates)]
-    return _Struck(
-        ca.Function("sc_struck", [system.q, system.v, gamma, system.p], results), tuple(each for each, _ in found)
+    return _SteppedQuantities(
+        ca.Function("sc_stepped", [system.q, system.v, gamma, system.p], results), tuple(each for each, _ in found)
     )
 
 
@@ -213,7 +213,7 @@ class _Motion:
     rates: npt.NDArray[np.intp]
     wraps: npt.NDArray[np.bool_]
     quantities: tuple[Quantity, ...]
-    struck: _Struck | None
+    stepped: _SteppedQuantities | None
 
     @classmethod
     def of(cls, problem: Posed, states: States) -> _Motion:
@@ -222,21 +222,21 @@ class _Motion:
         places = [array.places((k, order) for k in range(len(quantities))) for order in (0, 1)]
         known = {unknown: k for k, unknown in enumerate(array.unknowns)}
         second = [known.get((k, 2), -1) for k in range(len(quantities))]
-        struck = problem.resolved.once(_struck)
+        stepped = problem.resolved.once(_stepped_quantities)
         velocities = [Quantity(f"the velocity of {each.name}", f"{each.unit}/s") for each in quantities]
-        watched = (*quantities, *velocities, *(struck.quantities if struck else ()))
+        watched = (*quantities, *velocities, *(stepped.quantities if stepped else ()))
         wraps = np.array([k < len(quantities) and quantities[k].wraps for k in range(len(watched))])
         rates = np.array([*places[1], *second], dtype=np.intp)
-        return cls(problem, states, np.concatenate(places).astype(np.intp), rates, wraps, watched, struck)
+        return cls(problem, states, np.concatenate(places).astype(np.intp), rates, wraps, watched, stepped)
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Return values and rates at some times, shape (rows, N) each."""
         states = self.states(t)
         values, rates = states[self.places], states[self.rates]
         rates[self.rates < 0] = 0.0
-        if self.struck is None:
+        if self.stepped is None:
             return values, rates
-        others = self._struck_at(self.struck, values, t)
+        others = self._stepped_at(self.stepped, values, t)
         return np.vstack([values, others[0]]), np.vstack([rates, others[1]])
 
     def arguments(self) -> Callable[[Array], Array] | None:
@@ -250,9 +250,9 @@ class _Motion:
 
         return None if function is None else at
 
-    def _struck_at(self, struck: _Struck, values: Array, t: Array) -> tuple[Array, ...]:
+    def _stepped_at(self, stepped: _SteppedQuantities, values: Array, t: Array) -> tuple[Array, ...]:
         n, jets = len(self.problem.system.coordinates), self.problem.reference.jet(t, 1)
-        return at_instants(struck.function, values[:n], values[n : 2 * n], jets=jets, p=self.problem.p)
+        return at_instants(stepped.function, values[:n], values[n : 2 * n], jets=jets, p=self.problem.p)
 
     def moved(self, first: Array, last: Array) -> Array:
         """Return how far values go from one instant to another."""
@@ -266,7 +266,7 @@ class _Motion:
         In a gap there is no motion.
         """
         (left, right), path, quantity = interval, self.problem.reference, self.quantities[row]
-        strikes, struck = row >= len(self.places), self.struck
+        strikes, stepped = row >= len(self.places), self.stepped
         if gap:
             n = len(self.problem.system.coordinates)
             quantity = self.quantities[row % n]
@@ -277,8 +277,8 @@ class _Motion:
         sides = [self.at(t)[0] for t in times]
         before, after = (side[row] for side in sides)
         way = float(self.moved(sides[0], sides[1])[row].mean())
-        if strikes and struck:  # not what changes with the time alone
-            here = self._struck_at(struck, sides[1][: len(self.places)], times[0])[0][row - len(self.places)]
+        if strikes and stepped:  # not what changes with the time alone
+            here = self._stepped_at(stepped, sides[1][: len(self.places)], times[0])[0][row - len(self.places)]
             way = float((here - before).mean())
         if not max(np.ptp(before), np.ptp(after)) < _STEADY * abs(way):
             return None

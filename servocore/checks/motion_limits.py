@@ -241,7 +241,7 @@ def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], 
     return resolve(system, system.home_parameters)
 
 
-def judged(problem: Problem, solution: Solution) -> Solution:
+def with_limits_required(problem: Problem, solution: Solution) -> Solution:
     """Return a solution of a problem `with_watched` as its user wants it; raise `LimitBroken` if it breaks limits.
 
     Rates of forces and inputs are those of their differences from instant to instant.

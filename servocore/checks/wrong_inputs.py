@@ -115,7 +115,7 @@ def warn_of_wrong_inputs(
     advice = _advice(problem, formulation, method)
     step = (solution.t[-1] - solution.t[0]) / (len(solution.t) - 1)
     warnings.warn(
-        f"{solution.route}, step {step:.6g} s: {name} is off by {_told(relative[name])}; at"
+        f"{solution.route}, step {step:.6g} s: {name} is off by {_share_in_words(relative[name])}; at"
         f" t = {comparison.t[k]:.6g} s it is {comparison.values[k, column]:.4g} {unit},"
         f" {comparison.basis} gives {comparison.better[k, column]:.4g} {unit}; {turn}{advice}",
         ServocoreWarning,
@@ -123,7 +123,7 @@ def warn_of_wrong_inputs(
     )
 
 
-def _told(share: float) -> str:
+def _share_in_words(share: float) -> str:
     if share < 1.0:
         return f"{100.0 * share:.2g} % of its peak"
     return f"{share:.3g} times its peak" if share < _BEYOND else f"more than {_BEYOND:g} times its peak"

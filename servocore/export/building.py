@@ -13,9 +13,12 @@ import numpy.typing as npt
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, SINGULAR, internal_dynamics
-from servocore.checks.left_out import require_left_out_along, with_left_out_as_limits
 from servocore.checks.limits import require_feasible
 from servocore.checks.motion_limits import HIDDEN, counts_turns, with_watched
+from servocore.checks.redundant_constraints import (
+    require_redundant_constraints_along_path,
+    with_redundant_constraints_as_limits,
+)
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.export import variables as rows
 from servocore.export.directional_derivatives import tangent, tangent_of_step
@@ -81,7 +84,7 @@ def inverse_model(
     InvalidReference
         If the scene's own path breaks its limits.
     """
-    problem = with_left_out_as_limits(followed(Problem.of(scene, model)))
+    problem = with_redundant_constraints_as_limits(followed(Problem.of(scene, model)))
     kind = internal_dynamics(problem)
     if kind.kind in (NON_MINIMUM_PHASE, SINGULAR):
         grows = f"grow at {kind.growth:.4g} 1/s" if kind.kind == NON_MINIMUM_PHASE else "are singular at rest"
@@ -141,7 +144,7 @@ def followed(problem: Problem) -> Problem:
     require_feasible(problem)  # first: a limit says more than a singular matrix
     with causes_explained(problem):
         table = prepared_table(problem)
-    require_left_out_along(problem, exact_states(problem, table))
+    require_redundant_constraints_along_path(problem, exact_states(problem, table))
     return replace(problem, follow_branch=isinstance(table, BranchTable))
 
 

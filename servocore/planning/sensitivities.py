@@ -10,8 +10,8 @@ import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
-from servocore.checks.left_out import require_left_out_along
 from servocore.checks.limits import require_feasible
+from servocore.checks.redundant_constraints import require_redundant_constraints_along_path
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity
@@ -159,7 +159,7 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
     with causes_explained(problem):
         motion = exact_states(problem, prepared_table(problem))
         states = motion(t)
-    require_left_out_along(problem, motion)
+    require_redundant_constraints_along_path(problem, motion)
     jets = problem.reference.jet(t, array.reference_order)
     (slopes,) = at_instants(problem.resolved.once(_implicit), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]

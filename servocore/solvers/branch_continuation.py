@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.impulses import LESS_THAN_HALF, States, has_switches, require_no_strikes
+from servocore.checks.impulses import LESS_THAN_HALF, States, has_kinks_or_jumps, require_no_jumps
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
@@ -381,8 +381,8 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     branch = Branch.along(problem, kept)
     closed = not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept))
     table = None if closed else BranchTable(branch, t, kept)
-    if problem.resolved.once(has_switches):
-        require_no_strikes(problem, t, exact_states(problem, table))
+    if problem.resolved.once(has_kinks_or_jumps):
+        require_no_jumps(problem, t, exact_states(problem, table))
     return table
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.checks.failure_causes import explained
-from servocore.checks.left_out import require_left_out_along
 from servocore.checks.limits import require_feasible
+from servocore.checks.redundant_constraints import require_redundant_constraints_along_path
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -255,7 +255,7 @@ class ExactInversion:
         try:
             self._table = prepared_table(problem)
             require_exact_within_limits(problem, self._table)
-            require_left_out_along(problem, exact_states(problem, self._table))
+            require_redundant_constraints_along_path(problem, exact_states(problem, self._table))
         except IntegrationFailed as error:
             cause = explained(problem, error)
             if cause is not error:

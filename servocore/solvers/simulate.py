@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.before_run import require_smooth
-from servocore.checks.left_out import require_left_out
+from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
@@ -203,7 +203,7 @@ class _Motion:
 
 def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
     known, function = problem.resolved.once(_observation)
-    require_left_out(problem, motion.t, motion.states[: len(problem.system.coordinates)].T)
+    require_redundant_constraints(problem, motion.t, motion.states[: len(problem.system.coordinates)].T)
     jets = problem.reference.jet(motion.t, 1)
     values, violations, deviations = at_instants(
         function, motion.states, motion.multipliers.T, motion.inputs.T, jets=jets, p=problem.p

@@ -9,15 +9,20 @@ from functools import partial
 import numpy as np
 
 from servocore.analysis import ADVICE
-from servocore.checks.before_run import warn_before
+from servocore.checks.before_run import warn_before_run
+from servocore.checks.better_solutions import (
+    BetterSolver,
+    changes_with_the_step,
+    inputs_may_be_far,
+    warn_and_state_branch,
+)
 from servocore.checks.branches import configurations, require_one_branch
-from servocore.checks.certificates import Judge, changes_with_the_step, is_far, look
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.instants import time_grid
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
-from servocore.checks.left_out import require_left_out
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
+from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import InvalidSetting
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
@@ -37,9 +42,9 @@ from servocore.solvers.route import Route
 from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.warm_start import inversion_near, perturbed_inversion, unknowns_near
 from servocore.solvers.within_limits import (
+    check_between_instants,
     require_no_impulses,
     run_within_limits,
-    survey_between,
 )
 from servocore.stepping.argument_checks import require_callable, require_formulation, require_method, require_number
 from servocore.stepping.prescribed_initial_values import require_start
@@ -48,7 +53,7 @@ from servocore.structure.inversion import inversion
 _SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
 _NATIVE_FROM = 500  # instants from which on checks are worth machine code
 _COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide what happens in between
-_JUDGING_METHOD = RadauIIA(5)
+_BETTER_METHOD = RadauIIA(5)
 _LOOSE_TOLERANCE = 0.01  # a tolerance above it does not prove by itself that inputs are good
 SteppedRoute = FixedStep | StateSelection | ToTolerance
 
@@ -140,12 +145,12 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     """Refuse or warn of jumps, poles, negative masses and wrong inputs; return the solution with its branch stated."""
     passed = require_one_branch(problem, solution)
     require_positive_mass(problem, solution)
-    require_left_out(problem, solution.t, configurations(problem, solution))
+    require_redundant_constraints(problem, solution.t, configurations(problem, solution))
     require_no_impulses(problem, solution, unknowns_near)
     native = _native_checks(route, solution.t)
-    warned = survey_between(problem, solution, unknowns_near, native)
+    warned = check_between_instants(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
-        survey_between(problem, _on_survey_grid(problem), unknowns_near)
+        check_between_instants(problem, _on_survey_grid(problem), unknowns_near)
     branch = _branch_statement(problem, route, solution) + passed
     return replace(solution, statistics=replace(solution.statistics, branch=branch))
 
@@ -207,7 +212,7 @@ def chosen_route(
     if isinstance(method, Route):
         return method
     if checks:
-        warn_before(problem, formulation, method)
+        warn_before_run(problem, formulation, method)
     if not problem.dae(formulation).x.numel():
         return Pointwise(formulation, method, native)
     if isinstance(step, Adaptive):
@@ -217,21 +222,23 @@ def chosen_route(
     return FixedStep(formulation, method, native)
 
 
-def judge_of(problem: Problem, route: Route) -> Judge:
+def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
     """Return the better solution that the solutions of a route are compared with, to estimate the errors of inputs."""
     if isinstance(route, Pointwise):
-        return Judge(perturbed_inversion, True, "the exact inversion, solved again,")
+        return BetterSolver(perturbed_inversion, True, "the exact inversion, solved again,")
     if isinstance(route, BoundaryValue):
-        return Judge(partial(_bounded_better, route), True, "a bounded inversion of higher order")
+        return BetterSolver(partial(_bounded_better, route), True, "a bounded inversion of higher order")
     if problem.flat:
         nearest = None if problem.follow_branch else inversion_near
-        return Judge(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", nearest)
+        return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", nearest)
     if isinstance(route, SteppedRoute) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-        return Judge(BoundaryValue().run, True, "the bounded inversion")
+        return BetterSolver(BoundaryValue().run, True, "the bounded inversion")
     if isinstance(route, SteppedRoute):
         form = route.formulation if isinstance(route.formulation, Reduced) else Reduced()
-        return Judge(StateSelection(form, _JUDGING_METHOD).run, False, f"{_JUDGING_METHOD.name} on the reduced form")
-    return Judge(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
+        return BetterSolver(
+            StateSelection(form, _BETTER_METHOD).run, False, f"{_BETTER_METHOD.name} on the reduced form"
+        )
+    return BetterSolver(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
 
 
 def _bounded_better(route: BoundaryValue, problem: Problem, times: Array) -> Solution:
@@ -244,32 +251,32 @@ def _bounded_better(route: BoundaryValue, problem: Problem, times: Array) -> Sol
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
-    return judge_of(problem, route).estimate(problem, solution)
+    return better_solver_of(problem, route).estimate(problem, solution)
 
 
 def _branch_statement(problem: Problem, route: Route, solution: Solution) -> str:
-    """Judge the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
+    """BetterSolver the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
 
     Only a doubtful solution is compared with a better one, which takes as long as a solve.
     """
     if not isinstance(route, BoundaryValue | SteppedRoute):
         return solution.statistics.branch  # that of an exact inversion is known, and of another route its own business
-    judge = judge_of(problem, route)
+    better = better_solver_of(problem, route)
     if isinstance(route, BoundaryValue):
         doubtful = route.tolerance > _LOOSE_TOLERANCE or route.pre is not None or route.post is not None
-        return look(problem, judge, solution, doubtful, (Reduced(), None))
+        return warn_and_state_branch(problem, better, solution, doubtful, (Reduced(), None))
     how = (route.formulation, route.method)
     if problem.flat:
         everywhere = problem.resolved.once(inversion).expression is not None
         inputs = problem.resolved.once(compile_inputs, _native_checks(route, solution.t)).by_expression
-        doubtful = is_far(problem, solution, lambda t: inputs(problem, t)[0], everywhere)
+        doubtful = inputs_may_be_far(problem, solution, lambda t: inputs(problem, t)[0], everywhere)
     elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         doubtful = False  # its user was warned before the run
     elif isinstance(route, ToTolerance):
         doubtful = not (solution.statistics.error_estimate or np.inf) <= _LOOSE_TOLERANCE
     else:
         doubtful = changes_with_the_step(problem, *how, route.run, solution)
-    return look(problem, judge, solution, doubtful, how)
+    return warn_and_state_branch(problem, better, solution, doubtful, how)
 
 
 def recommended(problem: Problem) -> tuple[Method | BoundaryValue, str]:

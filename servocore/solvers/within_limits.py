@@ -8,17 +8,17 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.between_instants import look_between, suspects
-from servocore.checks.impulses import has_switches, require_no_strikes
+from servocore.checks.between_instants import refuse_or_warn_of_poles, suspected_poles
+from servocore.checks.impulses import has_kinks_or_jumps, require_no_jumps
 from servocore.checks.motion_limits import (
     States,
     Watched,
     compile_watched,
-    judged,
     limited_values,
     motion_limits,
     require_limits,
     require_reported,
+    with_limits_required,
     with_watched,
 )
 from servocore.errors import IntegrationFailed
@@ -43,7 +43,7 @@ def run_within_limits(problem: Problem, run: Callable[[Problem], Solution]) -> S
         return run(problem)
     if not problem.flat or problem.follow_branch:
         watched = with_watched(problem)
-        solution = judged(watched, run(watched))
+        solution = with_limits_required(watched, run(watched))
         reported = [(limit, solution[limit.quantity]) for limit in limits if limit.quantity in solution]
         return replace(solution, margins=_margins(reported, solution.t))
     solution = run(problem)
@@ -84,13 +84,13 @@ def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[
 
     Without internal dynamics the exact motion is looked at; with them all that follows from internal states and path.
     """
-    if not (isinstance(problem.resolved.outcome, DerivativeArray) and problem.resolved.once(has_switches)):
+    if not (isinstance(problem.resolved.outcome, DerivativeArray) and problem.resolved.once(has_kinks_or_jumps)):
         return
     if problem.flat and not problem.follow_branch:
         try:
             prepared_table(problem)
         except IntegrationFailed:  # the guess of the model may still do
-            require_no_strikes(problem, solution.t, exact_states(problem, None))
+            require_no_jumps(problem, solution.t, exact_states(problem, None))
         return
     known, order, inverse = beside(problem, solution), problem.array.reference_order, problem.resolved.once(inversion)
 
@@ -98,7 +98,7 @@ def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[
         start = np.stack([np.interp(t, solution.t, row) for row in known])
         return inverse.search_at_instants(side_by_side(problem.reference.jet(t, order)), problem.p, start)
 
-    require_no_strikes(problem, solution.t, states)
+    require_no_jumps(problem, solution.t, states)
 
 
 def _require_regular(problem: Problem, solution: Solution, states: Array, suspected: list[tuple[int, int]]) -> None:
@@ -119,7 +119,7 @@ def _require_regular(problem: Problem, solution: Solution, states: Array, suspec
                 )
 
 
-def survey_between(
+def check_between_instants(
     problem: Problem,
     solution: Solution,
     beside: Callable[[Problem, Solution], Array],
@@ -145,13 +145,13 @@ def survey_between(
     """
     if problem.follow_branch or not isinstance(problem.resolved.outcome, DerivativeArray):
         return False
-    suspected = suspects(problem, solution, native)
+    suspected = suspected_poles(problem, solution, native)
     if not suspected:
         return False
     if not problem.flat:
         _require_regular(problem, solution, beside(problem, solution), suspected)
         return False
-    channels = _looked_into(problem, solution, suspected)
+    channels = _channels_to_invert(problem, solution, suspected)
     names = tuple(solution.channels[channel].name for channel in channels)
     watched = problem.resolved.once(_compile_named, names)
 
@@ -159,7 +159,7 @@ def survey_between(
         jets = problem.reference.jet(t, watched.order)
         return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
 
-    # Where the guess of the model is exact, most suspects are cleared without looking at branches.
+    # Where the guess of the model is exact, most suspected_poles are cleared without looking at branches.
     guessed = problem.resolved.once(_compile_guessed, names, native)
     known = guessed(problem, solution.t)[0] if guessed else np.full((len(channels), len(solution.t)), np.nan)
     left = _confirmed(problem, solution, suspected, channels, known)
@@ -176,11 +176,11 @@ def survey_between(
 
     if table is not None or not np.isfinite(known).all():
         left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
-    return look_between(solution, left, values) if left else False
+    return refuse_or_warn_of_poles(solution, left, values) if left else False
 
 
-def _looked_into(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
-    """Return the channels of suspects, and coordinates: where one turns back, inputs are suspected."""
+def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
+    """Return the channels of suspected_poles, and coordinates: where one turns back, inputs are suspected."""
     channels = list(dict.fromkeys(channel for channel, _ in suspected))
     coordinates = problem.system.coordinates.quantities
     return channels + [k for k, channel in enumerate(solution.channels) if channel in coordinates and k not in channels]
@@ -208,7 +208,7 @@ def _compile_guessed(resolved: ResolvedSystem, names: tuple[str, ...], native: b
 def _confirmed(
     problem: Problem, solution: Solution, suspected: list[tuple[int, int]], channels: list[int], exact: Array
 ) -> list[tuple[int, int]]:
-    """Return the suspects that remain with exact values (channels, N): most are errors of a method.
+    """Return the suspected_poles that remain with exact values (channels, N): most are errors of a method.
 
     Where exact values are not known, all remain.
     """
@@ -217,4 +217,4 @@ def _confirmed(
     values = solution.values.copy()
     values[:, channels] = exact.T
     before = {channel for channel, _ in suspected}
-    return [suspect for suspect in suspects(problem, replace(solution, values=values)) if suspect[0] in before]
+    return [suspect for suspect in suspected_poles(problem, replace(solution, values=values)) if suspect[0] in before]

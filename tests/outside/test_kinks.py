@@ -13,7 +13,7 @@ import pytest
 from outside.writing import coordinates, g, lagrange, square
 
 import servocore as sc
-from servocore.checks.impulses import has_switches
+from servocore.checks.impulses import has_kinks_or_jumps
 from servocore.problem import Problem
 
 STIFFNESS, MASS = 100.0, 1.0
@@ -138,7 +138,7 @@ def test_inputs_that_jump_with_friction_of_the_driven_body_are_right() -> None:
 )
 def test_a_smooth_model_is_not_looked_at(make: Callable[[], sc.Scene], has: bool) -> None:
     """Kinks are looked for where the model holds what makes them: others pay nothing."""
-    assert Problem.of(make()).resolved.once(has_switches) is has
+    assert Problem.of(make()).resolved.once(has_kinks_or_jumps) is has
 
 
 @pytest.mark.parametrize("how", HOW, ids=str)

@@ -19,7 +19,7 @@ from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
 _WHY = "it follows from the others where the model is at home, and was left out"
 
 
-def require_left_out(problem: Problem, t: Array, q: Array | None) -> None:
+def require_redundant_constraints(problem: Problem, t: Array, q: Array | None) -> None:
     """Raise `InvalidModel` if a holonomic constraint that was left out does not hold along a motion.
 
     Around home it follows from the others. A stop that is not touched there does as well, and so do two supports that
@@ -48,14 +48,14 @@ def require_left_out(problem: Problem, t: Array, q: Array | None) -> None:
         )
 
 
-def require_left_out_along(problem: Problem, states: Callable[[Array], Array]) -> None:
+def require_redundant_constraints_along_path(problem: Problem, states: Callable[[Array], Array]) -> None:
     """Raise the same along the path, for a motion that is known at all times."""
     if problem.resolved.redundant:
         t, n = survey(problem.reference), len(problem.system.coordinates)
-        require_left_out(problem, t, states(t)[problem.array.places((k, 0) for k in range(n))].T)
+        require_redundant_constraints(problem, t, states(t)[problem.array.places((k, 0) for k in range(n))].T)
 
 
-def with_left_out_as_limits(problem: Problem) -> Problem:
+def with_redundant_constraints_as_limits(problem: Problem) -> Problem:
     """Return the problem with limits that refuse a motion on which a constraint that was left out does not hold.
 
     For what is exported: it meets other paths than the one of its scene.

@@ -48,7 +48,7 @@ _FEW, _MANY = 40, 400  # instants at which a run with internal dynamics is looke
 
 
 @dataclass(frozen=True, eq=False)
-class Judge:
+class BetterSolver:
     """What solutions are compared with.
 
     Attributes
@@ -125,14 +125,18 @@ def _on_the_grid(better: Solution, solution: Solution) -> Array:
     return np.where(inside[:, None], better.values[np.clip(rows, 0, len(better.t) - 1)], solution.values)
 
 
-def look(
-    problem: Problem, judge: Judge, solution: Solution, doubtful: bool, how: tuple[Formulation, Method | None]
+def warn_and_state_branch(
+    problem: Problem,
+    better: BetterSolver,
+    solution: Solution,
+    doubtful: bool,
+    how: tuple[Formulation, Method | None],
 ) -> str:
     """Warn if inputs are far from better ones, and return in which sense the motion of a solution is one.
 
     Parameters
     ----------
-    problem, judge, solution : Problem, Judge, Solution
+    problem, better, solution : Problem, BetterSolver, Solution
         What was solved, what it is judged by, and the result.
     doubtful : bool
         Whether a closer look is needed whatever the motion looks like.
@@ -145,28 +149,28 @@ def look(
     if not doubtful and not len(odd):
         return STEPWISE
     try:
-        comparison = _closely(problem, judge, solution)
+        comparison = _compared_closely(problem, better, solution)
     except ServocoreError:
         return f"not known: {_standing_out(solution, odd)}" if len(odd) else STEPWISE
     warn_of_wrong_inputs(problem, *how, solution, comparison)
     far = comparison.far_from_better(columns)
     if far is None:
-        return f"one: every instant is near what {judge.basis} gives, on the branch of the first"
+        return f"one: every instant is near what {better.basis} gives, on the branch of the first"
     if not len(odd):
         return STEPWISE
-    return f"not known: {_standing_out(solution, odd)}, and {judge.basis} gives another motion from t = {far:.6g} s"
+    return f"not known: {_standing_out(solution, odd)}, and {better.basis} gives another motion from t = {far:.6g} s"
 
 
-def _closely(problem: Problem, judge: Judge, solution: Solution) -> Comparison:
+def _compared_closely(problem: Problem, better: BetterSolver, solution: Solution) -> Comparison:
     """Compare a solution with better values, at few instants only if that settles it and each of them is dear."""
-    if judge.exact:
-        return judge.compared(problem, solution)
-    comparison = judge.compared(problem, _thinned(solution, _FEW))
+    if better.exact:
+        return better.compared(problem, solution)
+    comparison = better.compared(problem, _thinned(solution, _FEW))
     largest = comparison.estimate.largest
     return (
         comparison
         if largest is not None and largest < _SUSPICIOUS
-        else judge.compared(problem, _thinned(solution, _MANY))
+        else better.compared(problem, _thinned(solution, _MANY))
     )
 
 
@@ -182,7 +186,9 @@ def _standing_out(solution: Solution, steps: npt.NDArray[np.intp]) -> str:
     return f"the step from t = {solution.t[k]:.6g} s to {solution.t[k + 1]:.6g} s is much larger than its neighbours"
 
 
-def is_far(problem: Problem, solution: Solution, inputs_at: Callable[[Array], Array], everywhere: bool) -> bool:
+def inputs_may_be_far(
+    problem: Problem, solution: Solution, inputs_at: Callable[[Array], Array], everywhere: bool
+) -> bool:
     """Whether inputs may be far from the exact ones, which are known at every instant.
 
     Parameters
