@@ -104,9 +104,7 @@ def _page(swept: Any, title: str, first: str, picture: bytes, store: str) -> str
         f"{name} from {min(values):g} to {max(values):g} ({len(values)})"
         for name, (_, values) in settings["varied"].items()
     )
-    opening = f'pandas.read_parquet("{store}")'
-    if not store.endswith(".parquet"):  # a store that grows has no consolidated metadata, of whose lack xarray warns
-        opening = f'xarray.open_zarr("{store}", consolidated=False)'
+    opening = f'{"pandas.read_parquet" if store.endswith(".parquet") else "xarray.open_zarr"}("{store}")'
     return _PAGE.format(
         title=html.escape(title), cases=failures.size, failed=int((failures != "").sum()), varied=html.escape(varied),
         alt=f"{first} over what varies", picture=base64.b64encode(picture).decode(), rows="".join(rows), failures=more,

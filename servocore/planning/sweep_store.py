@@ -20,7 +20,7 @@ from servocore.planning.sweep_settings import SweepSettings
 INSTANT = "instant"
 """The dimension of the inputs over time: the share of the duration that has passed."""
 
-DONE = "done"
+DONE = "blocks/done"
 """Which blocks of a store are complete; no part of the dataset."""
 
 _SETTINGS = "settings"
@@ -181,7 +181,7 @@ class Zarr:
         if not path.exists():
             _made(path, swept, held)
             return cls(path, swept)
-        require_settings(path, held, lambda: _zarr().open_group(path, mode="r").attrs[_SETTINGS], resume)
+        require_settings(path, held, lambda: _settings_of(path), resume)
         return cls(path, swept)
 
     def has(self, number: int) -> bool:
@@ -199,7 +199,7 @@ class Zarr:
     def dataset(self) -> Any:
         """Return the dataset, of which nothing is read before it is used."""
         with _quiet():  # without chunks of Dask, whose import takes seconds
-            return self._xarray.open_zarr(self._path, consolidated=False, chunks=None).drop_vars(DONE)
+            return self._xarray.open_zarr(self._path, chunks=None)
 
 
 def require_settings(path: Path, settings: Mapping[str, Any], read: Callable[[], str], resume: bool) -> None:
@@ -238,8 +238,17 @@ def _made(path: Path, swept: SweepSettings, settings: Mapping[str, Any]) -> None
             group.create_array(DONE, shape=(blocks,), chunks=(1,), dtype=np.uint8, dimension_names=("block",))
             # xarray takes a column of a table, such as load_mass over `CASE`, for a result unless it is told otherwise.
             group.attrs.update({_SETTINGS: json.dumps(settings), "coordinates": " ".join(coordinates)})
+            # What describes the store is complete here and stays: xarray opens it by its name alone, without a warning.
+            zarr.consolidate_metadata(group.store)
     except OSError as error:
         raise not_written(path, error) from error
+
+
+def _settings_of(path: Path) -> str:
+    """Return the settings of a store; raises `KeyError` if it lacks them, or the marks of its blocks."""
+    group = _zarr().open_group(path, mode="r")
+    group[DONE]
+    return str(group.attrs[_SETTINGS])
 
 
 def _attributes(variable: Variable) -> dict[str, str]:
