@@ -62,15 +62,18 @@ class LivePart:
     why: str
 
 
-def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, model: str | None = None) -> Path:
+def view(
+    solution: Solution, path: str | Path | None = None, *, scene: Scene | None = None, model: str | None = None
+) -> Path:
     """Write a solution as one HTML file: the system in space and moving, plots, and sliders that compute it again.
 
     Parameters
     ----------
     solution : Solution
         From `solve`.
-    path : str or Path
-        The file, whose name ends with ``.html``; it needs no other and no network.
+    path : str or Path, optional
+        The file, whose name ends with ``.html``; it needs no other and no network. The scene's name, such as
+        ``rotary_crane.html`` in the current folder, when not given.
     scene : Scene, optional
         What was solved, for solutions that do not know: from files, or from routes of one's own.
     model : str, optional
@@ -95,7 +98,7 @@ def view(solution: Solution, path: str | Path, *, scene: Scene | None = None, mo
     >>> sc.view(sc.solve(sc.scenes.rotary_crane()), "crane.html").name
     'crane.html'
     """
-    file = require_page(path)
+    file = require_page(path or f"{_problem(solution, scene, model).name}.html")
     write_together({file: page_text(solution, live_part(solution, scene=scene, model=model))})
     return file
 
