@@ -421,6 +421,23 @@ def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments: An
 @pytest.mark.parametrize(
     ("make", "said"),
     [
+        (lambda: sc.BDF("3"), "the order of BDF must be a whole number, not the text '3'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.BDF(2.0), "the order of BDF must be a whole number, not 2.0"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.RadauIIA("3"), "the number of stages must be a whole number, not the text '3'"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.fastest(CRANE, PATH, limits="F=3"), "limits must be bounds by name, as {'F': 60}, not the text..."),  # type: ignore[arg-type]  # wrong on purpose
+        (
+            lambda: sc.sweep(CRANE, {"load_mass": [90.0]}, limits="F=3"),  # type: ignore[arg-type]  # wrong on purpose
+            "limits must be bounds by name, as {'F': 60}, not the text...",
+        ),
+    ],
+)
+def test_settings_of_methods_and_studies_of_the_wrong_kind_are_refused(make: Callable[[], object], said: str) -> None:
+    refused(sc.InvalidSetting, said, make)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
         (
             lambda: sc.rest_to_rest(0.0, 1.0, 1.0),  # type: ignore[arg-type]  # wrong on purpose
             "a table with one start point a row is needed, not an array of shape (1,)",
@@ -435,6 +452,7 @@ def test_a_setting_of_the_wrong_kind_is_refused_with_what_to_write(arguments: An
         (lambda: sc.figure_of_eight(0.0, 1.0, 2.0, 1.0), "a table with one centre a row is needed, not an array of..."),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.three_phase("x"), "the ramp of a three-phase profile must be a time in s, not the text 'x'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: sc.from_csv(3), "the file of a path must be its name, not 3"),  # type: ignore[arg-type]  # wrong on purpose
+        (lambda: sc.csv_of("path.csv"), "what csv_of is given must be a Reference, not the text 'path.csv'"),  # type: ignore[arg-type]  # wrong on purpose
         (lambda: PATH.jet("now", 0), "the times of a path must be numbers in s, not the text 'now'"),
         (lambda: PATH.jet(0.0, 2.5), "the order of a derivative must be a whole number, not 2.5"),  # type: ignore[arg-type]  # wrong on purpose
     ],

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from fractions import Fraction
 from math import comb
+from numbers import Integral
 
 from servocore.dae import Dae
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_kind
 from servocore.methods.base import Discretisation, Orders, Start, backward_differences
 
 
@@ -47,6 +48,7 @@ class BDF:
     order: int = 2
 
     def __post_init__(self) -> None:
+        require_kind(self.order, Integral, "the order of BDF", "a whole number", InvalidSetting)
         # Order 7 and above is not zero-stable: errors would grow at every step size.
         if self.order not in range(1, 7):
             raise InvalidSetting(f"BDF of order {self.order} does not exist or is unstable; use 1 to 6")

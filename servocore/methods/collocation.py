@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from numbers import Integral
 from typing import ClassVar
 
 import casadi as ca
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.polynomial import Legendre
 
 from servocore.dae import Dae
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_kind
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, Orders, Start
 from servocore.numerics.interpolation import Array, lagrange
@@ -55,6 +56,7 @@ def tableau(family: str, stages: int) -> Tableau:
     InvalidSetting
         If that many stages are not offered.
     """
+    require_kind(stages, Integral, "the number of stages", "a whole number", InvalidSetting)
     if stages not in range(1, _MOST_STAGES + 1):
         raise InvalidSetting(f"{stages} stages are not offered; use 1 to {_MOST_STAGES}")
     to_the_end = family == "radau"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from servocore.checks.motion_limits import motion_limits
-from servocore.errors import InvalidSetting, require_count
+from servocore.errors import InvalidSetting, require_count, require_kind
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene, require_scene
 from servocore.planning.grid import DURATION, Grid
@@ -63,6 +63,7 @@ def checked_settings(
     if isinstance(references, Reference) or not isinstance(references, Iterable | None):
         raise InvalidSetting("references must be a list of paths, one or more")
     paths = tuple(references or ())
+    require_kind(limits, (Mapping, type(None)), "limits", "bounds by name, as {'F': 60}", InvalidSetting)
     bounded = scene.with_limits(**limits) if limits else scene
     problem = Problem.of(bounded.with_reference(paths[0]) if paths else bounded, model)
     grid = Grid.of(parameters, len(paths))

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.errors import InvalidReference
+from servocore.errors import InvalidReference, require_kind
 from servocore.files import csv_text
+from servocore.references.base import Reference
 from servocore.references.bspline import REST_ORDER, require_order
 from servocore.references.csv_table import PREFIXES, Table, doubtful_units, read_table
 from servocore.references.hermite import Disagreement, disagreement, hermite
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
     from os import PathLike
 
-    from servocore.references.base import FloatArray, Reference
+    from servocore.references.base import FloatArray
 
 COLUMNS = ("x", "y", "z")
 """Position columns if no others are named: of a load in space."""
@@ -148,6 +149,7 @@ def csv_of(path: Reference, columns: Sequence[str] = COLUMNS, each: int | None =
         If there are more or fewer names than components, two are the same, or `each` is not a whole number of one or
         more.
     """
+    require_kind(path, Reference, "what csv_of is given", "a Reference", InvalidReference)
     if len(columns) != path.dimension:
         raise InvalidReference(f"a path with {path.dimension} components needs as many columns, not {len(columns)}")
     if len({"time", *columns}) <= len(columns):

@@ -28,7 +28,7 @@ from typing import Any, ClassVar, TypeAlias
 
 import casadi as ca
 
-from servocore.errors import InvalidModel
+from servocore.errors import InvalidModel, described
 from servocore.model.drawing import Part
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
@@ -133,7 +133,7 @@ class Chain(ABC):
             If there are too few masses, or more than a model has derivatives of the path for.
         """
         if not isinstance(self.count, int) or self.count < 2:
-            raise InvalidModel(f"a chain of {self.what} has at least 2 of them, not {self.count}")
+            raise InvalidModel(f"a chain of {self.what} has at least 2 of them, not {described(self.count)}")
         if self.count > MOST_MASSES:
             raise InvalidModel(
                 f"{self.count} {self.what} need derivatives of the path up to order {2 * self.count}, but a model has"
