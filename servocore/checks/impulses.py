@@ -118,10 +118,8 @@ class Jump:
             )
         jumps = "jumps" if self.strikes else "would have to jump"
         and_inputs = "which is an impulse" if self.strikes else "and the inputs to strike"
-        return (
-            f"at t = {self.time:.9g} s {self.what} {jumps} from {self.before:.4g} to {self.after:.4g}"
-            f" {self.unit}, {and_inputs}: {smooth}"
-        )
+        values = f"{self.before:.4g} to {self.after:.4g} {self.unit}".rstrip()
+        return f"at t = {self.time:.9g} s {self.what} {jumps} from {values}, {and_inputs}: {smooth}"
 
 
 def has_kinks_or_jumps(resolved: Resolved) -> bool:
@@ -172,14 +170,14 @@ def _switching_arguments(resolved: Resolved) -> ca.Function | None:
     return ca.Function("sc_switching", given, [ca.densify(ca.vertcat(*levels))]) if levels else None
 
 
-class _SteppedQuantities(NamedTuple):
+class SteppedQuantities(NamedTuple):
     """(q, v, path with the time, p) -> what must not jump but the motion, and its rates but for jumps."""
 
     function: ca.Function
     quantities: tuple[Quantity, ...]
 
 
-def _stepped_quantities(resolved: Resolved) -> _SteppedQuantities | None:
+def stepped_quantities(resolved: Resolved) -> SteppedQuantities | None:
     """Compile entries of the mass and the potential that hold jumps, None if there is none."""
     system = resolved.system
     found: list[tuple[Quantity, ca.SX]] = []
@@ -195,7 +193,7 @@ def _stepped_quantities(resolved: Resolved) -> _SteppedQuantities | None:
     values, gamma = ca.vertcat(*(each for _, each in found)), system.gamma[:, :2]
     rates = ca.jtimes(values, system.q, system.v) + ca.jtimes(values, gamma[:, 0], gamma[:, 1])
     results = [ca.densify(values), ca.densify(rates)]
-    return _SteppedQuantities(
+    return SteppedQuantities(
         ca.Function("sc_stepped", [system.q, system.v, gamma, system.p], results), tuple(each for each, _ in found)
     )
 
@@ -213,7 +211,7 @@ class _Motion:
     rates: npt.NDArray[np.intp]
     wraps: npt.NDArray[np.bool_]
     quantities: tuple[Quantity, ...]
-    stepped: _SteppedQuantities | None
+    stepped: SteppedQuantities | None
 
     @classmethod
     def of(cls, problem: Posed, states: States) -> _Motion:
@@ -222,7 +220,7 @@ class _Motion:
         places = [array.places((k, order) for k in range(len(quantities))) for order in (0, 1)]
         known = {unknown: k for k, unknown in enumerate(array.unknowns)}
         second = [known.get((k, 2), -1) for k in range(len(quantities))]
-        stepped = problem.resolved.once(_stepped_quantities)
+        stepped = problem.resolved.once(stepped_quantities)
         velocities = [Quantity(f"the velocity of {each.name}", f"{each.unit}/s") for each in quantities]
         watched = (*quantities, *velocities, *(stepped.quantities if stepped else ()))
         wraps = np.array([k < len(quantities) and quantities[k].wraps for k in range(len(watched))])
@@ -250,7 +248,7 @@ class _Motion:
 
         return None if function is None else at
 
-    def _stepped_at(self, stepped: _SteppedQuantities, values: Array, t: Array) -> tuple[Array, ...]:
+    def _stepped_at(self, stepped: SteppedQuantities, values: Array, t: Array) -> tuple[Array, ...]:
         n, jets = len(self.problem.system.coordinates), self.problem.reference.jet(t, 1)
         return at_instants(stepped.function, values[:n], values[n : 2 * n], jets=jets, p=self.problem.p)
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.before_run import require_smooth
+from servocore.checks.impulses import require_no_jumps, stepped_quantities
 from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import InconsistentStart, InvalidSetting, described
 from servocore.model.quantity import Quantity
@@ -23,6 +24,7 @@ from servocore.stepping.argument_checks import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
 from servocore.stepping.prescribed_initial_values import with_initial_values
+from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
 
 _SMALLEST_RTOL = 1e-13
@@ -84,8 +86,8 @@ def simulate(
     InvalidReference
         If the path is so rough that it does not start at rest, and no whole state is given.
     IntegrationFailed
-        If the integrator gives up, time runs out, or a force that jumps with the sign of a velocity, as dry friction,
-        changes sides without end.
+        If the integrator gives up, time runs out, a force that jumps with the sign of a velocity, as dry friction,
+        changes sides without end, or the potential or the mass has a step where the motion passes.
     InvalidSetting
         If neither times nor a solution are given, times do not rise or leave those of the inputs, or there are not as
         many inputs as the scene has, or `start` names no coordinate, or a step goes without a method.
@@ -124,6 +126,7 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
     scheme_of(problem, method)  # first of all: what cannot be conserved needs no start
     start = _initial_state(problem, float(t[0]))
     motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))
+    _require_no_steps(problem, t, motion.states)
     u = values_at(inputs, t)
     known = _report(problem, _Motion(t, motion.states, motion.multipliers, u), motion.steps, motion.iterations)
     statistics = replace(
@@ -155,6 +158,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
     name, quantities = problem.system.name, problem.system.coordinates.quantities
     start = _initial_state(problem, float(t[0]))
     states, steps, evaluations = integrated(name, [quantity.name for quantity in quantities], rate, start, t, tolerance)
+    _require_no_steps(problem, t, states)
     u = values_at(inputs, t)
     # Multipliers belong to the instants of the report, not to the integrator's own steps.
     forces = [moved(time, state, now)[1] for time, state, now in zip(t, states.T, u, strict=True)]
@@ -199,6 +203,25 @@ class _Motion:
     states: Array
     multipliers: Array
     inputs: Array
+
+
+def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
+    """Raise `IntegrationFailed` if a motion (2 n, N) passes a step of the potential or of the mass: it is no motion."""
+    outcome = problem.resolved.outcome
+    if not isinstance(outcome, DerivativeArray) or len(t) < 2 or problem.resolved.once(stepped_quantities) is None:
+        return
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - kept out of the run time of an FMU
+
+    n = len(problem.system.coordinates)
+    places = [outcome.places((k, order) for k in range(n)) for order in (0, 1)]
+    motion = CubicHermiteSpline(t, states[:n], states[n:], axis=1)
+
+    def unknowns(times: Array) -> Array:
+        values = np.zeros((len(outcome.unknowns), len(times)))
+        values[places[0]], values[places[1]] = motion(times), motion(times, 1)
+        return values
+
+    require_no_jumps(problem, t, unknowns)
 
 
 def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
