@@ -315,6 +315,16 @@ def test_the_verdict_builds_the_smallest_model() -> None:
     assert 'scene.with_effects("wind"' in found.verdict
 
 
+@pytest.mark.parametrize("name", ["rotary_crane", "overhead_crane"])
+def test_the_verdict_says_which_path_the_smallest_model_needs(name: str) -> None:
+    found = report(name)
+    degree = int(found.verdict.split("a path of degree ")[1].split()[0])
+    smooth_enough = smooth(found.scene, 10.0, (degree - 1) // 2)
+    smallest = sc.Problem.of(found.smallest().with_reference(smooth_enough.reference))
+    assert smallest.array.reference_order == smooth_enough.reference.smoothness
+    assert "continuous derivatives" not in sc.effects(smooth_enough, tolerance=0.005, simulate=False).verdict
+
+
 def test_the_table_has_the_columns_of_its_headings() -> None:
     text = str(report("rotary_crane"))
     for heading in ("effect", "index", "internal states", "derivatives of the path", "change of the inputs",

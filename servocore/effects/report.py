@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from servocore.errors import InvalidModel
 from servocore.model.scene import Scene
+from servocore.problem import Problem
 
 ESTIMATED, SIMULATED, REFUSED = "estimated", "simulated", "refused"
 
@@ -128,7 +130,7 @@ class EffectsReport:
 
     @property
     def verdict(self) -> str:
-        """The smallest model in one or two sentences."""
+        """The smallest model in a sentence or more."""
         added, without = self.arguments
         total = sum(row.error for row in self._spared)
         refused = [row.name for row in self.rows if row.how == REFUSED]
@@ -139,8 +141,19 @@ class EffectsReport:
         addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
             f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"
-            f" out moves it by {_length(total, self.unit)} at most, errors added up."
+            f" out moves it by {_length(total, self.unit)} at most, errors added up.{self._smoother_path()}"
             + (f" Not judged: {', '.join(refused)}." if refused else "")
+        )
+
+    def _smoother_path(self) -> str:
+        """Return a sentence where the path is too rough for the inputs of the smallest model."""
+        array, reference = Problem.of(self.smallest()).resolved.outcome, self.scene.reference
+        if isinstance(array, InvalidModel) or reference.smoothness >= array.reference_order:
+            return ""
+        order = array.reference_order
+        return (
+            f" Its inputs need {order} continuous derivatives of the path, which has {reference.smoothness}: a path"
+            f" of degree {2 * order + 1} from rest to rest has them."
         )
 
     def cells(self) -> list[tuple[str, ...]]:
