@@ -1,5 +1,5 @@
 """The command ``servocore`` where it is not on the path: ``python -m servocore``."""
 
-from servocore.cli.commands import main
+from servocore.cli import main
 
 main()

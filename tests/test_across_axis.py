@@ -9,7 +9,7 @@ import pytest
 from command_lines import CommandLine
 
 import servocore as sc
-from crane_fmu.cli import app as crane_app
+from crane_fmu.cli.commands import app as crane_app
 from servocore.cli.commands import app
 from servocore.references.rest_to_rest import RestToRest
 

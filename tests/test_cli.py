@@ -17,7 +17,7 @@ from present import present
 
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
-from crane_fmu.cli import app
+from crane_fmu.cli.commands import app
 from crane_fmu.feedforward import line
 from servocore.numerics.compiled_calls import Array
 

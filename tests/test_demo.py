@@ -19,7 +19,7 @@ from typer.testing import CliRunner
 import crane_fmu.demo
 import servocore as sc
 from crane_fmu.catalogue import KINDS
-from crane_fmu.cli import app
+from crane_fmu.cli.commands import app
 from crane_fmu.demo import Demo, demo, example_cycle, examples_folder
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report.study import LoadRun

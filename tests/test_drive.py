@@ -11,7 +11,7 @@ from fmu_host import fmu_file, scratch
 from pythonfmu.builder import FmuBuilder
 from typer.testing import CliRunner, Result
 
-from crane_fmu.cli import app
+from crane_fmu.cli.commands import app
 
 LINE = ["--from", "5", "0", "-5", "--to", "4", "1", "-4", "--duration", "6"]
 NAMES = {"M_b": "slew.torque", "F": "trolley.force", "M_w": "hoist.torque"}

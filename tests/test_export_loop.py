@@ -22,7 +22,7 @@ from present import of_kind, present
 from test_ssp import MASTERS, places, system
 
 from crane_fmu.build import Wishes, build_ssp
-from crane_fmu.cli import app as crane_app
+from crane_fmu.cli.commands import app as crane_app
 from crane_fmu.run import nothing_left
 from servocore.numerics.compiled_calls import Array
 from servocore.references.csv_file import csv_of

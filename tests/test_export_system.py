@@ -20,7 +20,7 @@ from native_fmu import DISCARD, END, OK, START, Native, began, exported, native_
 from present import of_kind, present
 
 import servocore as sc
-from crane_fmu.cli import app as crane_app
+from crane_fmu.cli.commands import app as crane_app
 from servocore.cli.commands import app
 from servocore.export.plant_model import plant_model
 from servocore.export.trajectory_model import trajectory_model

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 import tomllib
@@ -15,7 +16,7 @@ from servocore.errors import missing_package
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("control", "distributed", "fmpy", "jinja2", "markdown_it", "matplotlib", "pythonfmu", "xarray", "zarr")
-CRANE, LIBRARY = "from crane_fmu.cli import main", "from servocore.cli.commands import main"
+CRANE, LIBRARY = "from crane_fmu.cli import main", "from servocore.cli import main"
 
 
 def without_extras(code: str, *arguments: str, folder: Path) -> subprocess.CompletedProcess[str]:
@@ -30,6 +31,34 @@ def test_solving_needs_no_extra(tmp_path: Path) -> None:
     run = without_extras(code, folder=tmp_path)
     assert run.returncode == 0, run.stderr
     assert "package" not in run.stderr
+
+
+def test_a_public_name_is_imported_from_where_types_say_it_is() -> None:
+    tree = ast.parse((ROOT / "servocore" / "__init__.py").read_text(encoding="utf-8"))
+    typed = {
+        alias.name: node.module
+        for branch in ast.walk(tree)
+        if isinstance(branch, ast.If)
+        for node in branch.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    homes = next(
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_HOMES"
+    )
+    assert typed == {"scenes": "servocore", **homes}
+    assert set(typed) == set(servocore.__all__)
+
+
+def test_the_library_imports_nothing_before_its_first_use(tmp_path: Path) -> None:
+    code = (
+        "import sys, servocore as sc; assert 'casadi' not in sys.modules; sc.dae.Dae; sc.solve; sc.effects;"
+        " assert 'casadi' in sys.modules; assert not hasattr(sc, 'nothing')"
+    )
+    run = without_extras(code, folder=tmp_path)
+    assert run.returncode == 0, run.stderr
 
 
 def test_the_script_that_builds_names_its_extra(tmp_path: Path) -> None:

@@ -71,6 +71,28 @@ def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments: list[str],
     assert [*work.iterdir(), *scratch.iterdir()] == []
 
 
+WHILE_IMPORTING = """
+import signal, sys, weakref
+class Importing:
+    def find_spec(self, name, *_):
+        if name == "casadi":
+            {stopped}
+sys.meta_path.insert(0, Importing())
+from {package}.cli import main
+main()
+"""
+RAISED = "signal.raise_signal(signal.SIGINT)"
+SWALLOWED = "weakref.finalize(Importing(), signal.raise_signal, signal.SIGINT)"  # as whatever a callback raises
+
+
+@pytest.mark.parametrize("stopped", [RAISED, SWALLOWED])
+@pytest.mark.parametrize(("package", "name"), [("servocore", "servocore"), ("crane_fmu", "crane-fmu")])
+def test_ctrl_c_during_imports_ends_a_command_as_later(package: str, name: str, stopped: str) -> None:
+    code = WHILE_IMPORTING.format(package=package, stopped=stopped)
+    done = subprocess.run([sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (interruption.INTERRUPTED, "", f"{name}: stopped\n")
+
+
 def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

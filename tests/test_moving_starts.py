@@ -17,7 +17,7 @@ from native_fmu import END, OK, Native, exported
 
 import servocore as sc
 from crane_fmu.build.ssp import path_starts
-from crane_fmu.cli import app
+from crane_fmu.cli.commands import app
 from crane_fmu.run import run_ssp
 from crane_fmu.slave.interface import START_ORDERS, components
 from servocore.files import csv_text

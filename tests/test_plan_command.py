@@ -13,7 +13,7 @@ import pytest
 from command_lines import CommandLine
 from fmu_host import Host
 
-import crane_fmu.cli
+import crane_fmu.cli.commands
 import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.catalogue import KINDS
@@ -22,7 +22,7 @@ from servocore.numerics.compiled_calls import Array
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
 
-run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.app, "crane-fmu")
+run, crane = CommandLine(commands.app, "servocore"), CommandLine(crane_fmu.cli.commands.app, "crane-fmu")
 OVERHEAD = sc.scenes.overhead_crane()
 LEVEL = ["--from", 0, -4, "--to", 5, -4]
 

@@ -23,6 +23,7 @@ DOCS = ROOT / "docs"
 PACKAGES = ("servocore", "crane_fmu")
 SHARED_MODULES = {
     "servocore.cli.console",
+    "servocore.cli.interruption",
     "servocore.cli.run_summary",
     "servocore.files",
     "servocore.planning.durations",

@@ -24,7 +24,7 @@ import servocore as sc
 from crane_fmu.build import Wishes, build_ssp
 from crane_fmu.build.ssp import COMPONENTS, connections, description, read_again
 from crane_fmu.catalogue import KINDS
-from crane_fmu.cli import app
+from crane_fmu.cli.commands import app
 from crane_fmu.run import nothing_left
 from servocore.numerics.compiled_calls import Array
 

@@ -1,5 +1,8 @@
 """The command ``crane-fmu``."""
 
-from crane_fmu.cli.commands import app, main
+from servocore.cli.interruption import run_command_line
 
-__all__ = ["app", "main"]
+
+def main() -> None:
+    """Run the command line; the entry point of the package."""
+    run_command_line("crane-fmu", "crane_fmu.cli.commands")

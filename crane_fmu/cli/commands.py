@@ -305,8 +305,3 @@ def path_request(
     if missing:
         raise sc.InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
     return partial(ff.line, *line.values())
-
-
-def main() -> None:
-    """Run the command line; the entry point of the package."""
-    app(prog_name=NAME)

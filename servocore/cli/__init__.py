@@ -1,1 +1,8 @@
 """The command ``servocore``, and what the command lines of this project share."""
+
+from servocore.cli.interruption import run_command_line
+
+
+def main() -> None:
+    """Run the command line; the entry point of the package."""
+    run_command_line("servocore", "servocore.cli.commands")

@@ -224,8 +224,3 @@ app.command("effects", epilog=EFFECTS_EXAMPLES)(show_effects)
 app.command("view", epilog=VIEW_EXAMPLES)(view_scene)
 app.command("export", epilog=EXPORT_EXAMPLES)(export_scene)
 app.command("cache", epilog=CACHE_EXAMPLES)(show_cache)
-
-
-def main() -> None:
-    """Run the command line; the entry point of the package."""
-    app(prog_name=NAME)

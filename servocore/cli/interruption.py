@@ -1,4 +1,7 @@
-"""Ctrl-C: raised where Python runs, and remembered where a library in another language swallows it."""
+"""Ctrl-C: raised where Python runs, and remembered where a library in another language swallows it.
+
+This module imports nothing but the standard library: a command begins here, before its own imports take their time.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from types import FrameType
 from typing import Any, TextIO, cast
 
@@ -36,19 +40,46 @@ def heeded_interruption() -> Iterator[None]:
         yield
         return
 
-    errors = sys.stderr
+    errors, unraisable = sys.stderr, sys.unraisablehook
 
     def heed(number: int, frame: FrameType | None) -> None:
         _asked.set()
         sys.stderr = cast("TextIO", _WithoutCasadi(errors))
         signal.default_int_handler(number, frame)
 
+    def tell_of_others(swallowed: sys.UnraisableHookArgs) -> None:
+        if not isinstance(swallowed.exc_value, KeyboardInterrupt):  # as in a callback: `stop_if_asked` comes to it
+            unraisable(swallowed)
+
     signal.signal(signal.SIGINT, heed)
+    sys.unraisablehook = tell_of_others
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-        sys.stderr = errors
+        sys.stderr, sys.unraisablehook = errors, unraisable
+
+
+def run_command_line(name: str, module: str) -> None:
+    """Import a module and run its command line ``app``; Ctrl-C in between ends with the same sentence as behind it.
+
+    Parameters
+    ----------
+    name : str
+        What the command is called.
+    module : str
+        Where its ``app`` is.
+    """
+    try:
+        with heeded_interruption():
+            app = import_module(module).app
+            stop_if_asked()
+            app(prog_name=name)
+    except (Exception, KeyboardInterrupt) as error:  # an import may make another error of it
+        if not (was_asked() or isinstance(error, KeyboardInterrupt)):
+            raise
+        print(f"{name}: stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
 
 
 class _WithoutCasadi:
