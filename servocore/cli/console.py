@@ -89,6 +89,13 @@ class SentenceGroup(TyperGroup):
             self._refuse(f"{message[:1].lower()}{message[1:]}; see {asked} --help")
         sys.exit(code if isinstance(code, int) else 0)
 
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command, with a help whose paragraphs are as wide as the terminal, not as the source."""
+        command = super().get_command(ctx, cmd_name)
+        if command is not None and command.help:
+            command.help = "\n\n".join(" ".join(each.split()) for each in command.help.split("\n\n"))
+        return command
+
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Read the command line; Ctrl-C ends it as it ends a command."""
         with self._stoppable():
@@ -151,7 +158,11 @@ def _hindered(error: OSError) -> str | None:
     """Return what to tell of an error that lies in the machine, such as a full disk; None for any other."""
     if error.errno in FULL:
         return f"a disk is full, that of the output or that of TMPDIR: {MORE_SPACE} ({error.strerror})"
-    if isinstance(error, FileNotFoundError) and error.filename is None:  # as `tempfile` raises it
+    if isinstance(error, FileNotFoundError) and error.filename is None:  # as `os.getcwd` and `tempfile` raise it
+        try:
+            Path.cwd()
+        except FileNotFoundError:
+            return "the present folder is gone: change into one that is there"
         return f"{error.strerror}: let TMPDIR name a folder that can be written"
     return None
 
