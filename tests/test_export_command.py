@@ -116,6 +116,12 @@ def test_equal_scenes_give_equal_bytes() -> None:
         (("cars", "-o", "x.fmu", "--fmi", "2", "--targets", "aarch64-linux"), ("FMI 2 has no platform",)),
         (("cars", "-o", "no/x.fmu"), ("there is no folder",)),
         (("cars", "-o", "."), ("it is a folder",)),
+        (("cars", "-o", "cars.zip"), ("cannot write cars.zip: the name of an FMU ends with .fmu",)),
+        (("cars", "--plant", "-o", "cars"), ("cannot write cars: the name of an FMU ends with .fmu",)),
+        (("cars", "-o", "-"), ("cannot write -: name a file",)),
+        (("", "-o", "x.fmu"), ("no scene is called ''; there are rotary_crane",)),
+        ((":scene", "-o", "x.fmu"), (":scene: there is no module ''",)),
+        (("..mine_too:scene", "-o", "x.fmu"), ("there is no module ..mine_too",)),
         (("nowhere:scene", "-o", "x.fmu"), ("there is no module nowhere",)),
         (("mine_too:scene", "-o", "x.fmu"), ("has no function 'scene'",)),
         (("mine_too:nothing", "-o", "x.fmu"), ("returns int, not a Scene",)),
@@ -148,6 +154,18 @@ def test_what_cannot_be_exported_is_refused_with_one_sentence_and_no_file(
     before = set(Path().iterdir())
     run.assert_refused(run("export", *arguments), *words)
     assert {each for each in Path().iterdir() if each.name != "__pycache__"} == before
+
+
+def test_no_result_is_in_its_place_before_all_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise sc.InvalidSetting("ziglang does not compile cars")
+
+    monkeypatch.setattr("servocore.cli.export.require_module", lambda _: None)
+    monkeypatch.setattr("servocore.cli.export.export_wasm", fails)
+    before = set(Path().iterdir())
+    arguments = ("-o", "cars.fmu", "--targets", "host", "--cross-check", "--c", "source", "--wasm", "cars.wasm")
+    run.assert_refused(run("export", "cars", *arguments), "ziglang does not compile cars")
+    assert set(Path().iterdir()) == before
 
 
 def test_unstable_internal_dynamics_are_refused_with_their_rate() -> None:

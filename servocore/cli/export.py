@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -19,7 +21,7 @@ from servocore.export.fmu import VERSIONS, export_fmu, export_plant, export_traj
 from servocore.export.targets import HOST, TARGETS, chosen_targets, zig
 from servocore.export.trajectory_model import TrajectoryWishes
 from servocore.export.wasm import export_wasm, loader_beside, require_module
-from servocore.files import require_places, write_together
+from servocore.files import made_folder, require_places, write_together
 from servocore.formulations.reduced import Reduced
 from servocore.model.scene import Scene as SceneValue
 from servocore.solvers.solve import solve
@@ -103,24 +105,28 @@ def export_scene(
         return
     _require_fmu(output, {"--fmi": fmi, "--targets": targets, "--cross-check": cross_check or None}, c or wasm)
     subject = _possible(scene, parameters, {"--output": output, "--c": c, "--wasm": wasm}, version, targets)
-    with PatientProgress("exporting") as progress:
-        checked = {}
+    with PatientProgress("exporting") as progress, ExitStack() as folders:
+        made = Path(folders.enter_context(TemporaryDirectory(prefix="servocore_")))
+        results: dict[Path, str | bytes] = {}  # none is in its place before all are made
         if output is not None and cross_check:
             progress.describe("solving")
             solution = solve(subject, Reduced(), METHOD, step=subject.reference.duration / STEPS, model=model)
             texts = cross_check_files(subject, inverse_model(subject, model), solution, output.stem)
-            checked = {output.parent / name: text for name, text in texts.items()}
+            results |= {output.parent / name: text for name, text in texts.items()}
         if output is not None:
-            export_fmu(
-                subject, output,
-                fmi=version, model=model, targets=targets, tell=progress.describe,
-            )  # fmt: skip
-            write_together(checked)
+            fmu = export_fmu(
+                subject, made / output.name, fmi=version, model=model, targets=targets, tell=progress.describe
+            )
+            results[output] = fmu.read_bytes()
         if c is not None:
-            export_c(subject, c, model=model)
+            sources = export_c(subject, made / "c", model=model)
+            results |= {c / file.name: file.read_bytes() for file in sources.iterdir()}
+            folders.enter_context(made_folder(c, c))
         if wasm is not None:
             progress.describe("compiling to WebAssembly")
-            export_wasm(subject, wasm, model=model)
+            export_wasm(subject, made / wasm.name, model=model)
+            results |= {place: (made / place.name).read_bytes() for place in (wasm, loader_beside(wasm))}
+        write_together(results)
     _told(subject, output, version, targets, c, wasm)
 
 
@@ -168,6 +174,8 @@ def _possible(
     loader = None if wasm is None else loader_beside(wasm)
     require_places({"--output": output, "--wasm": wasm, "the loader of --wasm": loader}, [parameters])
     _require_apart(output, wasm, c)
+    if output is not None:
+        require_built(output, targets, fmi)
     if wasm is not None:
         require_module(wasm)
     if c is not None:

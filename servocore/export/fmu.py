@@ -190,6 +190,8 @@ def export_trajectory(
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:
     """Raise `InvalidSetting` if an FMU cannot be built for its platforms, or written there."""
     chosen_targets(targets, require_version(fmi))
+    if Path(path).suffix.lower() != ".fmu":
+        raise InvalidSetting(f"cannot write {path}: the name of an FMU ends with .fmu, or tools do not open it")
     require_places({"the FMU": Path(path)})
 
 
