@@ -116,9 +116,9 @@ def signals(pairs: Sequence[str]) -> dict[str, str]:
 
 def _from_file(file: Path) -> dict[str, str]:
     try:
-        pairs = tomllib.loads(file.read_text(encoding="utf-8"))
+        pairs = tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
-        raise sc.InvalidSetting(f"cannot read {file}: {error}") from error
+        raise sc.InvalidSetting(f"cannot read {file}: {_reason(error)}") from error
     wrong = [name for name, value in pairs.items() if not isinstance(value, str)]
     if wrong:
         raise sc.InvalidSetting(f"{file}: {wrong[0]} must be the name of a variable, in quotes")
@@ -213,12 +213,17 @@ def drive(
     return Driven(found["time"], wanted, np.stack([found[name] for name in outputs], axis=1))
 
 
+def _reason(error: Exception) -> object:
+    """Return what an error says, without the number that the machine has for it."""
+    return getattr(error, "strerror", None) or error
+
+
 def _variables(plant: Path) -> dict[str, str]:
     """Return the causality of an FMU's variables by name."""
     try:
         described = fmpy.read_model_description(str(plant), validate=False)
     except Exception as error:  # FMPy raises what its parts raise
-        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {error}") from error
+        raise sc.InvalidSetting(f"cannot read {plant} as an FMU: {_reason(error)}") from error
     return {variable.name: variable.causality for variable in described.modelVariables}
 
 

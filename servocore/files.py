@@ -118,6 +118,8 @@ def require_places(results: Mapping[str, Path | None], sources: Iterable[Path | 
 
 
 def _require_file(file: Path) -> None:
+    if file == Path("-"):  # elsewhere the standard output stream
+        raise InvalidSetting("cannot write -: name a file; tables go to the standard output stream where none is named")
     folder = _place(file).parent
     try:
         if file.is_dir():

@@ -106,7 +106,9 @@ def test_our_own_plant_under_other_names_follows_the_path(tmp_path: Path) -> Non
 
 
 def test_a_file_may_hold_the_names(tmp_path: Path) -> None:
-    (tmp_path / "names.toml").write_text("".join(f'{ours} = "{theirs}"\n' for ours, theirs in NAMES.items()))
+    (tmp_path / "names.toml").write_text(
+        "".join(f'{ours} = "{theirs}"\n' for ours, theirs in NAMES.items()), "utf-8-sig"
+    )
     result = driven(renamed(), "--map", tmp_path / "names.toml", *LINE)
     assert result.exit_code == 0, result.output
     assert farthest(result.stdout) < 2.0
@@ -133,7 +135,7 @@ def test_a_foreign_plant_written_by_hand_follows_the_path_too(tmp_path: Path) ->
         ([], "Other.fmu has no input 'M_b'; map one with --map M_b=NAME; its inputs are slew.torque"),
         (["--map", "torque=a"], "there is no signal 'torque' to map; there are M_b, F, M_w, x, y, z"),
         (["--map", "F"], "--map F: it must be OURS=THEIRS or a file that ends in .toml"),
-        (["--map", "none.toml"], "cannot read none.toml"),
+        (["--map", "none.toml"], "cannot read none.toml: No such file or directory"),
         (["--set", "a"], "--set a: it must be NAME=NUMBER"),
     ],
 )

@@ -165,6 +165,8 @@ def test_a_broken_limit_is_refused_with_the_duration_that_keeps_it(tmp_path: Pat
         (("--waypoints", "y.csv", "--reference", "x.csv"), "either by --reference or by --waypoints, not by both"),
         (("--tolerance", "1"), "--tolerance belongs to --reference"),
         (("--columns", "u,nothing"), "there is no 'nothing'; there are u, y"),
+        (("--columns", "u,y,u"), "--columns names u twice"),
+        (("--waypoints", "none.csv"), "none.csv cannot be read: No such file or directory"),
         (("--from", "0", "--to", "1", "--duration", "3", "--profile", "x"), "there is no profile 'x'"),
         (("--step", "1e-9"), "a step of 1e-09 s makes more than 1e+07 rows"),
         (("--step", "0"), "step"),

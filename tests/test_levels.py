@@ -118,9 +118,12 @@ def test_a_path_that_becomes_singular_is_refused_with_the_time() -> None:
         measure_levels(slack, instants=INSTANTS)
 
 
-@pytest.mark.parametrize(("instants", "repeats"), [(0, 1), (1, 0), (-3, 5)])
-def test_nothing_to_measure_is_refused(instants: int, repeats: int) -> None:
-    with pytest.raises(sc.InvalidSetting, match="at least one instant and one repeat"):
+@pytest.mark.parametrize(
+    ("instants", "repeats", "lacking"),
+    [(0, 1, "instant is needed, not 0"), (1, 0, "repeat is needed, not 0"), (-3, 5, "instant is needed, not -3")],
+)
+def test_nothing_to_measure_is_refused(instants: int, repeats: int, lacking: str) -> None:
+    with pytest.raises(sc.InvalidSetting, match=f"at least one {lacking}"):
         measure_levels(sc.scenes.cars(), instants=instants, repeats=repeats)
 
 

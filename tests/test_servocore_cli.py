@@ -121,6 +121,21 @@ class TestAnalyse:
         assert_refused(run("analyse"), "see servocore analyse --help")
 
 
+def test_a_help_is_as_wide_as_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    paragraph = next(line for line in run("export", "--help").stdout.splitlines() if "needs no Python" in line)
+    assert len(paragraph.strip()) > 120
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows keeps a folder that a process is in")
+def test_a_present_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    assert_refused(run("analyse", "mine:scene"), "the present folder is gone: change into one that is there")
+
+
 class TestLevels:
     def test_it_prints_a_table_and_writes_the_same_figures_for_machines(self) -> None:
         result = run("levels", "cars", "--instants", 20, "--csv", "levels.csv", "--markdown", "levels.md")

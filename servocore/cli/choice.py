@@ -99,7 +99,8 @@ class GivenPath:
 def _registered(name: str) -> Scene:
     if name not in REGISTRY:
         raise InvalidSetting(
-            f"no scene is called {name}; there are {', '.join(REGISTRY)}, and module:function for one of your own"
+            f"no scene is called {name or repr(name)}; there are {', '.join(REGISTRY)}, and module:function for one of"
+            " your own"
         )
     return REGISTRY[name]()
 
@@ -129,8 +130,8 @@ def _function_of_user(name: str) -> Callable[[], object]:
     if here not in sys.path:
         sys.path.insert(0, here)
     try:
-        if "/" in module_name or "\\" in module_name:
-            raise ModuleNotFoundError(name=module_name)
+        if "/" in module_name or "\\" in module_name or not all(module_name.split(".")):
+            raise ModuleNotFoundError(name=module_name or repr(module_name))
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
         file = Path(module_name)

@@ -69,8 +69,9 @@ def measure_levels(
     InvalidReference
         If the problem is singular somewhere along the path.
     """
-    if instants < 1 or repeats < 1:
-        raise InvalidSetting(f"at least one instant and one repeat are needed, not {instants} and {repeats}")
+    for least_one, number in (("instant", instants), ("repeat", repeats)):
+        if number < 1:
+            raise InvalidSetting(f"at least one {least_one} is needed, not {number}")
     levels: list[Level] = []
     runs: dict[tuple[int, str], Callable[[], object]] = {}
     for model in scene.models:

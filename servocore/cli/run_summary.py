@@ -48,6 +48,8 @@ def chosen_columns(wanted: str | None, system: MechanicalSystem, default: Sequen
     for name in names:
         if name not in known:
             raise InvalidSetting(f"--columns: there is no {name!r}; there are {', '.join(known)}")
+        if names.count(name) > 1:
+            raise InvalidSetting(f"--columns names {name} twice")
     return names
 
 

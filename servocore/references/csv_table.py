@@ -174,8 +174,9 @@ def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
             data, notes = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
         data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
     except (OSError, UnicodeDecodeError) as error:
-        hint = "; save it as CSV in UTF-8" if isinstance(error, UnicodeDecodeError) else ""
-        raise InvalidReference(f"{file} cannot be read as a table: {error}{hint}") from None
+        if isinstance(error, OSError):
+            raise InvalidReference(f"{file} cannot be read: {error.strerror or error}") from None
+        raise InvalidReference(f"{file} cannot be read as a table: {error}; save it as CSV in UTF-8") from None
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
 
