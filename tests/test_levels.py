@@ -12,9 +12,9 @@ import pytest
 from present import present
 
 import servocore as sc
-from servocore.cli.level import Cost, Level, Spread
-from servocore.cli.levels import compiled_run, measure_levels, timed_in_turn
-from servocore.cli.levels_text import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.cli.level_costs import Cost, Level, Spread
+from servocore.cli.level_measurement import compiled_run, measure_levels, timed_in_turn
+from servocore.cli.level_tables import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
 
 INSTANTS = 50
 

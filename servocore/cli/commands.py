@@ -26,9 +26,9 @@ from servocore.cli.export import EXAMPLES as EXPORT_EXAMPLES
 from servocore.cli.export import export_scene
 from servocore.cli.feedforward import EXAMPLES as FEEDFORWARD_EXAMPLES
 from servocore.cli.feedforward import feed_forward
-from servocore.cli.level import Level
-from servocore.cli.levels import measure_levels
-from servocore.cli.levels_text import HEADINGS, csv_text, markdown_page, remarks, rows
+from servocore.cli.level_costs import Level
+from servocore.cli.level_measurement import measure_levels
+from servocore.cli.level_tables import HEADINGS, csv_text, markdown_page, remarks, rows
 from servocore.cli.options import Model, Parameters, PointsCommand
 from servocore.cli.plan import EXAMPLES as PLAN_EXAMPLES
 from servocore.cli.plan import plan_scene

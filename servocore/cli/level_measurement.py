@@ -16,7 +16,7 @@ import numpy as np
 
 from servocore.analysis import analyse
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE
-from servocore.cli.level import Cost, Level, Spread
+from servocore.cli.level_costs import Cost, Level, Spread
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.formulations.projected import Projected

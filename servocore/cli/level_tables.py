@@ -13,7 +13,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from servocore.cli.level import Level
+from servocore.cli.level_costs import Level
 
 COLUMNS = (
     "scene", "model", "needed", "coordinates", "index", "internal_degrees_of_freedom", "route", "unknowns",
