@@ -253,6 +253,50 @@ def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path: Path) ->
 
 @needs_zig
 @pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+def test_the_script_of_the_page_runs(tmp_path: Path) -> None:
+    page = Path(__file__).resolve().parents[1] / "docs" / "howto" / "web-page.md"
+    script = page.read_text(encoding="utf-8").split('<script type="module">\n')[1].split("</script>")[0]
+    shutil.copy(module_file("rotary_crane"), tmp_path / "crane.wasm")
+    shutil.copy(wasm.loader_beside(module_file("rotary_crane")), tmp_path / "crane.mjs")
+    (tmp_path / "main.mjs").write_text(
+        'import fs from "node:fs";\nglobalThis.fetch = async (name) => new Response(fs.readFileSync(name));\n' + script,
+        encoding="utf-8",
+    )
+    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+    torque, solved = done.stdout.split()
+    crane = scene_called("rotary_crane").parameter_values()
+    assert float(torque) == pytest.approx(-80.0 * crane["gravity"] * crane["winch_radius"], rel=1e-15)
+    assert solved == "true"
+
+
+@needs_zig
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+def test_two_modules_and_paths_of_all_lengths_keep_to_themselves(tmp_path: Path) -> None:
+    for name in ("rotary_crane", "elastic_bar"):
+        for file in (module_file(name), wasm.loader_beside(module_file(name))):
+            shutil.copy(file, tmp_path)
+    (tmp_path / "main.mjs").write_text(
+        'import fs from "node:fs"; import { load } from "./rotary_crane.mjs";\n'
+        'const [one, other] = [fs.readFileSync("rotary_crane.wasm"), fs.readFileSync("elastic_bar.wasm")];\n'
+        "const crane = await load(one), again = await load(one), bar = await load(other);\n"
+        "const rest = (n) => new Float64Array(15 * n).fill(5, 0, n).fill(-5, 2 * n, 3 * n);\n"
+        "const short = crane.invert(rest(1)), kept = short.outputs.M_w[0];\n"
+        "const long = crane.invert(rest(1e5)), heavy = again.invert(rest(1), { parameters: { load_mass: 80 } });\n"
+        "bar.invert(new Float64Array(bar.about.path.length));\n"
+        "console.log(JSON.stringify([kept, short.outputs.M_w[0], ...new Set(long.outputs.M_w), long.solved,\n"
+        "  heavy.outputs.M_w[0] / kept, crane.invert(rest(1)).outputs.M_w[0]]));\n",
+        encoding="utf-8",
+    )
+    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
+    kept, *same, solved, ratio, last = json.loads(done.stdout)
+    assert {kept, *same, last} == {kept}
+    assert len(same) == 2  # the first result, and the only value of the long one
+    assert solved == 100_000
+    assert ratio == pytest.approx(80.0 / scene_called("rotary_crane").parameter_values()["load_mass"], rel=1e-15)
+
+
+@needs_zig
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 def test_the_loader_asks_for_times_where_equations_hold_the_time(tmp_path: Path) -> None:
     sc.export_wasm(scene_called("waves"), tmp_path / "waves.wasm")
     (tmp_path / "main.mjs").write_text(
