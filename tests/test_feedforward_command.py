@@ -14,7 +14,7 @@ from command_lines import CommandLine
 import servocore as sc
 from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
-from servocore.cli.choice import GivenPath
+from servocore.cli.chosen_scene import GivenPath
 from servocore.cli.commands import NAME, app
 from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY

@@ -26,7 +26,7 @@ import servocore as sc
 from servocore.cli.commands import app
 from servocore.model.limits import Bounds
 from servocore.planning import worker_pools
-from servocore.planning.grid import Grid, drawn
+from servocore.planning.sweep_grid import Grid, drawn
 from servocore.planning.sweep_store import Zarr
 from servocore.planning.sweep_tables import Parquet
 from servocore.references.rest_to_rest import RestToRest

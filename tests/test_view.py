@@ -26,7 +26,7 @@ from servocore.model.picture import picture_of
 from servocore.problem import Problem
 from servocore.stepping.observation import observed
 from servocore.view.javascript import javascript
-from servocore.view.live import LiveModel, live_model
+from servocore.view.live_model import LiveModel, live_model
 
 run = CommandLine(app, "servocore")
 SCENES = sorted(sc.scenes.REGISTRY)

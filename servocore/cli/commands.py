@@ -18,7 +18,7 @@ from rich.markup import escape
 from servocore.analysis import analyse
 from servocore.cli.cache import EXAMPLES as CACHE_EXAMPLES
 from servocore.cli.cache import show_cache
-from servocore.cli.choice import chosen
+from servocore.cli.chosen_scene import chosen
 from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup, Version, table_console
 from servocore.cli.effects import EXAMPLES as EFFECTS_EXAMPLES
 from servocore.cli.effects import show_effects

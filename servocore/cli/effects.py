@@ -9,7 +9,7 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import GivenPath, chosen
+from servocore.cli.chosen_scene import GivenPath, chosen
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.options import Parameters, ReferenceFile, SceneName, Waypoints
 from servocore.effects.drives import Drives

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import GivenPath, chosen
+from servocore.cli.chosen_scene import GivenPath, chosen
 from servocore.cli.console import PatientProgress
 from servocore.cli.options import Model, Parameters, SceneName, Tolerance, Waypoints
 from servocore.errors import InvalidSetting, require_package

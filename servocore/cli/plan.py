@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from servocore.cli.choice import GivenPath, chosen, path_columns
+from servocore.cli.chosen_scene import GivenPath, chosen, path_columns
 from servocore.cli.console import PatientProgress, deliver
 from servocore.cli.options import (
     End,

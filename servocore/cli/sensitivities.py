@@ -10,7 +10,7 @@ import rich.box
 import rich.table
 import typer
 
-from servocore.cli.choice import GivenPath, chosen
+from servocore.cli.chosen_scene import GivenPath, chosen
 from servocore.cli.console import PatientProgress, table_console
 from servocore.cli.options import Model, Parameters, ReferenceFile, SceneName, Step, Tolerance, Waypoints
 from servocore.files import PICTURES, require_picture, require_places, write_together

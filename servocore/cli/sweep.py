@@ -13,13 +13,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from servocore.cli.choice import GivenPath, chosen
+from servocore.cli.chosen_scene import GivenPath, chosen
 from servocore.cli.interruption import stop_if_asked
 from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName, Tolerance, Waypoints
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import require_writable, write_together
 from servocore.model.limit_files import limits_given
-from servocore.planning.grid import drawn
+from servocore.planning.sweep_grid import drawn
 from servocore.planning.sweep_store import the_xarray
 
 EXAMPLES = """[bold]Examples[/bold]

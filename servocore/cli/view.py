@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from servocore.cli.choice import GivenPath, chosen
+from servocore.cli.chosen_scene import GivenPath, chosen
 from servocore.cli.console import PatientProgress
 from servocore.cli.options import (
     LimitsFile,

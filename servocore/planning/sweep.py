@@ -22,8 +22,8 @@ from servocore.errors import InvalidSetting, ServocoreError, described, require_
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
-from servocore.planning.grid import DURATION, Slices
 from servocore.planning.sweep_cases import SWING, Cases, Work, evaluated, work_of
+from servocore.planning.sweep_grid import DURATION, Slices
 from servocore.planning.sweep_settings import SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import Memory, Sink, Zarr
 from servocore.planning.sweep_tables import SUFFIX, Parquet

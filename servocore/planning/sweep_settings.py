@@ -12,7 +12,7 @@ from servocore.checks.motion_limits import motion_limits
 from servocore.errors import InvalidSetting, require_count, require_kind
 from servocore.model.limits import Limit
 from servocore.model.scene import Scene, require_scene
-from servocore.planning.grid import DURATION, Grid
+from servocore.planning.sweep_grid import DURATION, Grid
 from servocore.problem import Problem
 from servocore.references.base import Reference
 from servocore.references.time_scaled import TimeScaled

@@ -14,7 +14,7 @@ import numpy as np
 
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import not_written
-from servocore.planning.grid import CASE, DURATION, PATH, Slices
+from servocore.planning.sweep_grid import CASE, DURATION, PATH, Slices
 from servocore.planning.sweep_settings import SweepSettings
 
 INSTANT = "instant"

@@ -11,7 +11,7 @@ import numpy as np
 
 from servocore.errors import refused_if_missing
 from servocore.files import not_written
-from servocore.planning.grid import PATH, Slices
+from servocore.planning.sweep_grid import PATH, Slices
 from servocore.planning.sweep_settings import SweepSettings
 from servocore.planning.sweep_store import Memory, Variable, placed, require_settings, units_of, variables_of
 

@@ -26,7 +26,7 @@ from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.stepping.observation import observed
 from servocore.view.javascript import written
-from servocore.view.live import LiveModel, live_model
+from servocore.view.live_model import LiveModel, live_model
 from servocore.view.paths import packed, path_of
 
 WEB = files("servocore.view").joinpath("web")
