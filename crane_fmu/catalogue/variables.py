@@ -30,9 +30,6 @@ _UNITS = {
 
 _ZERO, _NO_LIMIT = (0.0, 0.0, 0.0), 1e9
 
-# Exact only while they are constant: a change of these moves the trolley or the rope at once.
-_FIXED_PARAMETERS = frozenset({"gravity", "winch_radius"})
-
 _FORCES = (
     ("M_b", 1000.0, "slewing torque on the bridge, positive as phi"),
     ("F", 1000.0, "force on the trolley along the bridge, positive as s"),
@@ -153,7 +150,7 @@ def _crane_parameters() -> Iterator[Variable]:
         yield Variable(
             name=parameter.name,
             causality="parameter",
-            variability="fixed" if parameter.name in _FIXED_PARAMETERS else "tunable",
+            variability="fixed" if parameter.fixed else "tunable",
             description=parameter.description,
             unit=parameter.unit,
             start=parameter.default,

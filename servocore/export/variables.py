@@ -161,7 +161,7 @@ def parameter_variables(declared: Sequence[Parameter], values: Array, place: int
     return [
         Variable(
             each.name, "parameter", each.unit, each.description or each.name, place + k, (float(value),),
-            low=each.lower, high=each.upper, nominal=abs(float(value)) or None,
+            low=each.lower, high=each.upper, nominal=abs(float(value)) or None, fixed=each.fixed,
         )
         for k, (each, value) in enumerate(zip(declared, values, strict=True))
     ]  # fmt: skip

@@ -36,6 +36,9 @@ class Parameter:
         Closed bounds, in `unit`.
     description : str
         One line for tables and tool tips.
+    fixed : bool
+        Whether FMUs keep it as it is after their initialization, because a sudden change would move coordinates at
+        once, which no inputs can do.
     """
 
     name: str
@@ -44,6 +47,7 @@ class Parameter:
     lower: float = -math.inf
     upper: float = math.inf
     description: str = ""
+    fixed: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name:

@@ -27,8 +27,8 @@ PARAMETERS = (
     Parameter("trolley_mass", 10.0, "kg", 1e-3, 1e9, "m_t, of trolley and winch"),
     Parameter("load_mass", 100.0, "kg", 1e-3, 1e9, "m"),
     Parameter("winch_inertia", 0.1, "kg.m2", 1e-6, 1e9, "J_w, about the winch's own axis"),
-    Parameter("winch_radius", 0.1, "m", 1e-3, 1e3, "r_w"),
-    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g"),
+    Parameter("winch_radius", 0.1, "m", 1e-3, 1e3, "r_w", fixed=True),
+    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g", fixed=True),
 )
 WINCH = Quantity("M_w", "N.m", "winch torque, positive where it pays out rope")
 ROPE = Quantity("l", "m", "rope length", positive=True)

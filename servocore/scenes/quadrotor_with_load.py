@@ -49,7 +49,7 @@ PARAMETERS = Parameters(
     Parameter("arm_length", 0.25, "m", 1e-3, 1e3, "a, from the centre to the rotors in front and behind"),
     Parameter("rope_length", 1.0, "m", 1e-3, 1e3, "l, from the quadrotor's centre of mass to the load"),
     Parameter("load_mass", 0.5, "kg", 1e-3, 1e6, "m"),
-    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g"),
+    Parameter("gravity", 9.81, "m/s2", 1e-3, 1e3, "g", fixed=True),
 )
 INPUTS = (
     Quantity("f", "N", "thrust of all rotors, along the body's axis"),
