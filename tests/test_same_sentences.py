@@ -34,6 +34,8 @@ class Mistake:
     inputs: Mapping[str, float] = field(default_factory=dict)
     steps: Sequence[tuple[float, float]] = ((0.0, 0.1),)
     start: float = 0.0
+    stop: float | None = None
+    changes: Mapping[str, float] = field(default_factory=dict)  # after a step, before another
 
 
 def inverse(sentence: str, inputs: Mapping[str, float], settings: Mapping[str, float] | None = None) -> Mistake:
@@ -100,6 +102,47 @@ MISTAKES = [
         }.items()
     ),
     *(Mistake(kind, "the start time must be a finite number, not nan s", start=math.nan) for kind in KINDS),
+    *(
+        Mistake(kind, sentence, steps=steps, stop=stop)
+        for kind in KINDS
+        for sentence, steps, stop in [
+            ("the experiment from 0 s to -1 s has no duration", [(0.0, 0.1)], -1.0),
+            ("the experiment from 0 s to nan s has no duration", [(0.0, 0.1)], math.nan),
+            (
+                "at t = 0.2 s a communication step of 0.2 s goes beyond the stop time of 0.3 s",
+                [(0.0, 0.2), (0.2, 0.2)],
+                0.3,
+            ),
+        ]
+    ),
+    *(
+        Mistake(kind, f"{name} cannot change after the initialization; the new value is ignored", changes={name: value})
+        for kind, name, value in [
+            ("inverse model", "gravity", 1.6),
+            ("inverse model", "winch_radius", math.nan),
+            ("inverse model", "input_time", END),
+            ("plant", "gravity", -1.0),
+            ("plant", "start.position[1]", 4.0),
+            ("plant", "hold", 2),
+            ("trajectory", "duration", 10.0),
+            ("trajectory", "profile", 1),
+        ]
+    ),
+    *(
+        Mistake(kind, sentence, changes={name: value})
+        for kind, sentence, name, value in [
+            ("inverse model", "load_mass = -1 kg is outside its range [0.001, 1e+09] kg", "load_mass", -1.0),
+            ("inverse model", "load_mass = nan kg is not a finite number", "load_mass", math.nan),
+            ("inverse model", "limit.F = 0 N is outside its range [0.001, 1e+09] N", "limit.F", 0.0),
+            ("plant", "trolley_mass = inf kg is not a finite number", "trolley_mass", math.inf),
+            ("plant", "gust_duration = -2 s is outside its range [0, 1e+09] s", "gust_duration", -2.0),
+            ("plant", "mass_error = -1 is outside its range [-0.9, 10]", "mass_error", -1.0),
+        ]
+    ),
+    *(
+        Mistake(kind, f"{name} is calculated and cannot be set; the new value is ignored", changes={name: 1.0})
+        for kind, name in [("inverse model", "M_b"), ("plant", "s"), ("trajectory", "load.position[2]")]
+    ),
 ]  # fmt: skip
 
 
@@ -107,11 +150,13 @@ def told(host: Native, mistake: Mistake) -> str:
     """Return the first sentence that a host hears, without where it was found."""
     calls = [
         *(lambda name=name, value=value: host.set(**{name: value}) for name, value in mistake.settings.items()),
-        lambda: host.fmu.setupExperiment(startTime=mistake.start),
+        lambda: host.fmu.setupExperiment(startTime=mistake.start, stopTime=mistake.stop),
         host.fmu.enterInitializationMode,
         host.fmu.exitInitializationMode,
         lambda: host.numbers_set(list(mistake.inputs), list(mistake.inputs.values())),
         *(lambda time=time, h=h: host.fmu.doStep(time, h) for time, h in mistake.steps),
+        *(lambda name=name, value=value: host.set(**{name: value}) for name, value in mistake.changes.items()),
+        lambda: host.fmu.doStep(mistake.steps[-1][0] + mistake.steps[-1][1], 0.1),
     ]
     refused = False
     for call in calls:
@@ -120,7 +165,7 @@ def told(host: Native, mistake: Mistake) -> str:
         except FMICallException:
             refused = True
             break
-    assert refused
+    assert refused or mistake.changes  # setters of a PythonFMU cannot fail: it goes on with the value before
     return host.messages[0].removeprefix("the initialization failed: ")
 
 

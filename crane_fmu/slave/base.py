@@ -17,12 +17,12 @@ from pythonfmu.default_experiment import DefaultExperiment
 from pythonfmu.enums import Fmi2Causality, Fmi2Initial, Fmi2Status, Fmi2Variability
 from pythonfmu.variables import Integer, Real
 
-from crane_fmu.slave.checks import chosen_item, require_finite, require_legal, require_step
+from crane_fmu.slave.checks import chosen_item, require_duration, require_finite, require_legal, require_step
 from crane_fmu.slave.guarded_callbacks import ONE_AT_A_TIME, GuardedSlave, guarded, nothing
 from crane_fmu.slave.interface import INTERFACE_FILE, Interface
 from servocore import InvalidSetting
 
-_STATE_FORMAT = "servocore fmu state 2"
+_STATE_FORMAT = "servocore fmu state 3"
 _INSTANTIATED, _INITIALIZING, _STEPPING, _TERMINATED = "instantiated", "initializing", "stepping", "terminated"
 _DAMAGED = "the state to restore is damaged; nothing was changed"
 _BUNDLE = Path(__file__).parents[2].name
@@ -89,7 +89,7 @@ class TableSlave(GuardedSlave):
         self._phase = _INSTANTIATED
         self._stale = True  # outputs do not belong to the inputs: computed when leaving or reading
         self._failure = ""
-        self._start_time = 0.0
+        self._start_time, self._stop_time = 0.0, math.inf
         self._snapshot: State | None = None
         self._parameters: Any = None  # what a subclass made of parameters; None when one has changed
         for each in variables:
@@ -133,10 +133,10 @@ class TableSlave(GuardedSlave):
     # --- phases -------------------------------------------------------------------------------------------------
 
     @guarded(nothing)
-    def setup_experiment(self, start_time: float, *_: float | None) -> None:
-        """Take the start time; stop time and tolerance are of no use here."""
+    def setup_experiment(self, start_time: float, stop_time: float | None = None, *_: float | None) -> None:
+        """Take start and stop time; a tolerance is of no use here."""
         self._require_phase("setupExperiment", _INSTANTIATED)
-        self._start_time = float(start_time)
+        self._start_time, self._stop_time = float(start_time), math.inf if stop_time is None else float(stop_time)
 
     @guarded(nothing)
     def enter_initialization_mode(self) -> None:
@@ -169,6 +169,7 @@ class TableSlave(GuardedSlave):
         try:
             if not math.isfinite(self._start_time):
                 raise InvalidSetting(f"the start time must be a finite number, not {self._start_time} s")
+            require_duration(self._start_time, self._stop_time)
             self._parameters = None
             with ONE_AT_A_TIME:
                 self._prepare()
@@ -184,7 +185,7 @@ class TableSlave(GuardedSlave):
     def do_step(self, current_time: float, step_size: float) -> bool:
         """Compute the outputs at `current_time` + `step_size`; False leaves everything as it was."""
         now = self._ready()
-        require_step(now.time, current_time, step_size)
+        require_step(now.time, current_time, step_size, self._stop_time)
         if current_time != now.time:
             now = now.at(current_time)
         with ONE_AT_A_TIME:
@@ -259,8 +260,10 @@ class TableSlave(GuardedSlave):
             return False
         variable = self._interface.variables[vr]
         late = variable.variability == "fixed" and self._phase in (_STEPPING, _TERMINATED)
-        if late or variable.causality == "output" or variable.is_choice != choice:
+        calculated = variable.causality == "output"
+        if late or calculated or variable.is_choice != choice:
             reason = "cannot change after the initialization" if late else "cannot be set as such"
+            reason = "is calculated and cannot be set" if calculated else reason
             self.remark(f"{variable.name} {reason}; the new value is ignored")
             return False
         return True
@@ -305,6 +308,7 @@ class TableSlave(GuardedSlave):
             "stale": self._stale,
             "failure": self._failure,
             "start_time": self._start_time,
+            "stop_time": None if math.isinf(self._stop_time) else self._stop_time,
             "reals": list(self._reals),
             "items": list(self._items),
             "snapshot": None if snapshot is None else snapshot.to_plain(),
@@ -317,7 +321,8 @@ class TableSlave(GuardedSlave):
         snapshot = None if state["snapshot"] is None else self.state_type.from_plain(state["snapshot"])
         reals, items = [float(each) for each in state["reals"]], [int(each) for each in state["items"]]
         phase, stale, failure = str(state["phase"]), bool(state["stale"]), str(state["failure"])
-        start_time = float(state["start_time"])
+        start_time, end = float(state["start_time"]), state["stop_time"]
+        stop_time = math.inf if end is None else float(end)
         if (len(reals), len(items)) != (len(self._reals), len(self._items)):
             raise InvalidSetting(_DAMAGED)
         before = self._items, self._reals
@@ -334,7 +339,8 @@ class TableSlave(GuardedSlave):
                 self._prepare()
             raise
         self._snapshot = snapshot
-        self._phase, self._stale, self._failure, self._start_time = phase, stale, failure, start_time
+        self._phase, self._stale, self._failure = phase, stale, failure
+        self._start_time, self._stop_time = start_time, stop_time
 
     @staticmethod
     def _fmu_state_from_bytes(state: bytes) -> dict[str, Any]:

@@ -17,12 +17,18 @@ MOST_INTERNAL_STEPS = 100_000
 """A communication step may be divided into this many steps at most."""
 
 
-def require_step(present: float, time: float, h: float) -> None:
-    """Raise `InvalidSetting` unless a communication step of h seconds at `time` continues from `present`.
+def require_duration(start: float, stop: float) -> None:
+    """Raise `InvalidSetting` if an experiment ends before it starts."""
+    if not stop >= start:
+        raise InvalidSetting(f"the experiment from {start:g} s to {stop:g} s has no duration")
+
+
+def require_step(present: float, time: float, h: float, stop: float = math.inf) -> None:
+    """Raise `InvalidSetting` unless a communication step of h seconds at `time` continues from `present`, until `stop`.
 
     The clock is the host's: one that multiplies a step differs by round-off from one that adds steps up.
     """
-    if time == present and 0.0 < h <= LONGEST_STEP and time + h > time:
+    if time == present and 0.0 < h <= LONGEST_STEP and time < time + h <= stop:
         return  # as nearly always; NaN is equal to nothing
     if not math.isfinite(time):
         raise InvalidSetting(f"the communication point must be a finite number, not {time} s")
@@ -38,6 +44,10 @@ def require_step(present: float, time: float, h: float) -> None:
         raise InvalidSetting(
             f"the communication point t = {time:.16g} s lies {direction} the FMU's time {present:.16g} s;"
             f" to repeat a step restore the FMU's state first"
+        )
+    if time + h > stop + 1e-6 * h + _ROUND_OFF * math.ulp(stop):
+        raise InvalidSetting(
+            f"at t = {time:.9g} s a communication step of {h:g} s goes beyond the stop time of {stop:.9g} s"
         )
 
 

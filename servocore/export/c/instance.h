@@ -348,15 +348,15 @@ static Outcome set_number(Instance *instance, size_t k, double value)
         return GOOD;
     }
     if (k < FIRST_PARAMETER || k >= FIRST_INTERNAL)
-        return say(instance, ERROR, "%s is calculated and cannot be set", variable->name);
+        return say(instance, ERROR, "%s is calculated and cannot be set; the new value is ignored", variable->name);
+    if (variable->fixed && state->phase == STEPPING)
+        return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
+                   variable->name);
     if (!(fabs(value) <= DBL_MAX))
         return say(instance, ERROR, "%s = %g%s is not a finite number", variable->name, value, variable->unit);
     if (!(value >= variable->low && value <= variable->high))
         return say(instance, ERROR, "%s = %g%s is outside its range [%g, %g]%s", variable->name, value, variable->unit,
                    variable->low, variable->high, variable->unit);
-    if (variable->fixed && state->phase == STEPPING)
-        return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",
-                   variable->name);
     state->parameters[k - FIRST_PARAMETER] = value;
     if (state->phase != STEPPING) state->due = 1;
     return GOOD;
@@ -365,7 +365,7 @@ static Outcome set_number(Instance *instance, size_t k, double value)
 static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 {
     if (instance->state.phase == STEPPING)
-        return say(instance, ERROR, "%s is fixed: it can be set before the initialization has ended only",
+        return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    CHOICES[k].name);
     if (value < 1 || value > CHOICES[k].count)
         return say(instance, ERROR, "%s = %lld is unknown; it may be %s", CHOICES[k].name, (long long)value,
