@@ -9,7 +9,7 @@ from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from loops import CRANE, STEPS, Case, jets_of
+from loops import CRANE, STEPS, Case, jets_at
 
 import servocore as sc
 from crane_fmu.build.feedback_law import SIZES, feedback_functions
@@ -22,7 +22,7 @@ _SYSTEM = CRANE.model("generalized")
 _PLANT_STEP = 0.005  # of the Runge-Kutta method, in s
 _MEMORY, _STATE, _INPUTS, _JET = sum(SIZES.values()), 10, 3, 15
 _BLOCK = 100  # of steps in one call: a call for each length of manoeuvres would take longer to make than to run
-_PARAMETERS = {"p": 6, "mass_error": 1, "h": 1, "share": 1}
+_PARAMETERS = {"p": 6, "mass_error": 1, "share": 1, "h": 1}
 
 
 def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1.0) -> float:
@@ -30,24 +30,31 @@ def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1
 
     A gust begins and ends at communication points.
     """
-    jets = jets_of(case.reference, h).reshape(-1, _JET)
-    count = len(jets) - 1
+    return compiled_deviation_over(case, np.full(round((case.reference.duration + 1.0) / h), h), h, at, share)
+
+
+def compiled_deviation_over(
+    case: Case, steps: np.ndarray, longest: float, at: str = "start", share: float = 1.0
+) -> float:
+    """`compiled_deviation` where steps vary; the longest of `STEPS` that they may have decides on the plant's."""
+    count, even = len(steps), bool((steps == longest).all())
+    t = longest * np.arange(count + 1) if even else np.concatenate([[0.0], np.cumsum(steps)])
+    jets = jets_at(case.reference, case.reference.start_time + t).reshape(-1, _JET)
     values = CRANE.parameter_values() | case.crane
     p = np.array([values[name] for name in CRANE_PARAMETERS])
     functions = _compiled(at)
     inputs = np.array(functions["flat"](jets[0], p)[1]).ravel()
     x, y, z = jets[0, :3]
     state = np.array([np.arctan2(y, x), np.hypot(x, y), -z, *[0.0] * 7])
-    memory = np.array(functions[f"begin_{at}"](jets[0], _seen()(state, p), p, h)).ravel()
-    loop = np.concatenate([memory, state, inputs, inputs])
-    fixed = ca.DM(np.append(p, [case.disturbance.get("mass_error", 0.0), h, share]))
+    memory = np.array(functions[f"begin_{at}"](jets[0], _seen()(state, p), p, steps[0])).ravel()
+    loop = np.concatenate([memory, state, inputs, inputs, steps[:1]])
+    fixed = [*p, case.disturbance.get("mass_error", 0.0), share]
     more = -count % _BLOCK  # at rest, for the last block
-    told = [
-        np.pad(each, [(0, more), (0, 0)], mode="edge").T for each in (jets[:-1], jets[1:], _forces(case, h, count).T)
-    ]
-    run, rows = _block(at, _parts(h)), []
+    rows_told = jets[:-1], jets[1:], _forces(case, t[:-1]).T, np.column_stack([np.tile(fixed, (count, 1)), steps])
+    told = [np.pad(each, [(0, more), (0, 0)], mode="edge").T for each in rows_told]
+    run, rows = _block(at, _parts(longest)), []
     for k in range(0, count + more, _BLOCK):
-        after, poses = run(loop, *(each[:, k : k + _BLOCK] for each in told), ca.repmat(fixed, 1, _BLOCK))
+        after, poses = run(loop, *(each[:, k : k + _BLOCK] for each in told))
         loop = np.array(after[:, -1]).ravel()
         rows.append(np.array(poses))
     found = np.hstack(rows)[:, :count]
@@ -56,8 +63,8 @@ def compiled_deviation(case: Case, h: float, at: str = "start", share: float = 1
     return 1e3 * float(np.linalg.norm(found[:3].T - jets[1:, :3], axis=1).max())
 
 
-def _forces(case: Case, h: float, count: int) -> np.ndarray:
-    told, t = case.disturbance, h * np.arange(count) + 1e-9
+def _forces(case: Case, instants: np.ndarray) -> np.ndarray:
+    told, t = case.disturbance, instants + 1e-9
     begin = told.get("gust_start", 0.0)
     blows = (begin <= t) & (t < begin + told.get("gust_duration", 0.0))
     return np.stack([told.get(f"wind[{k}]", 0.0) + blows * told.get(f"gust[{k}]", 0.0) for k in (1, 2, 3)])
@@ -111,19 +118,19 @@ def _block(at: str, parts: int) -> ca.Function:
 
 def _cycle(law: ca.Function, at: str, parts: int) -> ca.Function:
     """Return (loop, jet, next jet, force, fixed) -> (loop a step later, the load's place and the rope's tension)."""
-    loop = ca.MX.sym("loop", _MEMORY + _STATE + 2 * _INPUTS)
+    loop = ca.MX.sym("loop", _MEMORY + _STATE + 2 * _INPUTS + 1)
     jet, following, force = ca.MX.sym("jet", _JET), ca.MX.sym("next", _JET), ca.MX.sym("d", 3)
     fixed = ca.MX.sym("fixed", sum(_PARAMETERS.values()))
-    p, error, h, share = ca.vertsplit(fixed, np.cumsum([0, *_PARAMETERS.values()]).tolist())
-    ends = np.cumsum([0, _MEMORY, _STATE, _INPUTS, _INPUTS]).tolist()
-    memory, x, u, before = ca.vertsplit(loop, ends)
+    p, error, share, h = ca.vertsplit(fixed, np.cumsum([0, *_PARAMETERS.values()]).tolist())
+    ends = np.cumsum([0, _MEMORY, _STATE, _INPUTS, _INPUTS, 1]).tolist()
+    memory, x, u, before, last = ca.vertsplit(loop, ends)
     flat, plant = flat_motion(), _plant()
     true_p = ca.vertcat(p[:2], p[2] * (1.0 + error), p[3:])
     told, forward = (following, following) if at == "end" else (jet, ca.vertcat(*continued(ca.vertsplit(jet, 3), h)))
     given = _seen()(x, true_p)
     limits = ca.DM([1e9] * _INPUTS)
     memory, new = law(memory, told, jet, given, u, flat(forward, p)[1], p, h, share, limits)
-    slope = (new - u) / h if at == "end" else (u - before) / h
+    slope = (new - u) / h if at == "end" else (u - before) / last
     for k in range(parts):
         x = plant.step(x, u + slope * (k * h / parts), slope, force, true_p, h / parts)
     names = [each.name for each in plant.channels]
@@ -132,5 +139,5 @@ def _cycle(law: ca.Function, at: str, parts: int) -> ca.Function:
     trolley = ca.vertcat(x[1] * ca.cos(x[0]), x[1] * ca.sin(x[0]), 0)
     pull = true_p[2] * (acceleration + ca.vertcat(0, 0, true_p[5])) - force
     tension = ca.dot(pull, trolley - place) / x[2]
-    after = ca.densify(ca.vertcat(memory, x, new, u))
+    after = ca.densify(ca.vertcat(memory, x, new, u, h))
     return ca.Function(f"cycle_{parts}", [loop, jet, following, force, fixed], [after, ca.vertcat(place, tension)])

@@ -22,7 +22,7 @@ from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
 
 _MODEL = CRANE.model("generalized")
 P = np.array([CRANE.parameter_values()[name] for name in CRANE_PARAMETERS])
-_COST, _PATH = 100, 20  # of the memory: the cost-to-go first, and last what does not depend on the state
+_COST, _PATH = 100, 21  # of the memory: the cost-to-go first, and last what does not depend on the state
 _NO_LIMITS = [1e9] * 3
 
 

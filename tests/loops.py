@@ -77,9 +77,9 @@ class Loop:
     def measured(self) -> list[float]:
         return list(self.plant.fmu.getReal(self._motion))
 
-    def step(self, jets: np.ndarray, k: int, h: float) -> np.ndarray:
-        """Take step k; returns where the load is then."""
-        t = k * h
+    def step(self, jets: np.ndarray, k: int, h: float, t: float | None = None) -> np.ndarray:
+        """Take step k, at k h if no time is given; returns where the load is then."""
+        t = k * h if t is None else t
         self.crane.fmu.setReal(self._given, self.measured())
         if self.at == "end":
             self.crane.fmu.setReal(self._jet, jets[k + 1].ravel().tolist())
@@ -105,10 +105,24 @@ def deviation(case: Case, h: float, at: str = "start", native: bool = False, **s
 
 def jets_of(path: sc.Reference, h: float) -> np.ndarray:
     """The path at all communication points, until a second after its end."""
-    t = path.start_time + h * np.arange(round((path.duration + 1.0) / h) + 1)
+    return jets_at(path, path.start_time + h * np.arange(round((path.duration + 1.0) / h) + 1))
+
+
+def jets_at(path: sc.Reference, t: np.ndarray) -> np.ndarray:
+    """The path at instants, at rest after its end."""
     jets = path.jet(np.minimum(t, path.end_time), 4)
     jets[t > path.end_time, 1:] = 0.0
     return jets
+
+
+def deviation_over(case: Case, steps: np.ndarray, at: str = "start", native: bool = False) -> float:
+    """`deviation` where steps vary."""
+    t = np.concatenate([[0.0], np.cumsum(steps)])
+    jets = jets_at(case.reference, case.reference.start_time + t)
+    with Loop(case, at, native) as loop:
+        places = [loop.step(jets, k, h, t[k]) for k, h in enumerate(steps.tolist())]
+        assert not loop.crane.messages, loop.crane.messages
+    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
 
 
 # Random cases --------------------------------------------------------------------------------------------------------

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from fmu_host import Host
 from loop_information import smallest_distance
+from loop_schedules import KINDS, distances, schedule
 from loop_stability import laws, sensitivity, transition_norms
-from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, fastest, jets_of, random_case
+from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
 from scipy.linalg import expm, logm
 
 import servocore as sc
@@ -43,6 +44,33 @@ def test_random_manoeuvres_hold_at_long_steps(at: str, any_crane: bool) -> None:
 def test_native_fmus_keep_the_load_as_near_as_those_with_python(at: str) -> None:
     python, native = (deviation(Case(), 0.1, at, each) for each in (False, True))
     assert native == pytest.approx(python, rel=1e-6)
+
+
+# Steps that vary -----------------------------------------------------------------------------------------------------
+
+BLOWN_AT = Case(disturbance={"mass_error": 0.05, "gust[2]": 20.0, "gust_start": 8.0, "gust_duration": 2.0})
+
+
+@pytest.mark.parametrize(("longest", "factor"), [(0.1, 10.0), (0.01, 30.0)])
+@pytest.mark.parametrize("at", MASTERS)
+def test_no_load_is_lost_where_steps_vary(at: str, longest: float, factor: float) -> None:
+    """A law that counts on a step as long as the last loses all of them with a Jacobi master."""
+    for kind in KINDS:
+        assert np.isfinite(distances(2, kind, longest, factor, at)).all(), kind
+
+
+@pytest.mark.parametrize("native", [False, True], ids=["Python", "native"])
+@pytest.mark.parametrize("at", MASTERS)
+def test_fmus_keep_the_load_where_steps_vary(at: str, native: bool) -> None:
+    steps = schedule(np.random.default_rng(5), "either", 0.1, 10.0, 21.0)
+    assert deviation_over(Case(), steps, at, native) < BOUNDS[0.1]
+    assert deviation_over(BLOWN_AT, steps, at, native) < 60.0  # with feedforward alone the load falls
+
+
+def test_steps_that_differ_by_round_off_are_steps_of_one_length() -> None:
+    uneven = np.diff(0.1 * np.arange(211))
+    assert len(set(uneven.tolist())) > 1
+    assert deviation_over(Case(), uneven) == pytest.approx(deviation(Case(), 0.1), rel=1e-9)
 
 
 NEAR_AXIS = sc.rest_to_rest([0.5, -2.1, -7.0], [-3.2, 0.8, -5.2], 15.8, sc.three_phase())

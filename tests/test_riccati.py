@@ -72,7 +72,7 @@ def functions() -> dict[str, ca.Function]:
     return {**feedback_functions(system), "sampled": sampled(hanging(system), 3), "flat": flat_motion()}
 
 
-@pytest.mark.parametrize("h", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize("h", [0.1, 0.01, 0.001, 0.0001])
 @pytest.mark.parametrize("at", ["start", "end"])
 def test_the_first_gains_are_those_of_scipys_stationary_solution(at: str, h: float) -> None:
     """They differ by no more than what the stationary equation leaves open where its terms are rounded."""

@@ -17,6 +17,10 @@ any more. K minimizes the sum of |W e_load|^2 + |w/f|^2. The cost-to-go M of A e
 Riccati steps in each step let it follow the crane along its path. d is corrected by the velocity of the load that the
 prediction missed; it is made with the inputs that the limits of the drives have left, so nothing winds up.
 
+How long coming steps are is not known, and with *start* inputs that go on for longer than was thought go too far. So
+the law counts on steps of length H, the longest of late: M is that of steps of length H, and with *start* w+ lies
+between w and what a step from w would end at after H. Where steps are even, H = h.
+
 A load that is off its path when the feedback begins is not pulled at: position, velocity, acceleration and jerk of the
 load tell the whole motion, so the path gets an offset that begins with the measured ones and ends smoothly.
 """
@@ -34,7 +38,7 @@ import casadi as ca
 import servocore as sc
 from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured_state, offset, offset_at_start
 from crane_fmu.build.quick_functions import function
-from crane_fmu.build.riccati import riccati_step, riccati_steps
+from crane_fmu.build.riccati import riccati_gain, riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
 from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
 
@@ -51,20 +55,23 @@ LEARNING_RATE, LEARNING_SHARE, LARGEST_FORCE = 50.0, 0.28, 0.5
 """How fast the force on the load is learnt, in 1/s, and at most in a step; its components stay within so many weights
 of the load."""
 
-RICCATI_STEPS, FIRST_DOUBLINGS = 3, 14
+RICCATI_STEPS, FIRST_DOUBLINGS = 3, 18
 """Riccati steps by which the cost-to-go is brought up to date in a step, and how often one is doubled before the first:
-short steps or not, the cost-to-go settles at 4.6 1/s or faster, to 1e-7 in the 3.3 s that these are at 0.2 ms."""
+short steps or not, the cost-to-go settles at 4.6 1/s or faster, to 1e-5 in the 2.6 s that these are at 0.01 ms."""
 
 EASE, RECOVERY = 2.0, 0.5
 """Drives at their limits ease the weights: by which power of the share they give, and how fast that ends, in 1/s."""
 
+FORGETTING = 0.02
+"""By how much H falls in a step, in lengths of it: the longest step is forgotten in fifty times its length."""
+
 SLACK_SHARE = 0.5
 """Of the rope's tension: more the feedback does not take away."""
 
-SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1, "known": 1}
-SIZES |= {"offset": 12, "return": 3}
+SIZES = {"cost": 100, "force": 3, "predicted": 10, "before": 3, "strain": 1, "snap": 3, "step": 1}
+SIZES |= {"longest": 1, "known": 1, "offset": 12, "return": 3}
 """What the memory holds: M, d, predicted state, inputs of the step before, how long drives have been at their limits
-(logarithm of a share), snap told then, its length (0: none), whether the prediction knew how its inputs run, the
+(logarithm of a share), snap told then, its length (0: none), H, whether the prediction knew how its inputs run, the
 offset y_0 ... y_3 and the rates a at which it ends."""
 
 _N, _M, _HALF = 10, 3, 5
@@ -112,8 +119,8 @@ class _Parts:
     """Pieces of the law.
 
     flat: (jet, p) -> state, inputs. measured: what is measured -> state. advance: (whether the step is short, state, u,
-    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared and
-    riccati: as of `crane_fmu.build.riccati.riccati_step`.
+    u_dot, d, p, h) -> state. sampled: (whether it is, state, u, d, p, h) -> A, h phi_1 B, h phi_2 B. shared,
+    riccati and gain: as of `crane_fmu.build.riccati`.
     resisting: (state, p) -> the mass by which the load resists forces. resting: (A, B, push) -> state and inputs with
     which the load stays. offset: as of `crane_fmu.build.flatness.offset`.
     """
@@ -124,6 +131,7 @@ class _Parts:
     sampled: ca.Function
     shared: ca.Function
     riccati: ca.Function
+    gain: ca.Function
     resisting: ca.Function
     resting: ca.Function
     offset: ca.Function
@@ -138,6 +146,7 @@ def _parts(system: sc.MechanicalSystem) -> _Parts:
         sampled=sampled(system, _M),
         shared=shared,
         riccati=riccati,
+        gain=riccati_gain(_N, _M),
         resisting=_resisting(system),
         resting=resting(_HALF, _LOAD, _M),
         offset=offset(),
@@ -199,34 +208,88 @@ def _feedback(parts: _Parts, time: str) -> ca.Function:
     memory, jet, before, measured, acting, feedforward, p, h, share, limits = given.values()
     cost, *known = ca.vertsplit(memory, [0, *accumulate(SIZES.values())])
     situation = _inlined("situation", _situation(parts, time), ca.vertcat(*known), jet, before, measured, acting, p, h)
-    short, state, force, here, u_here, there, u_there, beyond, slope, ran, *about, efforts, weights, offset = situation
-    A, new, old = _linear(parts, time, short, *about, force, p, h)
-    cost = ca.reshape(cost, _N, _N)
-    alone, *shared = parts.shared(A, new, old, efforts, weights)
-    for _ in range(RICCATI_STEPS):
-        cost, gain = parts.riccati(cost, *shared)
+    short, longest, state, force, here, u_here, there, u_there, beyond, slope, ran, *model, offset = situation
+    cost, share_of, *rule = _design(parts, time, ca.reshape(cost, _N, _N), (short, *model, force, p), h, longest)
+    A, new, old, ahead, alone, goes_on, gain = rule
     after = parts.advance(short, state, acting, ran, force, p, h) if time == "start" else state
     e, origin = (state - here, (here, u_here)) if time == "end" else (after - there, (there, u_there))
-    delta = parts.advance(short, *origin, slope, force, p, h) - beyond
+    delta = parts.advance(short, *origin, slope, force, p, h if time == "end" else longest) - beyond
     e_d, w_d = parts.resting(A, new + old, delta)
-    z = A @ (e - e_d) + old @ (acting - u_here - w_d)
-    more = w_d - alone @ z - gain @ (shared[0] @ z)
+    w = acting - u_here - w_d
+    z = A @ (e - e_d) + old @ w
+    chosen = -alone @ z - gain @ (goes_on @ z + ahead @ w)
+    more = w_d + share_of * chosen + (1 - share_of) * w
     strain = known[list(SIZES).index("strain") - 1]
-    inputs, strain = _inlined(
-        "bounded", _bounded(time), u_there, more, feedforward, acting, jet, p, h, share, limits, strain
-    )
+    told = u_there, more, feedforward, acting, jet, p, h, longest, share, limits, strain
+    inputs, strain = _inlined("bounded", _bounded(time), *told)
     if time == "end":
         after = parts.advance(short, state, acting, (inputs - acting) / h, force, p, h)
-    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, offset)
+    remembered = ca.vertcat(ca.vec(cost), force, after, acting, strain, jet[-DIMENSION:], h, longest, offset)
     return ca.Function(f"feedback_{time}", list(given.values()), [ca.densify(remembered), inputs])
+
+
+def _design(
+    parts: _Parts, time: str, cost: ca.MX, model: tuple[ca.MX, ...], h: ca.MX, longest: ca.MX
+) -> tuple[Any, ...]:
+    """Return M a step later and what the law decides by.
+
+    With *start* it chooses v, which inputs would come to from w in a step of length H; w+ = w + (v - w) h / H. The
+    input then goes on by v - w in H, whatever h is, and v is what costs effort: an input that is steep would cost
+    little at its beginning. With *end* v = w+. Then z = A e + B' w, v = -F z - K (C z + D w) by `riccati_step`.
+
+    Parameters
+    ----------
+    model : tuple of casadi.MX
+        Whether the step is short; state, inputs, efforts, weights of the step to be ruled; d, p.
+    h, longest : casadi.MX
+        This step, and H.
+
+    Returns
+    -------
+    tuple
+        M, h / H or 1, A, B, B', D, F, C, K.
+    """
+    short, state, u, efforts, weights, force, p = model
+    A, new, old = _linear(parts, time, short, state, u, force, p, longest)
+    alone, *shared = parts.shared(A, new, old, efforts, weights)
+    for _ in range(RICCATI_STEPS - 1):
+        cost, _ = parts.riccati(cost, *shared)
+    share = h / longest if time == "start" else ca.MX(1)
+    given = [cost, A, new, old, alone, *shared, *model, h, share]
+    symbols = [ca.MX.sym(f"i{k}", each.sparsity()) for k, each in enumerate(given)]
+    even = ca.Function("even", symbols, _even(parts, *symbols))
+    uneven = ca.Function("uneven", symbols, _uneven(parts, time, *symbols))
+    cost, *rule = ca.Function.if_else("design", even, uneven).call([h == longest, *given])
+    rule.insert(3, (1 - share) * old)
+    return cost, share, *rule
+
+
+def _even(parts: _Parts, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
+    """Return M and what `_design` does but D, where this step has the length of those to come."""
+    A, new, old, alone, *shared = given[:9]
+    after, gain = parts.riccati(cost, *shared)
+    return [after, A, new, old, alone, shared[0], gain]
+
+
+def _uneven(parts: _Parts, time: str, cost: ca.MX, *given: ca.MX) -> list[ca.MX]:
+    """Return what `_even` does for any step."""
+    A, new, old, _, *shared = given[:9]
+    short, state, u, efforts, weights, force, p, h, share = given[9:]
+    if time == "end":
+        now, begun, ended = _linear(parts, time, short, state, u, force, p, h)
+    else:
+        now, begun, ended = A, new + (share - 1) * (new + old), old + (1 - share) * (new + old)
+    alone, goes_on, _, _, acting, effort = parts.shared(A, begun, share * old, efforts, weights)
+    after, _ = parts.riccati(cost, *shared)
+    return [after, now, begun, ended, alone, goes_on, parts.gain(cost, acting, effort)]
 
 
 def _situation(parts: _Parts, time: str) -> Callable[..., Sequence[ca.SX]]:
     """Return the rule (memory behind M, jet, jet before, measured, acting, p, h) -> what is known before the design.
 
-    That is: whether the step is short; state; force on the load; where path and inputs are now, a step later, and where
-    the path is when what the law decides has acted; slopes of the inputs of the path and of those that act; state and
-    inputs of the step to be ruled; efforts and weights; the memory from `known` on.
+    That is: whether the step is short; H; state; force on the load; where path and inputs are now, a step later, and
+    where the path is when what the law decides has acted; slopes of the inputs of the path and of those that act; state
+    and inputs of the step to be ruled; efforts and weights; the memory from `known` on.
     """
 
     def rule(
@@ -239,16 +302,18 @@ def _situation(parts: _Parts, time: str) -> Callable[..., Sequence[ca.SX]]:
         crackle = ca.if_else(goes_on, (jet[-DIMENSION:] - known["snap"]) / last, none)
         led = known["offset"], known["return"]
         pendulum = ca.fmax(p[5] + before[8], 0) / measured[2] * (1 + p[2] / p[1])
-        short = ca.sqrt(pendulum) * h <= SHORT_TURN  # as of `fastest_pendulum`
+        longest = ca.fmax(h, known["longest"] - FORGETTING * h)
+        short = ca.sqrt(pendulum) * longest <= SHORT_TURN  # as of `fastest_pendulum`
         state = parts.measured(measured)
-        force = _learnt(parts, known, state, p, h)
-        here, u_here, there, u_there, beyond, *middle = _places(parts, [before, jet, crackle], led, force, p, h, time)
+        force = _learnt(parts, known, state, p, last)
+        places = _places(parts, [before, jet, crackle], led, force, p, (h, longest), time)
+        (_, u_here, _, u_there, _), middle = places[:5], places[5:]
         slope = (u_there - u_here) / h
         ran = ca.if_else(goes_on, (acting - known["before"]) / last, slope)
-        worth = _efforts(p, middle[0]), _weights(h, known["strain"])
+        worth = _efforts(p, middle[0]), _weights(longest, known["strain"])
         knew = ca.SX(1) if time == "end" else ca.if_else(goes_on, 1, 0)
         then = ca.vertcat(knew, forgotten(parts.offset(*led, h)[0]), led[1])
-        return [short, state, force, here, u_here, there, u_there, beyond, slope, ran, *middle, *worth, then]
+        return [short, longest, state, force, *places[:5], slope, ran, *middle, *worth, then]
 
     return rule
 
@@ -257,11 +322,11 @@ def _bounded(time: str) -> Callable[..., Sequence[ca.SX]]:
     """Return the rule that adds to inputs of the path within what rope and drives can do; see `_feedback`."""
 
     def rule(
-        flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX, share: ca.SX,
-        limits: ca.SX, strain: ca.SX,
+        flat: ca.SX, more: ca.SX, feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, h: ca.SX, longest: ca.SX,
+        share: ca.SX, limits: ca.SX, strain: ca.SX,
     ) -> Sequence[ca.SX]:  # fmt: skip
         wanted = flat + more
-        wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, time))
+        wanted[2] = ca.fmin(wanted[2], _loosest(feedforward, acting, jet, p, 0 if time == "end" else longest / h))
         return _within(limits, feedforward, share * (wanted - feedforward), strain - RECOVERY * h)
 
     return rule
@@ -275,24 +340,25 @@ def _within(limits: ca.SX, feedforward: ca.SX, more: ca.SX, strain: ca.SX) -> tu
     return base + share * more, ca.fmin(ca.fmax(strain, 0) - ca.log(ca.fmax(share, 0.5)), 3)
 
 
-def _loosest(feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, time: str) -> ca.SX:
-    """Return the winch's torque that leaves the rope its share of tension, also where the plant goes on to."""
+def _loosest(feedforward: ca.SX, acting: ca.SX, jet: ca.SX, p: ca.SX, further: ca.SX | float) -> ca.SX:
+    """Return the winch's torque that leaves the rope its share of tension, also where it goes on to."""
     load, winch, radius = p[2], p[3], p[4]
     most = feedforward[2] + SLACK_SHARE * (p[5] + jet[8]) * (load + winch / radius**2) * radius
-    return most if time == "end" else (most + acting[2]) / 2
+    return (most + further * acting[2]) / (1 + further)
 
 
 def _places(
-    parts: _Parts, path: Sequence[ca.SX], led: tuple[ca.SX, ca.SX], force: ca.SX, p: ca.SX, h: ca.SX, time: str
-) -> tuple[Any, ...]:
+    parts: _Parts, path: Sequence[ca.SX], led: tuple[ca.SX, ca.SX], force: ca.SX, p: ca.SX, steps: tuple[ca.SX, ca.SX],
+    time: str,
+) -> tuple[Any, ...]:  # fmt: skip
     """Return state and inputs on the path now and a step later, the state when what is decided has acted, and more.
 
     That is state and inputs in the step to be ruled. The rope pulls a load that is pushed as one that is accelerated
     otherwise.
     """
-    before, jet, crackle = path
+    (before, jet, crackle), (h, longest) = path, steps
     pulled = ca.vertcat(ca.SX.zeros(2 * DIMENSION), -force / p[2], ca.SX.zeros(2 * DIMENSION))
-    now, then = (parts.offset(*led, steps * h)[1] + pulled for steps in (0, 1))
+    now, then = (parts.offset(*led, tau)[1] + pulled for tau in (0, h))
     if time == "end":
         none = ca.SX.zeros(DIMENSION)
         before, jet = before + now, jet + then
@@ -300,13 +366,13 @@ def _places(
         ended = parts.flat(jet, p)
         return *parts.flat(before, p), *ended, ended[0], *parts.flat(middle, p)
     there, beyond, middle = (
-        continued(jet, crackle, k * h) + parts.offset(*led, k * h)[1] + pulled for k in (1, 2, 1.5)
+        continued(jet, crackle, tau) + parts.offset(*led, tau)[1] + pulled for tau in (h, h + longest, h + longest / 2)
     )
     return *parts.flat(jet + now, p), *parts.flat(there, p), parts.flat(beyond, p)[0], *parts.flat(middle, p)
 
 
 def _learnt(parts: _Parts, known: dict[str, ca.SX], state: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
-    """Return the force on the load, corrected by what the prediction of the load's velocity missed."""
+    """Return the force on the load, corrected by what the prediction of the load's velocity over h missed."""
     missed = (state - known["predicted"])[_HALF + _LOAD :]
     share = ca.fmin(1 - ca.exp(-LEARNING_RATE * h), LEARNING_SHARE)
     more = ca.if_else(known["known"] > 0, share / h * parts.resisting(state, p) @ missed, ca.SX.zeros(_M))

@@ -42,6 +42,12 @@ def riccati_step(n: int, load: slice, m: int) -> tuple[ca.Function, ca.Function]
     return function("shared", [A, new, old, efforts, weights], results), step
 
 
+def riccati_gain(n: int, m: int) -> ca.Function:
+    """Return (M, G, R) -> K, where nothing but the gain of a step is asked for."""
+    cost, acting, effort = ca.MX.sym("M", n, n), ca.MX.sym("G", n, m), ca.MX.sym("R", m, m)
+    return ca.Function("gain", [cost, acting, effort], [_choice(n, m)(cost, cost @ acting, acting, effort)[1]])
+
+
 def _choice(n: int, m: int) -> ca.Function:
     """Return (cost M of z, M G, G, R) -> (the cost left when v is the best for z, K), v = -K z."""
     cost, reach, acting = ca.SX.sym("M", n, n), ca.SX.sym("M G", n, m), ca.SX.sym("G", n, m)
