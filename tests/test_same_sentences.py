@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import pytest
 from fmpy.fmi1 import FMICallException
 from fmu_host import JET, fmu_file
-from native_fmu import END, Native
+from native_fmu import END, OK, Native
 
 from crane_fmu.slave.interface import FEEDBACK_INPUTS
 
@@ -20,7 +20,7 @@ KINDS = {
     "trajectory": ("LoadTrajectory", "rotary_crane trajectory"),
 }
 SENSED = dict(zip(FEEDBACK_INPUTS, [0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 5.0, 0.0, -5.0, 0.0, 0.0, 0.0], strict=True))
-LATE = {"input_time": END}
+LATE, WITHOUT = {"input_time": END}, {"feedback": 0.0}
 RESTING = dict(zip(JET, [5.0, 0.0, -5.0, *[0.0] * 12], strict=True))
 
 
@@ -84,6 +84,7 @@ MISTAKES = [
     inverse("at t = 0 s the input load.jerk[2] is nan, not a finite number", {"load.jerk[2]": math.nan}),
     inverse("at t = 0.1 s the input load.jerk[2] is nan, not a finite number", {"load.jerk[2]": math.nan}, LATE),
     inverse("at t = 0 s the input measured.s is inf, not a finite number", {**SENSED, "measured.s": math.inf}, LATE),
+    inverse("at t = 0 s the input measured.l is nan, not a finite number", {**SENSED, "measured.l": math.nan}, WITHOUT),
     inverse(SENSELESS.format("0", "-5"), {**SENSED, "measured.l": 0.0}),
     inverse(SENSELESS.format("5", "1"), {**SENSED, "measured.position[3]": 1.0}, LATE),
     inverse(GIRDER.format("-1"), {"load.position[3]": 1.0}),
@@ -176,3 +177,23 @@ def test_both_kinds_say_the_same(mistake: Mistake) -> None:
         host.fmu.setDebugLogging(True, [])
         with host:
             assert told(host, mistake) == mistake.sentence, host.name
+
+
+@pytest.mark.parametrize(
+    ("start", "h", "count"), [(0.0, 0.1, 3), (1e6, 1e-3, 300), (1e9, 0.1, 200), (-7.5, 0.02, 5000)]
+)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_last_of_steps_that_were_added_up_is_taken(kind: str, start: float, h: float, count: int) -> None:
+    python, native = KINDS[kind]
+    for host in (Native("python", 2, fmu_file(python)), Native(native, 2)):
+        with host:
+            host.fmu.setupExperiment(startTime=start, stopTime=start + count * h)
+            host.fmu.enterInitializationMode()
+            host.fmu.exitInitializationMode()
+            if kind == "inverse model":
+                host.numbers_set(list(RESTING), list(RESTING.values()))
+            time = start
+            for _ in range(count):
+                assert host.step(time, h) == OK, (host.name, time, host.messages)
+                time += h
+            assert host.step(time, h) != OK

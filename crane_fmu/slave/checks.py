@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 from crane_fmu.slave.interface import Variable
@@ -12,6 +13,7 @@ LONGEST_STEP = 3600.0
 """A longer communication step, in s, is taken for a mistake of the host."""
 
 _ROUND_OFF = 16.0  # units in the last place of a time, by which the host's clock may differ from the FMU's
+_SUMMED = 1e-3  # of a step: what is lost by adding up millions of steps; the last may go as far beyond the stop time
 
 MOST_INTERNAL_STEPS = 100_000
 """A communication step may be divided into this many steps at most."""
@@ -45,9 +47,9 @@ def require_step(present: float, time: float, h: float, stop: float = math.inf) 
             f"the communication point t = {time:.16g} s lies {direction} the FMU's time {present:.16g} s;"
             f" to repeat a step restore the FMU's state first"
         )
-    if time + h > stop + 1e-6 * h + _ROUND_OFF * math.ulp(stop):
+    if time + h > stop + max(_SUMMED * h, _ROUND_OFF * sys.float_info.epsilon * abs(stop)):
         raise InvalidSetting(
-            f"at t = {time:.9g} s a communication step of {h:g} s goes beyond the stop time of {stop:.9g} s"
+            f"at t = {time:.16g} s a communication step of {h:g} s goes beyond the stop time of {stop:.16g} s"
         )
 
 

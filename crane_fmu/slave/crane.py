@@ -148,6 +148,7 @@ class Slave(TableSlave):
 
     def _begin(self, time: float) -> CraneState:
         program, inputs = required(self._program), self._finite_inputs(_INPUTS, time)
+        self._finite_measured(time)
         begin_estimates = required(self._estimation).begin
         samples = begin_estimates(inputs, self._order)[0] if self._order < ROWS - 1 else None
         settings = self._required_parameters()
@@ -186,7 +187,7 @@ class Slave(TableSlave):
         if doubt is not None:
             peak, said = self._doubted(doubt, after, peak, said, time)
         memory, is_far = None, now.is_far
-        if settings.share > 0.0 and any(self._reals[self._measured]):
+        if any(self._finite_measured(motion.time)) and settings.share > 0.0:
             forces, memory, is_far, said = self._with_feedback(now, after, jet, h, settings, forces, said)
         state = object.__new__(CraneState)  # see `quick_step`: its own way takes three times as long
         state.__dict__.update(
@@ -194,6 +195,12 @@ class Slave(TableSlave):
             is_odd=is_odd, said=said,
         )  # fmt: skip
         return state
+
+    def _finite_measured(self, time: float) -> Sequence[float]:
+        """Return what is measured, all zero if it is not connected; refuse what is not finite."""
+        measured: Sequence[float] = self._reals[self._measured]
+        require_finite(measured, self._interface.variables[self._measured], time)
+        return measured
 
     def _doubted(
         self, error: float, after: Snapshot, peak: float, said: tuple[str, ...], time: float
@@ -226,7 +233,6 @@ class Slave(TableSlave):
     ) -> tuple[Array, Array | None, bool, tuple[str, ...]]:  # fmt: skip
         """Return inputs, memory, whether the load is far from its path, and what has been said."""
         time, measured = now.motion.time, self._reals[self._measured]
-        require_finite(measured, self._interface.variables[self._measured], time)
         if not (measured[2] > 0.0 and measured[8] < 0.0):
             raise InvalidSetting(
                 f"at t = {time:.6g} s the measured rope length is {measured[2]:g} m and the measured height of the"

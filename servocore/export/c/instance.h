@@ -20,6 +20,7 @@
 #define LONGEST_STEP 3600.0       /* s; a longer one is taken for a mistake of the host */
 #define MOST_INTERNAL_STEPS 100000.0
 #define JITTER 1e-6               /* of a step: hosts compute times with rounding */
+#define SUMMED 1e-3               /* of a step: what is lost by adding up millions of steps */
 #define LONGEST_MESSAGE 512
 
 /* Places of numbers, one after the other: inputs, outputs, parameters of the model, settings, internal states. */
@@ -232,9 +233,9 @@ static Outcome require_step(const Instance *instance, double time, double h)
                    "the communication point t = %.16g s lies %s the FMU's time %.16g s;"
                    " to repeat a step restore the FMU's state first",
                    time, time < present ? "behind" : "ahead of", present);
-    if (time + h > instance->state.stop + JITTER * h + 4.0 * DBL_EPSILON * size)
-        return say(instance, ERROR, "at t = %.9g s a communication step of %g s goes beyond the stop time of %.9g s", time,
-                   h, instance->state.stop);
+    if (time + h > instance->state.stop + fmax(SUMMED * h, 16.0 * DBL_EPSILON * fabs(instance->state.stop)))
+        return say(instance, ERROR, "at t = %.16g s a communication step of %g s goes beyond the stop time of %.16g s",
+                   time, h, instance->state.stop);
     return GOOD;
 }
 
