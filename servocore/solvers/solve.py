@@ -255,7 +255,7 @@ def _error_estimate(problem: Problem, route: Route, solution: Solution) -> Error
 
 
 def _branch_statement(problem: Problem, route: Route, solution: Solution) -> str:
-    """BetterSolver the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
+    """Judge the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
 
     Only a doubtful solution is compared with a better one, which takes as long as a solve.
     """

@@ -159,7 +159,7 @@ def check_between_instants(
         jets = problem.reference.jet(t, watched.order)
         return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
 
-    # Where the guess of the model is exact, most suspected_poles are cleared without looking at branches.
+    # Where the guess of the model is exact, most suspected poles are cleared without looking at branches.
     guessed = problem.resolved.once(_compile_guessed, names, native)
     known = guessed(problem, solution.t)[0] if guessed else np.full((len(channels), len(solution.t)), np.nan)
     left = _confirmed(problem, solution, suspected, channels, known)
@@ -180,7 +180,7 @@ def check_between_instants(
 
 
 def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tuple[int, int]]) -> list[int]:
-    """Return the channels of suspected_poles, and coordinates: where one turns back, inputs are suspected."""
+    """Return the channels of suspected poles, and coordinates: where one turns back, inputs are suspected."""
     channels = list(dict.fromkeys(channel for channel, _ in suspected))
     coordinates = problem.system.coordinates.quantities
     return channels + [k for k, channel in enumerate(solution.channels) if channel in coordinates and k not in channels]
@@ -208,7 +208,7 @@ def _compile_guessed(resolved: ResolvedSystem, names: tuple[str, ...], native: b
 def _confirmed(
     problem: Problem, solution: Solution, suspected: list[tuple[int, int]], channels: list[int], exact: Array
 ) -> list[tuple[int, int]]:
-    """Return the suspected_poles that remain with exact values (channels, N): most are errors of a method.
+    """Return the suspected poles that remain with exact values (channels, N): most are errors of a method.
 
     Where exact values are not known, all remain.
     """
