@@ -273,7 +273,7 @@ def _blocks(system: SquareSystem, unrolled: bool) -> list[tuple[list[int], list[
 def _solve_block(known: KnownValues, block: SquareSystem, unrolled: bool) -> None:
     unknowns, residual, size = block.unknowns, block.residual, block.unknowns.numel()
     jacobian = ca.jacobian(residual, unknowns)
-    linear = is_linear(residual, unknowns)
+    linear = is_linear(residual, unknowns, jacobian)
     if linear and size <= _EXPLICIT_SIZE:
         jacobian, constant = known.resolved(jacobian, ca.substitute(residual, unknowns, ca.SX.zeros(size)))
         solution = -small_inverse_times(jacobian, constant)
@@ -390,7 +390,7 @@ def _with_forces(block: SquareSystem) -> ca.SX:
     unknowns, residual = block.unknowns, block.residual
     rough = [k for k in range(unknowns.numel()) if unknowns[k].name() in block.rough]
     matrix = ca.jacobian(residual, unknowns[rough])
-    if not rough or len(rough) > _EXPLICIT_SIZE or not is_linear(residual, unknowns[rough]):
+    if not rough or len(rough) > _EXPLICIT_SIZE or not is_linear(residual, unknowns[rough], matrix):
         return unknowns
     # From zero: nothing of what the guess says of them is left, so that nothing of it has to be computed.
     rest = ca.substitute(residual, unknowns[rough], ca.SX.zeros(len(rough)))

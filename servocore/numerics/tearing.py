@@ -46,9 +46,12 @@ def tear(unknowns: ca.SX, residual: ca.SX) -> tuple[list[int], list[int], list[t
     return sorted(active_columns), sorted(active_rows), torn
 
 
-def is_linear(residual: ca.SX, unknowns: ca.SX) -> bool:
-    """Whether a residual is linear in unknowns; one that jumps is not, whatever its derivatives say."""
-    return not ca.depends_on(ca.jacobian(without_jumps(residual), unknowns), unknowns)
+def is_linear(residual: ca.SX, unknowns: ca.SX, jacobian: ca.SX) -> bool:
+    """Whether a residual with this Jacobian is linear in unknowns; one that jumps is not, whatever that says."""
+    if ca.depends_on(jacobian, unknowns):
+        return False
+    stand_in = without_jumps(residual)
+    return stand_in is residual or not ca.depends_on(ca.jacobian(stand_in, unknowns), unknowns)
 
 
 def dependence(jacobian: ca.SX) -> npt.NDArray[np.bool_]:
