@@ -24,7 +24,7 @@ from servocore.model.nominal_magnitudes import decades_of, scaled_to
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, read_only
+from servocore.numerics.compiled_calls import Array, lock_arrays
 from servocore.numerics.components import filled
 from servocore.references.base import FloatArray, Reference
 from servocore.references.time_augmented import TimeAugmented
@@ -234,7 +234,7 @@ class Problem:
     drawing: Drawing | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "p", read_only(self.p))
+        lock_arrays(self, "p")
 
     @classmethod
     def of(

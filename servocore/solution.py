@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, read_only
+from servocore.numerics.compiled_calls import Array, lock_arrays
 from servocore.presentation import Curve, Motion, animation_of, data_frame, dataset, figure_of, html_table
 
 if TYPE_CHECKING:
@@ -180,8 +180,7 @@ class Solution:
 
     def _lock(self) -> None:
         """Let nobody write into the arrays: `error` and others were computed, or will be, from them as they are."""
-        for name in ("t", "values"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        lock_arrays(self, "t", "values")
 
     @cached_property  # it may take longer than the solution did, and is read again and again
     def error(self) -> ErrorEstimate:

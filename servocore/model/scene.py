@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
-from servocore.errors import InvalidModel, InvalidReference, described, require_kind
+from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
 from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
@@ -316,6 +316,12 @@ def require_scene(subject: object, who: str) -> None:
             " reference=path) says which path its outputs follow"
         )
     require_kind(subject, Scene, f"what {who} is given", "a Scene", InvalidModel)
+
+
+def within_limits(scene: Scene, limits: Mapping[str, Bounds | None] | None) -> Scene:
+    """Return a scene with limits that are given as one argument; raises `InvalidSetting` if they are no mapping."""
+    require_kind(limits, (Mapping, type(None)), "limits", "bounds by name, as {'F': 60}", InvalidSetting)
+    return scene.with_limits(**limits) if limits else scene
 
 
 # What was resolved and compiled for a system is found again by the system itself: scenes made twice, by

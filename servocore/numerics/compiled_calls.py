@@ -24,6 +24,12 @@ def read_only(array: Array) -> Array:
     return view
 
 
+def lock_arrays(record: object, *names: str) -> None:
+    """Put read-only views in the places of a frozen record's arrays."""
+    for name in names:
+        object.__setattr__(record, name, read_only(getattr(record, name)))
+
+
 class Call:
     """A `casadi.Function` with dense arguments and results, as a function of arrays.
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_kind
+from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed
 from servocore.model.limits import Bounds
-from servocore.model.scene import Scene, require_scene
+from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.planning.certificate import certify
 from servocore.planning.report import PlanReport
 from servocore.planning.search import EXCESS, SearchResult, planned
@@ -115,8 +115,7 @@ def fastest(
         )
     if progress is not None:
         require_callable(progress, "progress", "a function of a text")
-    require_kind(limits, (Mapping, type(None)), "limits", "bounds by name, as {'F': 60}", InvalidSetting)
-    bounded = scene.with_limits(**(limits or {}))
+    bounded = within_limits(scene, limits)
     curve = curve_of(path, len(scene.model(model).outputs), scene.name)
     corners = tuple(corner_problems(bounded, model, robust or {}))
     length = corners[0].array.reference_order + smooth

@@ -16,7 +16,7 @@ from servocore.errors import InvalidModel, InvalidSetting
 from servocore.files import csv_text
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, at_instants, read_only
+from servocore.numerics.compiled_calls import Array, at_instants, lock_arrays
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.branch_continuation import exact_states, prepared_table
 from servocore.stepping.forward_dynamics import forward_rate
@@ -57,8 +57,7 @@ class Sensitivities:
     sizes: Array
 
     def __post_init__(self) -> None:
-        for name in ("t", "values", "sizes"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        lock_arrays(self, "t", "values", "sizes")
 
     def __getitem__(self, names: tuple[str, str]) -> Array:
         if not isinstance(names, tuple) or len(names) != 2:

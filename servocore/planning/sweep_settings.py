@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from servocore.checks.motion_limits import motion_limits
-from servocore.errors import InvalidSetting, require_count, require_kind
+from servocore.errors import InvalidSetting, require_count
 from servocore.model.limits import Limit
-from servocore.model.scene import Scene, require_scene
+from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.planning.sweep_grid import DURATION, Grid
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -63,8 +63,7 @@ def checked_settings(
     if isinstance(references, Reference) or not isinstance(references, Iterable | None):
         raise InvalidSetting("references must be a list of paths, one or more")
     paths = tuple(references or ())
-    require_kind(limits, (Mapping, type(None)), "limits", "bounds by name, as {'F': 60}", InvalidSetting)
-    bounded = scene.with_limits(**limits) if limits else scene
+    bounded = within_limits(scene, limits)
     problem = Problem.of(bounded.with_reference(paths[0]) if paths else bounded, model)
     grid = Grid.of(parameters, len(paths))
     declared = {parameter.name: parameter for parameter in problem.system.parameters.declared}
