@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 from servocore.errors import InvalidModel
 from servocore.model.scene import Scene
@@ -141,12 +142,13 @@ class EffectsReport:
         addition = f", with {', '.join(undeclared)} of your own" if undeclared else ""
         return (
             f"{self.loops}, the load keeps {_length(self.tolerance, self.unit)} with {how}{addition}: all that is left"
-            f" out moves it by {_length(total, self.unit)} at most, errors added up.{self._smoother_path()}"
+            f" out moves it by {_length(total, self.unit)} at most, errors added up.{self._smoother_path}"
             + (f" Not judged: {', '.join(refused)}." if refused else "")
         )
 
+    @cached_property  # the smallest model is analysed for it
     def _smoother_path(self) -> str:
-        """Return a sentence where the path is too rough for the inputs of the smallest model."""
+        """A sentence where the path is too rough for the inputs of the smallest model."""
         array, reference = Problem.of(self.smallest()).resolved.outcome, self.scene.reference
         if isinstance(array, InvalidModel) or reference.smoothness >= array.reference_order:
             return ""
