@@ -96,11 +96,8 @@ class Loop:
 
 def deviation(case: Case, h: float, at: str = "start", native: bool = False, **settings: float | str) -> float:
     """Largest distance in mm of the load from its path, also a second after it."""
-    jets = jets_of(case.reference, h)
-    with Loop(case, at, native, **settings) as loop:
-        places = [loop.step(jets, k, h) for k in range(len(jets) - 1)]
-        assert not loop.crane.messages, loop.crane.messages
-    return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())
+    t = h * np.arange(round((case.reference.duration + 1.0) / h) + 1)
+    return _deviation_at(Loop(case, at, native, **settings), t, np.full(len(t) - 1, h))
 
 
 def jets_of(path: sc.Reference, h: float) -> np.ndarray:
@@ -117,9 +114,13 @@ def jets_at(path: sc.Reference, t: np.ndarray) -> np.ndarray:
 
 def deviation_over(case: Case, steps: np.ndarray, at: str = "start", native: bool = False) -> float:
     """`deviation` where steps vary."""
-    t = np.concatenate([[0.0], np.cumsum(steps)])
-    jets = jets_at(case.reference, case.reference.start_time + t)
-    with Loop(case, at, native) as loop:
+    return _deviation_at(Loop(case, at, native), np.concatenate([[0.0], np.cumsum(steps)]), steps)
+
+
+def _deviation_at(loop: Loop, t: np.ndarray, steps: np.ndarray) -> float:
+    path = loop.case.reference
+    jets = jets_at(path, path.start_time + t)
+    with loop:
         places = [loop.step(jets, k, h, t[k]) for k, h in enumerate(steps.tolist())]
         assert not loop.crane.messages, loop.crane.messages
     return 1e3 * float(np.linalg.norm(np.array(places) - jets[1:, 0], axis=1).max())

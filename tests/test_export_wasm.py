@@ -31,6 +31,7 @@ FULL = os.environ.get("SERVOCORE_NATIVE") == "full"
 SCENES = sorted(sc.scenes.REGISTRY) if FULL else ["elastic_bar", "mass_on_car", "rotary_crane"]
 
 needs_zig = pytest.mark.skipif(targets.zig() is None, reason="needs ziglang")
+needs_node = pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
 needs_wasmtime = pytest.mark.skipif(
     targets.zig() is None or importlib.util.find_spec("wasmtime") is None, reason="needs ziglang and wasmtime"
 )
@@ -237,45 +238,51 @@ def assert_as_in_the_library(found: Mapping[str, Array]) -> None:
     ]
 
 
+def in_node(folder: Path, script: str) -> str:
+    """Run a module in Node, in a folder; return what it prints."""
+    (folder / "main.mjs").write_text(script, encoding="utf-8")
+    done = subprocess.run(["node", "main.mjs"], cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+    return done.stdout
+
+
 @needs_zig
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+@needs_node
 def test_a_javascript_engine_gives_the_numbers_of_the_library(tmp_path: Path) -> None:
     path, past = javascript(tmp_path)
-    (tmp_path / "main.mjs").write_text(
+    printed = in_node(
+        tmp_path,
         'import fs from "node:fs"; import { asked } from "./asked.mjs";\n'
         f"const arrays = [{path}, {past}].map((each) => Float64Array.from(each));\n"
         'console.log(JSON.stringify(await asked(fs.readFileSync("rotary_crane.wasm"), ...arrays)));\n',
-        encoding="utf-8",
     )
-    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
-    assert_as_in_the_library(json.loads(done.stdout))
+    assert_as_in_the_library(json.loads(printed))
 
 
 @needs_zig
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+@needs_node
 def test_the_script_of_the_page_runs(tmp_path: Path) -> None:
     page = Path(__file__).resolve().parents[1] / "docs" / "howto" / "web-page.md"
     script = page.read_text(encoding="utf-8").split('<script type="module">\n')[1].split("</script>")[0]
     shutil.copy(module_file("rotary_crane"), tmp_path / "crane.wasm")
     shutil.copy(wasm.loader_beside(module_file("rotary_crane")), tmp_path / "crane.mjs")
-    (tmp_path / "main.mjs").write_text(
+    printed = in_node(
+        tmp_path,
         'import fs from "node:fs";\nglobalThis.fetch = async (name) => new Response(fs.readFileSync(name));\n' + script,
-        encoding="utf-8",
     )
-    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
-    torque, solved = done.stdout.split()
+    torque, solved = printed.split()
     crane = scene_called("rotary_crane").parameter_values()
     assert float(torque) == pytest.approx(-80.0 * crane["gravity"] * crane["winch_radius"], rel=1e-15)
     assert solved == "true"
 
 
 @needs_zig
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+@needs_node
 def test_two_modules_and_paths_of_all_lengths_keep_to_themselves(tmp_path: Path) -> None:
     for name in ("rotary_crane", "elastic_bar"):
         for file in (module_file(name), wasm.loader_beside(module_file(name))):
             shutil.copy(file, tmp_path)
-    (tmp_path / "main.mjs").write_text(
+    printed = in_node(
+        tmp_path,
         'import fs from "node:fs"; import { load } from "./rotary_crane.mjs";\n'
         'const [one, other] = [fs.readFileSync("rotary_crane.wasm"), fs.readFileSync("elastic_bar.wasm")];\n'
         "const crane = await load(one), again = await load(one), bar = await load(other);\n"
@@ -285,10 +292,8 @@ def test_two_modules_and_paths_of_all_lengths_keep_to_themselves(tmp_path: Path)
         "bar.invert(new Float64Array(bar.about.path.length));\n"
         "console.log(JSON.stringify([kept, short.outputs.M_w[0], ...new Set(long.outputs.M_w), long.solved,\n"
         "  heavy.outputs.M_w[0] / kept, crane.invert(rest(1)).outputs.M_w[0]]));\n",
-        encoding="utf-8",
     )
-    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
-    kept, *same, solved, ratio, last = json.loads(done.stdout)
+    kept, *same, solved, ratio, last = json.loads(printed)
     assert {kept, *same, last} == {kept}
     assert len(same) == 2  # the first result, and the only value of the long one
     assert solved == 100_000
@@ -296,18 +301,17 @@ def test_two_modules_and_paths_of_all_lengths_keep_to_themselves(tmp_path: Path)
 
 
 @needs_zig
-@pytest.mark.skipif(shutil.which("node") is None, reason="needs Node")
+@needs_node
 def test_the_loader_asks_for_times_where_equations_hold_the_time(tmp_path: Path) -> None:
     sc.export_wasm(scene_called("waves"), tmp_path / "waves.wasm")
-    (tmp_path / "main.mjs").write_text(
+    printed = in_node(
+        tmp_path,
         'import fs from "node:fs"; import { load } from "./waves.mjs";\n'
         'const waves = await load(fs.readFileSync("waves.wasm")), path = new Float64Array(6);\n'
         "let refused = null; try { waves.invert(path); } catch (error) { refused = error.message; }\n"
         "console.log(JSON.stringify({ refused, F: [...waves.invert(path, { times: [1, 2] }).outputs.F] }));\n",
-        encoding="utf-8",
     )
-    done = subprocess.run(["node", "main.mjs"], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=True)
-    found = json.loads(done.stdout)
+    found = json.loads(printed)
     assert found["refused"] == "the equations of waves contain the time: times are needed"
     np.testing.assert_allclose(found["F"], -np.sin([1.0, 2.0]), rtol=1e-15)
 
