@@ -40,8 +40,6 @@ _RESOLVED = 1e-12  # of the time: what changes over less jumps
 _ASIDE = 1e-8  # of the duration: instants beside a jump, where round-off would show
 _STEADY = 0.2  # of a jump: by how much values beside it may differ
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
-
-
 _FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "input_matrix"
 
 

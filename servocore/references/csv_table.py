@@ -173,9 +173,9 @@ def _bytes_of(file: Path) -> tuple[bytes, list[str]]:
             encoding = "utf-16" if data[:1] in b"\xff\xfe" else "utf-16-be" if data[:1] == b"\0" else "utf-16-le"
             data, notes = data.decode(encoding).encode(), ["UTF-16 as its encoding"]
         data[:100_000].decode(errors="strict" if len(data) <= 100_000 else "ignore")
-    except (OSError, UnicodeDecodeError) as error:
-        if isinstance(error, OSError):
-            raise InvalidReference(f"{file} cannot be read: {error.strerror or error}") from None
+    except OSError as error:
+        raise InvalidReference(f"{file} cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
         raise InvalidReference(f"{file} cannot be read as a table: {error}; save it as CSV in UTF-8") from None
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"), notes
 
