@@ -6,12 +6,14 @@ OUT ?= out
 TEST_PROCESSES ?= 2
 BIN := .venv/bin
 RUN := $(BIN)/python -m
+# A file of tests runs in one process: what its tests compile is compiled once. (With pytest 9.2 xdist 3.8 heeds no groups.)
+PYTEST := pytest -n $(TEST_PROCESSES) --dist loadfile
 INSTALLED := .venv/.installed
 PEERS := .venv/peers
 NEWEST := .venv/newest
 LOWEST := .venv/lowest
 
-.PHONY: help demo test versions hostile nightly ivp load loop loopnative native platforms check format fmu bench chart atlas planning jobs effects pictures docs clean
+.PHONY: help demo test quick versions hostile nightly ivp load loop loopnative native platforms check format fmu bench chart atlas planning jobs effects pictures docs clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -20,21 +22,26 @@ help:  ## list the targets
 demo: $(INSTALLED)  ## build the FMU, run it and write report, pictures and tables to out/
 	$(BIN)/crane-fmu demo -o "$(OUT)"
 
-test: $(INSTALLED)  ## run the whole test suite
-	$(RUN) pytest -n $(TEST_PROCESSES)
+test: $(INSTALLED)  ## run the test suite (some seven minutes)
+	$(RUN) $(PYTEST)
+
+quick: $(INSTALLED)  ## run a case of every test that takes a moment (less than a minute)
+	$(RUN) $(PYTEST) --quick -q
 
 versions: $(NEWEST)/.installed $(LOWEST)/.installed  ## run the tests on Python 3.13 with the newest releases, on 3.11 with the lowest allowed
 	@status=0; try() { echo "In $$1:"; \
 		"$$1/bin/python" -c "import sys, casadi, numpy, scipy; print('Python', sys.version.split()[0], 'CasADi', \
 		casadi.__version__, 'NumPy', numpy.__version__, 'SciPy', scipy.__version__)"; \
-		"$$1/bin/python" -m pytest -n $(TEST_PROCESSES) -p no:cacheprovider $$2 || status=1; }; \
+		"$$1/bin/python" -m $(PYTEST) -p no:cacheprovider $$2 || status=1; }; \
 	try $(NEWEST); try $(LOWEST) "-W ignore::DeprecationWarning"; exit $$status
 
 hostile: $(INSTALLED)  ## ask each FMU ten thousand random sequences of calls (some 15 minutes)
 	SERVOCORE_HOSTILE_SEQUENCES=10000 $(RUN) pytest -s --durations=0 tests/test_hostile.py
 
-nightly: $(INSTALLED)  ## solve five hundred mechanisms by chance, and run the property tests with a fresh seed (some half an hour)
+nightly: $(INSTALLED)  ## run what takes minutes, five hundred random mechanisms, property tests with a fresh seed (an hour)
 	@status=0; seed=$${SEED:-$$(date +%s)}; again() { echo "The seed was $$seed: make nightly SEED=$$seed"; status=1; }; \
+	$(RUN) $(PYTEST) --most-of-budget 2 || status=1; \
+	$(RUN) $(PYTEST) --nightly -m nightly || status=1; \
 	SERVOCORE_MECHANISMS=500 $(RUN) pytest -n $(TEST_PROCESSES) tests/outside/test_random_mechanisms.py || status=1; \
 	echo "Property tests with the seed $$seed"; \
 	$(RUN) pytest -n $(TEST_PROCESSES) -m hypothesis --hypothesis-profile=fresh --hypothesis-seed=$$seed || again; \
@@ -53,17 +60,18 @@ loopnative: $(INSTALLED)  ## the same with native FMUs, 50 manoeuvres of each ki
 	$(BIN)/python tests/loop_study.py 50 --native
 
 native: $(INSTALLED)  ## export every scene for FMI 2 and 3, run and compare all; ten thousand hostile sequences (some minutes)
-	SERVOCORE_NATIVE=full $(RUN) pytest -s --durations=0 -n $(TEST_PROCESSES) tests/test_export_hosts.py \
+	SERVOCORE_NATIVE=full $(RUN) $(PYTEST) --nightly -s --durations=0 tests/test_export_hosts.py \
 		tests/test_export_system.py tests/test_export_derivatives.py tests/test_export_loop.py tests/test_export_wasm.py
 
 platforms: $(INSTALLED)  ## run exported libraries of other platforms: needs ziglang, and Wine or QEMU (minutes at first)
 	SERVOCORE_PLATFORMS=all $(RUN) pytest -s --durations=0 -n 0 -k "platforms or linux or macos" tests/test_export_hosts.py
 
-check: $(INSTALLED)  ## lint, format, types, direction of the imports, public docstrings: all of them, then fail if one did
+check: $(INSTALLED)  ## lint, format, types, direction of the imports, docstrings, links of pages: all, then fail if one did
 	@status=0; run() { echo "$$@"; "$$@" || status=1; }; \
 	run $(RUN) ruff check .; run $(RUN) ruff format --check .; run $(RUN) mypy --strict; run $(RUN) mypy --strict tests examples docs build_fmu.py; \
 	run $(BIN)/lint-imports; \
 	run $(BIN)/python tests/docstrings.py; \
+	run $(RUN) pytest -q -p no:cacheprovider tests/check_project.py; \
 	exit $$status
 
 format: $(INSTALLED)  ## apply the formatter and the linter's safe corrections

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
+import budgets
+import kept_compiler
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -16,6 +19,18 @@ pytest.register_assert_rewrite("problems", "suite")
 
 BUILT = "SERVOCORE_TEST_FMUS"
 """Environment variable with the folder in which all processes of a run find the FMUs that one of them has built."""
+MAKEFILE_TARGETS = {
+    "quick": "of every test function the first case that takes a moment: make quick",
+    "nightly": "also what takes minutes, and all members of families: make nightly",
+}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    group = parser.getgroup("servocore")
+    for name, meaning in MAKEFILE_TARGETS.items():
+        group.addoption(f"--{name}", action="store_true", help=meaning)
+    group.addoption("--most-of-budget", type=float, help="fail if a file takes more than so many times its budget")
+    group.addoption("--write-slow", action="store_true", help="write the list of cases that --quick leaves out")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -23,6 +38,30 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ[BUILT] = tempfile.mkdtemp(prefix="fmus of a test run ")
         os.environ["SERVOCORE_CACHE"] = tempfile.mkdtemp(prefix="machine code of a test run ")
         os.environ["SERVOCORE_MACHINE_CODE"] = "off"  # a compiler beside every test would take their time
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
+        os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
+        keep_libraries(config)
+    config.pluginmanager.register(
+        budgets.Meter(config.getoption("--most-of-budget"), bool(config.getoption("--write-slow")))
+    )
+
+
+def keep_libraries(config: pytest.Config) -> None:
+    """Let the machine's C compiler keep what it builds, from run to run and for all processes."""
+    compiler = shutil.which("cc")
+    if sys.platform == "win32" or compiler is None or "CC" in os.environ:
+        return
+    cache = getattr(config, "cache", None)  # switched off by -p no:cacheprovider
+    kept = cache.mkdir("libraries") if cache else Path(os.environ[BUILT], "libraries")
+    kept.mkdir(exist_ok=True)
+    tools = Path(os.environ[BUILT], "tools")
+    tools.mkdir()
+    (tools / "cc").write_text(kept_compiler.script(compiler), encoding="utf-8")
+    (tools / "cc").chmod(0o755)
+    os.environ["PATH"] = os.pathsep.join([str(tools), os.environ["PATH"]])
+    os.environ[kept_compiler.KEPT] = str(kept)
+    if config.getoption("--quick"):
+        os.environ[kept_compiler.OPTIONS] = "-O0"
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:
@@ -56,8 +95,22 @@ settings.register_profile(FRESH, settings.get_profile("repeatable"), derandomize
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    if config.getoption("--hypothesis-profile", None) != FRESH:
-        return
+    if not config.getoption("--nightly"):
+        select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
+    if config.getoption("--quick"):
+        select(config, items, budgets.representatives(items))
+    if config.getoption("--hypothesis-profile", None) == FRESH:
+        ask_more_examples(items)
+
+
+def select(config: pytest.Config, items: list[pytest.Item], chosen: list[pytest.Item]) -> None:
+    """Leave the chosen tests among the items."""
+    kept = set(chosen)
+    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+    items[:] = chosen
+
+
+def ask_more_examples(items: list[pytest.Item]) -> None:
     tests = {getattr(item.obj, "__func__", item.obj) for item in items if hasattr(item, "obj")}
     for test in tests:
         own = getattr(test, "_hypothesis_internal_use_settings", None)

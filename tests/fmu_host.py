@@ -15,6 +15,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from budgets import shared_by_all_files
 from fmpy import extract, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -45,7 +46,7 @@ def fmu_file(name: str = "RotaryCrane") -> Path:
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
     folder.mkdir(exist_ok=True)
     file = folder / f"{name}.fmu"
-    with only_one(folder / f"{name}.busy"):
+    with only_one(folder / f"{name}.busy"), shared_by_all_files():
         return file if file.is_file() else build_fmu(folder, kind=KINDS[name])
 
 

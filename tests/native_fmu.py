@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from budgets import shared_by_all_files
 from fmpy import read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -135,14 +136,9 @@ def native_file(name: str, fmi: int) -> Path:
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch() / "built")
     folder.mkdir(exist_ok=True)
     file = folder / f"native-{name.replace(' ', '-')}-{fmi}.fmu"
-    before = os.environ.get("CFLAGS")
-    with only_one(folder / f"native-{name.replace(' ', '-')}-{fmi}.busy"):
+    with only_one(folder / f"native-{name.replace(' ', '-')}-{fmi}.busy"), shared_by_all_files():
         if not file.is_file():
-            os.environ["CFLAGS"] = "-O0"  # compiles in a third of the time; no digit depends on it
-            try:
-                written(exported(name), file, fmi, "host", lambda _: None)
-            finally:
-                os.environ.pop("CFLAGS") if before is None else os.environ.__setitem__("CFLAGS", before)
+            written(exported(name), file, fmi, "host", lambda _: None)
     return file
 
 

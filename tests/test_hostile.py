@@ -15,7 +15,7 @@ from fmu_host import fmu_file, in_a_process
 from crane_fmu.catalogue import KINDS
 
 FILES = {name: partial(fmu_file, name) for name in KINDS}
-SEQUENCES = int(os.environ.get("SERVOCORE_HOSTILE_SEQUENCES", "200"))
+SEQUENCES = int(os.environ.get("SERVOCORE_HOSTILE_SEQUENCES", "100"))
 SEED = os.environ.get("SERVOCORE_HOSTILE_SEED", "0")
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the calls are made through the Linux binary")

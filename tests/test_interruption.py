@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from thinned import thinned
 from typer.testing import CliRunner, Result
 
 from crane_fmu.run import nothing_left
@@ -52,13 +53,13 @@ COMMANDS = {
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows sends no SIGINT to a process alone")
-@pytest.mark.parametrize("arguments", COMMANDS.values(), ids=COMMANDS)
-def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(arguments: list[str], tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", thinned(COMMANDS, lambda name: name == "plan"))
+def test_ctrl_c_ends_a_command_with_130_and_leaves_nothing(name: str, tmp_path: Path) -> None:
     work, scratch = tmp_path / "work", tmp_path / "scratch"
     for each in (work, scratch):
         each.mkdir()
     with subprocess.Popen(
-        [sys.executable, "-c", BEGUN, *arguments], cwd=work, env={**os.environ, "TMPDIR": str(scratch)},
+        [sys.executable, "-c", BEGUN, *COMMANDS[name]], cwd=work, env={**os.environ, "TMPDIR": str(scratch)},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     ) as running:  # fmt: skip
         assert running.stdout is not None

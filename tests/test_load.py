@@ -23,7 +23,7 @@ from crane_fmu.catalogue import KINDS
 FILES = {name: partial(fmu_file, name) for name in KINDS}
 FULL = os.environ.get("SERVOCORE_LOAD") == "full"
 PATH = sc.scenes.rotary_crane().reference.jet(np.arange(300) * 0.05, 4)
-INSTANCES, STEPS = (200, 1_000_000) if FULL else (20, 20_000)
+INSTANCES, STEPS = (200, 1_000_000) if FULL else (20, 10_000)
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="calls and memory are those of the Linux binary")
 

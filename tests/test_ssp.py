@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 import zipfile
 from functools import cache
@@ -13,11 +14,12 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from budgets import shared_by_all_files
 from command_lines import CommandLine
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
-from fmu_host import Host, fmu_file, in_a_process, scratch
+from fmu_host import Host, fmu_file, in_a_process, only_one, scratch
 from typer.testing import CliRunner
 
 import servocore as sc
@@ -34,8 +36,12 @@ GUSTS = [(0.0, 20.0, 0.0), (20.0, 0.0, 0.0), (0.0, 0.0, -20.0), (-14.14, -14.14,
 
 @cache
 def system() -> Path:
-    build_ssp(scratch() / "system")
-    return scratch() / "system" / "Crane.ssp"
+    """Return the system that the first process to ask for it has built; the others wait."""
+    folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch()) / "system"
+    with only_one(folder.with_suffix(".busy")), shared_by_all_files():
+        if not folder.is_dir():
+            build_ssp(folder)
+    return folder / "Crane.ssp"
 
 
 def deviation(stop: float = 20.0, **parameters: float) -> float:

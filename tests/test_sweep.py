@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -197,6 +199,7 @@ sc.sweep(sc.scenes.rotary_crane(), varied, store="s.zarr", chunk=3, progress=tel
 """
 
 
+@pytest.mark.nightly
 def test_a_driver_that_is_killed_leaves_a_store_that_is_completed(tmp_path: Path) -> None:
     driver = subprocess.Popen([sys.executable, "-c", DRIVER], cwd=tmp_path, stdout=subprocess.PIPE, text=True)
     for _ in range(2):
@@ -241,6 +244,12 @@ def cluster() -> Iterator[Any]:
         yield found
 
 
+def kill_process(worker: Any) -> None:
+    """End the process of a worker of Dask, as a machine without memory does."""
+    if worker.pid is not None:
+        os.kill(worker.pid, signal.SIGKILL)
+
+
 @pytest.fixture
 def client(cluster: Any) -> Iterator[Any]:
     cluster.scale(2)
@@ -249,13 +258,14 @@ def client(cluster: Any) -> Iterator[Any]:
         yield found
 
 
+@pytest.mark.nightly
 def test_a_worker_of_dask_that_is_killed_costs_no_case(tmp_path: Path, cluster: Any, client: Any) -> None:
     killed: list[Any] = []
 
     def kill(done: int, _: object) -> None:
         if done >= 6 and not killed:
             killed.append(next(iter(cluster.workers.values())))
-            killed[0].process.process.kill()
+            kill_process(killed[0])
             time.sleep(0.1)
 
     found = sc.sweep(CRANE, VARIED, distributed=client, store=tmp_path / "s.zarr", chunk=1, progress=kill)
@@ -276,6 +286,7 @@ def test_a_connection_that_ends_is_told_in_a_sentence_and_the_store_completed_wi
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
+@pytest.mark.nightly
 def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cluster: Any, client: Any
 ) -> None:
@@ -297,6 +308,7 @@ def test_a_cluster_that_loses_all_workers_is_told_and_the_store_completed_withou
     assert found.drop_attrs().load().identical(sc.sweep(CRANE, VARIED).drop_attrs())
 
 
+@pytest.mark.nightly
 def test_a_block_that_dask_gives_up_is_told_in_a_sentence(
     monkeypatch: pytest.MonkeyPatch, cluster: Any, client: Any
 ) -> None:
@@ -304,7 +316,7 @@ def test_a_block_that_dask_gives_up_is_told_in_a_sentence(
 
     def kill(*_: object) -> None:
         for each in cluster.workers.values():
-            each.process.process.kill()
+            kill_process(each)
 
     with pytest.raises(sc.InvalidSetting, match=r"the executor gave up: KilledWorker: .* only a sweep with a store"):
         sc.sweep(CRANE, {"load_mass": np.linspace(50.0, 150.0, 2000)}, distributed=client, chunk=1, progress=kill)

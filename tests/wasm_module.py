@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+from budgets import shared_by_all_files
 from fmu_host import only_one, scratch
 from native_fmu import scene_called
 from present import of_kind
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 def module_file(name: str) -> Path:
     """Return a module that the first to ask for it has built."""
     file = scratch() / f"{name}.wasm"
-    with only_one(scratch() / f"{name}.wasm.busy"):
+    with only_one(scratch() / f"{name}.wasm.busy"), shared_by_all_files():
         return file if file.is_file() else sc.export_wasm(scene_called(name), file)
 
 

@@ -81,7 +81,7 @@ NEAR, FAR = sc.rest_to_rest((0.0,), (0.4,), 2.0), sc.rest_to_rest((0.0,), (1.0,)
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_fmu_refuses_a_path_of_its_host_that_breaks_it(fmi: int, tmp_path: Path) -> None:
     scene = cars(stop_at(0.6), coupled=False).with_reference(NEAR)
-    file = sc.export_fmu(scene, tmp_path / "cars.fmu", fmi=fmi)
+    file = sc.export_fmu(scene, tmp_path / "cars.fmu", fmi=fmi, targets="host")
     ended = {}
     for path in (NEAR, FAR):
         with Native("cars", fmi, file) as host:

@@ -1,4 +1,4 @@
-"""The project keeps its own rules: sizes, names, pages whose examples run, versions that agree."""
+"""What `make check` asks of the project's own rules: sizes, names, spelling, links of pages. Nothing is computed."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ def test_words_are_spelled_as_in_oxford() -> None:
     wrong = [
         f"{name}: {word[0]}"
         for name, text in tracked_texts()
-        if name.startswith(rooms) and not name.endswith((".svg", "0110-words.md", "test_project.py"))
+        if name.startswith(rooms) and not name.endswith((".svg", "0110-words.md", "check_project.py"))
         for word in OXFORD.finditer(PUBLIC_SPELLING.sub("", text))
     ]
     assert wrong == []
@@ -224,34 +224,6 @@ def test_every_story_of_the_gallery_tells_its_title_and_runs_in_the_site() -> No
 
 
 # Pages ---------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("page", [p for p in PAGES if CODE_BLOCK.search(p.read_text(encoding="utf-8"))], ids=short)
-def test_python_blocks_of_a_page_run_one_after_another(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "page"}
-    text = page.read_text(encoding="utf-8")
-    for block in CODE_BLOCK.finditer(text):
-        run(block[1], page, text[: block.start(1)].count("\n"), names)
-
-
-def run(block: str, page: Path, line: int, names: dict[str, object]) -> None:
-    """Run a block as if it stood alone, with line numbers of its page."""
-    exec(compile("\n" * line + block, str(page), "exec", dont_inherit=True), names)
-
-
-def test_the_readme_example_has_ten_lines_and_prints_what_the_readme_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    (block,) = CODE_BLOCK.findall(text)
-    assert len([line for line in block.splitlines() if line]) <= 10
-    run(block, ROOT / "README.md", 0, {})
-    assert f"`{capsys.readouterr().out.strip()}`" in text
-    assert (tmp_path / "inputs.csv").read_text(encoding="utf-8").startswith("time,M_b,F,M_w\n")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=short)
