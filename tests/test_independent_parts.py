@@ -222,7 +222,7 @@ def test_what_is_analysed_of_many_cranes_is_what_is_analysed_of_one(
     count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     one, scene = sc.analyse(together(1)[0]), together(count)[0]
-    scene.model()  # its constraints are looked at as a whole, once
+    Problem.of(scene)  # once, the constraints at home are looked at as a whole
     sizes = sizes_of_svd(monkeypatch)
     many = sc.analyse(scene)
     assert (many.classification, many.index, many.internal_degrees_of_freedom) == ("flat", one.index, 0)
