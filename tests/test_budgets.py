@@ -43,7 +43,7 @@ def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request
     chosen = budgets.representatives(items)
     assert {item.path.name for item in items} == {item.path.name for item in chosen}
     functions = {budgets.function_of(item.nodeid) for item in items}
-    assert len(chosen) > 0.8 * len(functions)
+    assert len(chosen) > 0.7 * len(functions)
 
 
 def test_members_that_are_not_kept_are_for_the_night() -> None:
