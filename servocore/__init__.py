@@ -6,8 +6,11 @@
 ((201,), 'N.m')
 """
 
+import ast
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -34,19 +37,16 @@ if TYPE_CHECKING:
     from servocore.export.plant_model import PlantWishes
     from servocore.export.trajectory_model import TrajectoryWishes
     from servocore.export.wasm import export_wasm
-    from servocore.formulations import Formulation, Original, Projected, Reduced
-    from servocore.methods import (
-        BDF,
-        BackwardEuler,
-        Discretisation,
-        Gauss,
-        GeneralizedAlpha,
-        Method,
-        Orders,
-        RadauIIA,
-        Start,
-        Trapezoidal,
-    )
+    from servocore.formulations.base import Formulation
+    from servocore.formulations.original import Original
+    from servocore.formulations.projected import Projected
+    from servocore.formulations.reduced import Reduced
+    from servocore.methods.backward_euler import BackwardEuler
+    from servocore.methods.base import Discretisation, Method, Orders, Start
+    from servocore.methods.bdf import BDF
+    from servocore.methods.collocation import Gauss, RadauIIA
+    from servocore.methods.generalized_alpha import GeneralizedAlpha
+    from servocore.methods.trapezoidal import Trapezoidal
     from servocore.model.drawing import Part
     from servocore.model.effects import Effect, Effects
     from servocore.model.generalize import generalise
@@ -221,130 +221,25 @@ __all__ += [
     "generalise",
 ]
 
-# Imported at their first use: programs need some of them, and a command line heeds Ctrl-C before it imports any.
-_HOMES = {
-    "Adaptive": "servocore.solvers.adaptive",
-    "BDF": "servocore.methods",
-    "BackwardEuler": "servocore.methods",
-    "Batch": "servocore.solvers.batch",
-    "BoundaryValue": "servocore.solvers.boundary_value",
-    "Box": "servocore.planning.obstacles",
-    "Coordinates": "servocore.model.symbols",
-    "DEGREE13": "servocore.references.profiles",
-    "DEGREE3": "servocore.references.profiles",
-    "DEGREE5": "servocore.references.profiles",
-    "DEGREE7": "servocore.references.profiles",
-    "DEGREE9": "servocore.references.profiles",
-    "Dae": "servocore.dae",
-    "Discretisation": "servocore.methods",
-    "Drives": "servocore.effects.drives",
-    "DynamicInversion": "servocore.solvers.dynamic_inversion",
-    "Effect": "servocore.model.effects",
-    "EffectRow": "servocore.effects.report",
-    "Effects": "servocore.model.effects",
-    "EffectsReport": "servocore.effects.report",
-    "EnergyMomentum": "servocore.solvers.energy_momentum",
-    "Equation": "servocore.dae",
-    "ExactInversion": "servocore.solvers.exact_inversion",
-    "Formulation": "servocore.formulations",
-    "Gauss": "servocore.methods",
-    "GeneralizedAlpha": "servocore.methods",
-    "InconsistentStart": "servocore.errors",
-    "IntegrationFailed": "servocore.errors",
-    "InvalidModel": "servocore.errors",
-    "InvalidReference": "servocore.errors",
-    "InvalidSetting": "servocore.errors",
-    "Limit": "servocore.model.limits",
-    "LimitBroken": "servocore.errors",
-    "LivePart": "servocore.view.page",
-    "MAX_REFERENCE_ORDER": "servocore.model.system",
-    "Margin": "servocore.solution",
-    "MechanicalSystem": "servocore.model.system",
-    "Method": "servocore.methods",
-    "Orders": "servocore.methods",
-    "Original": "servocore.formulations",
-    "Parameter": "servocore.model.symbols",
-    "Parameters": "servocore.model.symbols",
-    "Part": "servocore.model.drawing",
-    "PlanReport": "servocore.planning.report",
-    "PlanningFailed": "servocore.errors",
-    "Plant": "servocore.stepping.plant",
-    "PlantWishes": "servocore.export.plant_model",
-    "Potential": "servocore.model.potentials",
-    "Problem": "servocore.problem",
-    "Profile": "servocore.references.profiles",
-    "Program": "servocore.stepping.program",
-    "Projected": "servocore.formulations",
-    "Quantity": "servocore.model.quantity",
-    "RadauIIA": "servocore.methods",
-    "Reduced": "servocore.formulations",
-    "Reference": "servocore.references.base",
-    "RotationUpdate": "servocore.stepping.rotation_update",
-    "Route": "servocore.solvers.route",
-    "SampledEstimates": "servocore.export.estimates",
-    "SampledFeedback": "servocore.export.feedback",
-    "Scene": "servocore.model.scene",
-    "Sensitivities": "servocore.planning.sensitivities",
-    "ServocoreError": "servocore.errors",
-    "ServocoreWarning": "servocore.errors",
-    "Solution": "servocore.solution",
-    "Space": "servocore.planning.space",
-    "Sphere": "servocore.planning.obstacles",
-    "SquareSystem": "servocore.numerics.square_systems",
-    "Start": "servocore.methods",
-    "Statistics": "servocore.solution",
-    "StepReport": "servocore.stepping.program",
-    "Stepper": "servocore.stepping.stepper",
-    "StructureReport": "servocore.analysis",
-    "Sundials": "servocore.solvers.sundials",
-    "TIME_LAWS": "servocore.references.profiles",
-    "TrajectoryWishes": "servocore.export.trajectory_model",
-    "Trapezoidal": "servocore.methods",
-    "Unknown": "servocore.dae",
-    "analyse": "servocore.analysis",
-    "c_compiler": "servocore.numerics.machine_code",
-    "compile_plant": "servocore.stepping.forward_dynamics",
-    "csv_of": "servocore.references.csv_file",
-    "effects": "servocore.effects.study",
-    "export_fmu": "servocore.export.fmu",
-    "export_plant": "servocore.export.fmu",
-    "export_trajectory": "servocore.export.fmu",
-    "export_wasm": "servocore.export.wasm",
-    "factors_of_texts": "servocore.model.limit_files",
-    "fastest": "servocore.planning.fastest",
-    "figure_of_eight": "servocore.references.periodic",
-    "from_csv": "servocore.references.csv_file",
-    "generalise": "servocore.model.generalize",
-    "limits_given": "servocore.model.limit_files",
-    "live_part": "servocore.view.page",
-    "periodic": "servocore.references.periodic",
-    "read_limits": "servocore.model.limit_files",
-    "read_parameters": "servocore.model.parameter_files",
-    "rest_to_rest": "servocore.references.rest_to_rest",
-    "sampled": "servocore.references.splines",
-    "sensitivities": "servocore.planning.sensitivities",
-    "shortest_duration": "servocore.planning.durations",
-    "simulate": "servocore.solvers.simulate",
-    "solve": "servocore.solvers.solve",
-    "sweep": "servocore.planning.sweep",
-    "three_phase": "servocore.references.profiles",
-    "through": "servocore.references.splines",
-    "to_control": "servocore.planning.flat_system",
-    "view": "servocore.view.page",
-    "waypoints_from_csv": "servocore.references.csv_file",
-}
-
-
 # A room that is imported for the first time takes the place of the function of its name: so that comes first.
 for _room in ("effects", "view"):
     import_module(f"servocore.{_room}")
     del globals()[_room]
 
 
+@cache  # at the first use of a name: programs need some of them, and a command line heeds Ctrl-C before it imports any
+def _homes() -> dict[str, str]:
+    """Return the modules of the public names: those that type checkers import them from, above."""
+    source = Path(__file__).read_text(encoding="utf-8")
+    imports = [each for each in ast.walk(ast.parse(source)) if isinstance(each, ast.ImportFrom)]
+    return {alias.name: str(each.module) for each in imports for alias in each.names}
+
+
 def __getattr__(name: str) -> object:
     """Import a public name, or a room, at its first use."""
-    if name in _HOMES:
-        value: object = getattr(import_module(_HOMES[name]), name)
+    home = _homes()[name] if name in __all__ else __name__
+    if home != __name__:
+        value: object = getattr(import_module(home), name)
     elif name.startswith("_") or find_spec(f"{__name__}.{name}") is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     else:

@@ -32,6 +32,7 @@ from problems import (
     scene,
     solved,
 )
+from ranks import has_independent_rows_at_home
 
 import servocore as sc
 from servocore import DEGREE3, BackwardEuler, rest_to_rest
@@ -149,7 +150,7 @@ class ModelSuite:
         assert found.degrees_of_freedom == SCENES[scene_name].internal_degrees_of_freedom
 
     def test_constraints_are_independent_at_home(self, system: sc.MechanicalSystem) -> None:
-        system.require_full_rank(*system.home_configuration())
+        assert has_independent_rows_at_home(system)
 
     def test_mass_matrix_is_positive_semidefinite_at_home(self, system: sc.MechanicalSystem) -> None:
         M = np.asarray(ca.Function("M", [system.q, system.p], [system.mass])(*system.home_configuration()))

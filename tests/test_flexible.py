@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 import scipy.special
+from flexible import unstrained
 from thinned import thinned
 
 import servocore as sc
@@ -96,7 +97,7 @@ def flying_beam(elements: int = 3) -> conserved.Motion:
     """A beam without weight that is thrown, turning and bending."""
     beam = Beam("beam", LENGTH, elements, section(2000.0, 20.0, line_mass=1.0, inertia=0.01))
     parts = Assembly((beam,), sc.Parameters(), gravity=(0, 0, 0))
-    nodes = beam.unstrained(GROUND)
+    nodes = unstrained(beam, GROUND)
     system = conserved.made(parts, "flying beam", parts.node("beam", 0).origin[0], {"beam": nodes})
     q = np.asarray(ca.DM(parts.configuration({"beam": nodes}))).ravel()
     omega = np.array([1.0, 0.4, 0.7])
@@ -211,7 +212,7 @@ def arch(elements: int = 8, rise: float = 0.1, span: float = 2.0) -> tuple[sc.Me
     parts = Assembly((beam,), sc.Parameters(), gravity=(0, 0, 0))
     tangent = np.array([np.cos(half), 0.0, np.sin(half)])
     directors = np.column_stack([np.cross(Y, tangent), Y, tangent])
-    nodes = beam.unstrained(Frame(ca.SX([-span / 2, 0, 0]), ca.SX(directors)))
+    nodes = unstrained(beam, Frame(ca.SX([-span / 2, 0, 0]), ca.SX(directors)))
     places = [np.asarray(ca.DM(place)).ravel() for place, _ in nodes]
     top, height = parts.node("arch", elements // 2).origin[2], float(places[elements // 2][2])
     system = parts.system(

@@ -130,25 +130,6 @@ def test_energy_is_kept_without_inputs_that_work() -> None:
     assert plant.values(state, None, STILL, p)["energy"] == pytest.approx(before, abs=1e-6)
 
 
-def test_its_linearization_is_the_difference_of_neighbouring_steps() -> None:
-    plant, state, p = at_rest("generalized")
-    state[3:] = 0.1, -0.05, 0.2, 0.1, -0.1, 0.05, 0.02
-    u, h = np.array([10.0, 5.0, -90.0]), 1e-5
-    A, B, E, C = plant.linearised(state, u, p)
-
-    def rate(x: Array, force: Array = u, d: Array = STILL) -> Array:
-        return (plant.advance(x, force, STILL, d, p, h) - plant.advance(x, force, STILL, d, p, -h)) / (2 * h)
-
-    for k in range(10):
-        bump = 1e-5 * np.eye(10)[k]
-        np.testing.assert_allclose((rate(state + bump) - rate(state - bump)) / 2e-5, A[:, k], atol=1e-4)
-    for k in range(3):
-        bump = np.eye(3)[k]
-        np.testing.assert_allclose((rate(state, u + bump) - rate(state, u - bump)) / 2, B[:, k], atol=1e-7)
-        np.testing.assert_allclose((rate(state, u, bump) - rate(state, u, -bump)) / 2, E[:, k], atol=1e-7)
-    assert C.shape == (3, 10)
-
-
 def test_a_saved_plant_is_the_same_plant() -> None:
     plant, state, p = at_rest("generalized")
     again = sc.Plant.from_json(plant.to_json())

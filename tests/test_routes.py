@@ -16,9 +16,8 @@ from servocore.numerics.compiled_calls import Array
 from servocore.solvers.adaptive import ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise
-from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.fixed_step import FixedStep, StateSelection
 from servocore.solvers.solve import chosen_route
-from servocore.solvers.state_selection import StateSelection
 
 CAR, CRANE = scene("mass_on_car"), scene("overhead_crane")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -33,25 +32,27 @@ from scipy.interpolate import make_interp_spline
 from suite import FlatModelSuite, ModelSuite, ProblemSuite, ProjectedModelSuite, SceneSuite
 
 import servocore as sc
-from servocore import formulations
 from servocore.numerics.compiled_calls import Array
 
 
-def exported_implementations(package: ModuleType, action: str) -> set[str]:
-    """Names of the classes with some action that a package offers, without protocols and the values they exchange."""
-    classes = (getattr(package, name) for name in package.__all__)
+def exported_implementations(room: str) -> set[str]:
+    """Names of the public classes of a room that are named, without protocols and the values they exchange."""
+    classes = (getattr(sc, name) for name in sc.__all__)
     return {
         each.__name__
         for each in classes
-        if isinstance(each, type) and not getattr(each, "_is_protocol", False) and hasattr(each, action)
+        if isinstance(each, type)
+        and each.__module__.startswith(f"servocore.{room}.")
+        and not getattr(each, "_is_protocol", False)
+        and hasattr(each, "name")
     }
 
 
 def test_everything_exported_is_registered_here() -> None:
     """A newcomer must take its line in `problems`, and with it the whole suite."""
     assert set(SCENES) == set(sc.scenes.REGISTRY)
-    assert {type(each.formulation).__name__ for each in FORMULATIONS} == exported_implementations(formulations, "dae")
-    assert {type(each.method).__name__ for each in METHODS} == exported_implementations(sc, "discretise")
+    assert {type(each.formulation).__name__ for each in FORMULATIONS} == exported_implementations("formulations")
+    assert {type(each.method).__name__ for each in METHODS} == exported_implementations("methods")
 
 
 def test_only_what_is_shown_to_fail_is_kept_out_of_the_suite() -> None:

@@ -217,26 +217,3 @@ def test_names_of_constraints_are_as_many_as_constraints() -> None:
 def test_as_many_outputs_as_inputs_are_needed() -> None:
     with pytest.raises(sc.InvalidModel, match="2 inputs cannot prescribe 1 outputs"):
         changed(actuated_chain(), outputs=(sc.Quantity("y1", "m"),))
-
-
-def test_dependent_holonomic_constraints_are_refused_where_they_are() -> None:
-    system = redundant_pendulum()
-    twice = changed(
-        redundant_pendulum("x"),
-        constraints=ca.vertcat(system.q[0], 2 * system.q[0]),
-        coordinates=system.coordinates,
-        output=system.q[1],
-        potential=ca.SX(0),
-        gyroscopic=ca.SX.zeros(3),
-    )
-    with pytest.raises(sc.InvalidModel, match=r"the 2 holonomic constraints are dependent here \(rank 1 of 2\)"):
-        twice.require_full_rank(np.zeros(3), twice.parameters.values())
-
-
-def test_servo_outputs_that_the_constraints_fix_already_are_refused() -> None:
-    """Hanging straight down, the pendulum cannot be moved along z."""
-    system = redundant_pendulum("z")
-    p = system.parameters.values()
-    system.require_full_rank(np.array([1.0, -1.1, 0.7]), p)
-    with pytest.raises(sc.InvalidModel, match=r"servo outputs and 2 holonomic constraints are dependent here"):
-        system.require_full_rank(np.array([0.0, -1.5, 0.0]), p)

@@ -23,7 +23,8 @@ import servocore as sc
 from benchmarks.chart.candidate import Array, Problem
 from benchmarks.chart.paths import path_jet, straight
 from servocore import RadauIIA
-from servocore.formulations import Projected, Reduced
+from servocore.formulations.projected import Projected
+from servocore.formulations.reduced import Reduced
 from servocore.model.system import MechanicalSystem
 from servocore.solvers.fixed_step_loop import run_steps
 from servocore.stepping.compilation import prescribed_start_of, program_of

@@ -24,7 +24,6 @@ from servocore.errors import ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.methods.damping import damps
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
@@ -223,11 +222,12 @@ def changes_with_the_step(
     Collocation on a form of index one needs no such run where its stable result is smooth from instant to instant.
     """
     index, t = problem.dae(formulation).index, solution.t
-    order, steps = method.orders(index).forces, len(t) - 1
+    orders, steps = method.orders(index), len(t) - 1
+    order = orders.forces
     factor = _COARSER if steps < _LONG else 2 * _COARSER
     if index <= 1 and isinstance(method, RadauIIA) and order > 1 and _is_smooth(solution.values):
         return False
-    if steps < _SHORT or order < 1 or (index > 1 and not damps(method)):
+    if steps < _SHORT or order < 1 or (index > 1 and not orders.damped):
         return True
     inputs = slice(len(problem.system.inputs))
     try:

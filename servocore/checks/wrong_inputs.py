@@ -16,9 +16,8 @@ import numpy.typing as npt
 from servocore.errors import ServocoreWarning
 from servocore.formulations.base import Formulation
 from servocore.formulations.original import Original
-from servocore.methods.base import Method
+from servocore.methods.base import Method, errs_less_with_smaller_steps
 from servocore.methods.collocation import RadauIIA
-from servocore.methods.damping import errs_less_with_smaller_steps
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem

@@ -23,11 +23,15 @@ class Orders:
         Of q and v.
     forces : int
         Of multipliers and inputs.
+    damped : bool
+        Whether errors of the forces die out from step to step on forms of index two and three. Where they do not,
+        advice is not to take smaller steps.
     """
 
     positions: int
     velocities: int
     forces: int
+    damped: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,6 +169,11 @@ class Method(Protocol):
         Discretisation
             With the symbols of one step.
         """
+
+
+def errs_less_with_smaller_steps(method: Method, index: int) -> bool:
+    """Whether smaller steps help on forms of an index: above 3, or above 1 undamped, errors grow with them."""
+    return index <= 1 or (index <= 3 and method.orders(index).damped)
 
 
 def differenced(dae: Dae, start: Start, h: ca.SX, alpha: list[float]) -> ca.SX:

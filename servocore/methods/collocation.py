@@ -151,12 +151,12 @@ class Gauss(_Collocation):
         """Return the orders of convergence on a form of the given index."""
         s = self.stages
         if index <= 1:
-            return Orders(2 * s, 2 * s, s + s % 2)
+            return Orders(2 * s, 2 * s, s + s % 2, damped=False)
         if index > 3:
             lost = index - 3
             forces = -lost if s % 2 else s - 4 - 2 * lost
-            return Orders(forces + 2, forces + 1, forces)
-        return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4)
+            return Orders(forces + 2, forces + 1, forces, damped=False)
+        return Orders(s, s - 1, max(2, s - 1) if s % 2 else s - 4, damped=False)
 
 
 def _discretize(dae: Dae, method: Tableau) -> Discretisation:

@@ -51,7 +51,7 @@ class GeneralizedAlpha:
 
     def orders(self, index: int) -> Orders:  # noqa: ARG002 - the same on every form up to index 3
         """Return the orders of convergence on a form of the given index."""
-        return Orders(2, 2, 2)
+        return Orders(2, 2, 2, damped=self.rho < 1.0)
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step; raises `InvalidModel` if x is not made of pairs (q, v)."""

@@ -31,8 +31,8 @@ class Trapezoidal:
         """Return the orders of convergence on a form of the given index, where nothing disturbs the method."""
         if index > 3:
             # Every index above 3 costs an order; a negative one means errors that grow as steps fall.
-            return Orders(5 - index, 4 - index, 3 - index)
-        return Orders(2, 2, 2)
+            return Orders(5 - index, 4 - index, 3 - index, damped=False)
+        return Orders(2, 2, 2, damped=False)
 
     def discretise(self, dae: Dae) -> Discretisation:
         """Return the equations of one step."""

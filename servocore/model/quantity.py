@@ -24,10 +24,12 @@ class Quantity:
         True for an angle computed by atan2: a trajectory of it is made continuous.
     positive : bool
         True for what the equations hold only the square of: a negative value belongs to another branch, on which a
-        step that is too large may land. And for the tension of a rope, which cannot push.
+        step that is too large may land.
     nonnegative : bool
         True for what is never negative by definition, such as the angle from a direction: one number as its limit is an
         upper one. Nothing is checked.
+    tension : bool
+        True for the force in a rope, which cannot push: it is `positive` then, whatever the step.
     """
 
     name: str
@@ -37,6 +39,10 @@ class Quantity:
     wraps: bool = False
     positive: bool = False
     nonnegative: bool = False
+    tension: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positive", self.positive or self.tension)
 
     @property
     def magnitude(self) -> float:
@@ -51,6 +57,6 @@ class Quantity:
     @property
     def wrong_sign(self) -> str:
         """What to say of a value that is not positive, behind it."""
-        if self.unit == "N":
+        if self.tension:
             return "it must stay positive: a rope cannot push"
         return "on another branch of the equations than the one wanted"

@@ -23,8 +23,7 @@ from servocore.errors import InvalidModel, require_kind
 from servocore.model.model_validation import require_sound, written
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Coordinates, Parameters, numbers, quantities_of, symbols
-from servocore.model.system_fields import clock, home_names, require_freedom, require_independent_rows, require_shapes
-from servocore.model.velocity_dependence import require_positions
+from servocore.model.system_fields import clock, home_names, require_freedom, require_positions, require_shapes
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.constraint_ranks import ConstraintRank, constraint_rank
 from servocore.numerics.expressions import as_expression, expressions_of, gyroscopic_forces
@@ -380,20 +379,3 @@ class MechanicalSystem:
                 f" {self.home}; give a home where they are not"
             )
         return columns
-
-    def require_full_rank(self, q: Array, p: Array) -> None:
-        """Refuse a configuration where rows of G, or of G and C together, are dependent.
-
-        Parameters
-        ----------
-        q, p : ndarray
-            Configuration, shape (n,), and parameter values, shape (n_p,), in the units of the model.
-
-        Raises
-        ------
-        InvalidModel
-            If they are; the sentence has their rank.
-        """
-        at_home = ca.substitute(self.G, self.time, ca.SX.zeros(self.time.shape))
-        jacobians = ca.Function("jacobians", [self.q, self.p], [at_home, self.C])
-        require_independent_rows(self.name, *(np.asarray(matrix) for matrix in jacobians(q, p)))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import casadi as ca
-import numpy as np
 
 from servocore.errors import InvalidModel, require_kind
-from servocore.numerics.compiled_calls import Array
 
 _SYMBOLS = ("multipliers", "gamma", "u")
+
+_Named = tuple[Sequence[str], ca.SX]
 
 
 def require_shapes(name: str, expressions: Mapping[str, ca.SX], shapes: Mapping[str, tuple[int, int]]) -> None:
@@ -36,18 +36,6 @@ def require_freedom(name: str, n: int, m: int, rows: int, rank: int, *, assemble
         )
 
 
-def require_independent_rows(name: str, G: Array, C: Array) -> None:
-    """Refuse Jacobians of constraints (m_h, n) and outputs (m, n) whose rows are dependent."""
-    m_h, m = len(G), len(C)
-    for matrix, rows, what in (
-        (G, m_h, f"the {m_h} holonomic constraints are"),
-        (np.vstack([G, C]), m_h + m, f"the {m} servo outputs and {m_h} holonomic constraints are"),
-    ):
-        rank = int(np.linalg.matrix_rank(matrix)) if rows else 0
-        if rank < rows:
-            raise InvalidModel(f"{name}: {what} dependent here (rank {rank} of {rows})")
-
-
 def home_names(outputs: Sequence[str], time: ca.SX, home: object) -> tuple[str, ...]:
     """Return names of the entries of home: the time is the last one in a system that is made from another."""
     again = ca.SX(time).numel() == 1 and isinstance(home, tuple) and len(home) == len(outputs) + 1
@@ -68,3 +56,42 @@ def clock(name: str, time: ca.SX, gamma: ca.SX, home: tuple[float, ...], m: int)
     if len(home) == m:
         fields["home"] = (*home, 0.0)
     return fields
+
+
+def require_positions(system: str, v: ca.SX, outputs: _Named, constraints: _Named) -> None:
+    """Raise `InvalidModel` if outputs or constraints hold velocities, with what can be done instead.
+
+    Parameters
+    ----------
+    system : str
+        Name for messages.
+    v : casadi.SX
+        Velocities.
+    outputs, constraints : sequence of names, and casadi.SX
+        What the rows are called, and the rows.
+    """
+    for name, expression in _rows(*outputs):
+        velocities = _listed(expression, v)
+        if velocities:
+            raise InvalidModel(
+                f"{system}: the output {name} depends on velocities ({velocities}), but a servo constraint prescribes a"
+                " function of the coordinates alone; where the output is the rate of such a function, prescribe that"
+                " function, along the integral of the path"
+            )
+    for name, expression in _rows(*constraints):
+        velocities = _listed(expression, v)
+        if velocities:
+            raise InvalidModel(
+                f"{system}: the constraint {name} depends on velocities ({velocities}), and nonholonomic constraints"
+                " are not solved; give its integral if it has one (rolling along a line has), or let a force f(q, v)"
+                " oppose what it forbids"
+            )
+
+
+def _rows(names: Sequence[str], column: ca.SX) -> list[tuple[str, ca.SX]]:
+    return list(zip(names, ca.vertsplit(ca.SX(column)), strict=False))
+
+
+def _listed(expression: ca.SX, v: ca.SX) -> str:
+    """Names of the velocities that an expression depends on."""
+    return ", ".join(str(v[int(k)]) for k in sorted(set(ca.jacobian_sparsity(expression, v).get_col())))

@@ -24,8 +24,8 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
+from servocore.numerics.components import IsomorphicParts, isomorphic_parts
 from servocore.numerics.expressions import constants_kept, largest
-from servocore.numerics.isomorphic_parts import IsomorphicParts, isomorphic_parts
 from servocore.numerics.known_values import KnownValues, substituted
 from servocore.numerics.linear_solutions import small_inverse_times, symbolic_solution
 from servocore.numerics.step_operations import without_jumps

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed
+from servocore.errors import InvalidSetting, LimitBroken, PlanningFailed, require_callable
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene, require_scene, within_limits
 from servocore.planning.certificate import certify
@@ -33,7 +33,6 @@ from servocore.references.base import Reference
 from servocore.references.piecewise import PiecewisePolynomial
 from servocore.references.profiles import three_phase
 from servocore.references.timed_path import TimedPath
-from servocore.stepping.argument_checks import require_callable
 
 _THIN = 0.4  # of the way, by the intervals: a thinner body may lie between two places at which the solver looks
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
 from servocore.checks.limits import require_feasible
-from servocore.errors import InvalidSetting, ServocoreError, described, require_count, require_kind
+from servocore.errors import InvalidSetting, ServocoreError, described, require_callable, require_count, require_kind
 from servocore.model.limits import Bounds
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
@@ -31,7 +31,6 @@ from servocore.planning.worker_pools import PoolLost, pool_of
 from servocore.references.base import Reference
 from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.solve import solve
-from servocore.stepping.argument_checks import require_callable
 
 Progress = Callable[[int, int], None]
 

@@ -74,11 +74,6 @@ class Bar(Chain):
         return [x + displacement for x, displacement in zip(rest, super().places(v), strict=True)]
 
 
-def wave_time(parameters: Mapping[str, float]) -> float:
-    """Return L/c, the time in s that a wave needs from one end of the bar to the other."""
-    return parameters["length"] * float(np.sqrt(parameters["line_mass"] / parameters["axial_stiffness"]))
-
-
 def dalembert(
     t: Array, reference: Reference, parameters: Mapping[str, float], section: float | None = None
 ) -> dict[str, Array]:

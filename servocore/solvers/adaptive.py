@@ -18,8 +18,8 @@ from servocore.methods.base import Method
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import First, Progress, Run, first_state, joined_runs, run_steps, step_of
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.fixed_step_loop import First, Progress, first_state, run_steps, step_of
+from servocore.solvers.results import Run, Segment, joined_runs, solution_of
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.program import Program
 

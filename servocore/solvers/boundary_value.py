@@ -23,8 +23,8 @@ from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, Run, step_of
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.fixed_step_loop import Progress, step_of
+from servocore.solvers.results import Run, Segment, solution_of
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization

@@ -30,8 +30,8 @@ from servocore.solvers.branch_continuation import (
     prepared_table,
     require_followed,
 )
-from servocore.solvers.fixed_step_loop import Progress, Run, run_steps, step_failure, step_of
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
+from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.observation import compile_observation

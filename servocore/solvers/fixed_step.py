@@ -1,17 +1,40 @@
-"""Steps of constant size, one from each instant to the next."""
+"""Runs at constant step, on the reduced form with states that are chosen again where they become a bad choice.
+
+States of internal dynamics are picked from redundant variables by pivoting at one configuration. A pendulum given by
+its x and y, say, starts with x as state; where it hangs level, x no longer determines y. The run is watched, cut
+there, and continued with other states from the same values.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
-from servocore.numerics.compiled_calls import Array
+from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, run_steps
+from servocore.solvers.fixed_step_loop import (
+    Progress,
+    advance_chunk,
+    chunk_length,
+    first_state,
+    run_steps,
+    step_failure,
+    step_of,
+)
 from servocore.solvers.results import Segment, solution_of
-from servocore.stepping.compilation import prescribed_start_of, program_of
+from servocore.stepping.compilation import compile_restart_of, prescribed_start_of, program_of
+from servocore.stepping.program import Program
+from servocore.structure.derivative_array import DerivativeArray, choose_states
+from servocore.structure.inversion import system_jacobian
+
+_POOR = 0.1  # of the smallest singular value that all candidates together have
+
+States = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
@@ -35,3 +58,113 @@ class FixedStep:
         first = prescribed_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, first, progress))])
+
+
+@dataclass(frozen=True)
+class StateSelection:
+    """Fixed steps of the reduced form, with other states wherever the chosen ones become a bad choice.
+
+    Parameters
+    ----------
+    formulation : Reduced
+        With the states to begin with.
+    method : Method
+        How the internal dynamics are stepped.
+    native : bool, optional
+        Whether as machine code; in the background where there is much to do when not given.
+    """
+
+    formulation: Reduced
+    method: Method
+    native: bool | None = None
+
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Step a reduced form with internal dynamics through the instants; see `Route`.
+
+        Raises
+        ------
+        IntegrationFailed
+            If a step is not solved and no other choice of states helps.
+        """
+        formulation, step, count = self.formulation, step_of(times), len(times) - 1
+        program = program_of(problem, formulation, self.method, self.native, len(times))
+        state, _ = first_state(problem, program, step, prescribed_start_of(formulation, self.method))
+        length, segments = chunk_length(count), list[Segment]()
+        at, restarted_at = 0, -1
+        while at < count:
+            part, complete = advance_chunk(problem, program, times[at : at + length + 1], step, state, length)
+            array = formulation.array(problem.system)
+            values = _array_values(array, part.states)
+            good, better = _watch(problem, array, times[at : at + values.shape[1]], values)
+            if better is None and not complete:
+                better = _best_states(problem, array, times[at + good], values[:, good])
+                # Without this a run would restart at the same instant for ever.
+                if better == array.states or restarted_at == at:
+                    raise step_failure(problem, program, part.states[:, good], times[at + good], step)
+            reached = replace(part, states=part.states[:, : good + 1])
+            segments.append(Segment(program, times[at : at + good + 1], reached))
+            at, state = at + good, part.states[:, good]
+            if better is not None and at < count:
+                restarted_at = at
+                formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
+                program = program_of(problem, formulation, self.method, self.native, len(times))
+                state = self._restarted(problem, program, formulation, float(times[at]), step, values[:, good])
+            if progress is not None:
+                progress(at, count)
+        return solution_of(problem, segments)
+
+    def _restarted(
+        self, problem: Problem, program: Program, formulation: Reduced, time: float, step: float, values: Array
+    ) -> Array:
+        """Return the state of a program at a time where all unknowns of the derivative array are known."""
+        instants = time + step * np.array(program.start_instants)
+        gamma = problem.reference.jet(instants, program.start_order)
+        restart = problem.resolved.once(compile_restart_of, formulation, self.method, program.start_order)
+        return restart(values, side_by_side(gamma), step, problem.p)[0]
+
+
+def _array_values(array: DerivativeArray, states: Array) -> Array:
+    """Unknowns of the derivative array (unknowns, N), from states that begin with [x; z] of the reduced form."""
+    entries = (*array.states, *array.determined)
+    return states[[entries.index(unknown) for unknown in array.unknowns]]
+
+
+def _watch(problem: Problem, array: DerivativeArray, t: Array, values: Array) -> tuple[int, States | None]:
+    """Return the first instant at which other states are much better, and these; or the last instant and None."""
+    J = _jacobians(problem, t, values)
+    for k in np.flatnonzero(_quality(array, J) < _POOR):
+        better = choose_states(array.signature, J[k])
+        # A change at the first instant of a chunk would gain no step.
+        if k > 0 and better != array.states:
+            return int(k), better
+    return values.shape[1] - 1, None
+
+
+def _best_states(problem: Problem, array: DerivativeArray, time: float, values: Array) -> States:
+    return choose_states(array.signature, _jacobians(problem, np.array([time]), values[:, None])[0])
+
+
+def _quality(array: DerivativeArray, J: Array) -> Array:
+    """Smallest singular value of the chosen columns relative to that of all candidates, over all levels; shape (N,)."""
+    c, d = array.signature.equation_offsets, array.signature.variable_offsets
+    # Rows of one size: units must not decide which states are good.
+    scaled = J / np.maximum(np.abs(J).max(axis=2, keepdims=True), 1e-300)
+    worst = np.ones(len(J))
+    for level in range(1, max(d) + 1):
+        rows = [i for i in range(len(c)) if c[i] >= level]
+        candidates = [j for j in range(len(d)) if d[j] >= level]
+        chosen = [j for j in candidates if (j, d[j] - level) not in array.states]
+        if rows and len(chosen) < len(candidates):
+            # Derivatives that are no states are solved for: their columns must stay far from singular.
+            present, best = (
+                np.linalg.svd(scaled[:, rows][:, :, k], compute_uv=False)[:, -1] for k in (chosen, candidates)
+            )
+            worst = np.minimum(worst, np.divide(present, best, out=np.zeros(len(J)), where=best > 0.0))
+    return worst
+
+
+def _jacobians(problem: Problem, t: Array, values: Array) -> Array:
+    """Return the system Jacobian (N, size, size) for unknowns of the derivative array (unknowns, N) at instants."""
+    jets, size = problem.reference.jet(t, problem.array.reference_order), len(problem.array.names)
+    (jacobians,) = at_instants(problem.resolved.once(system_jacobian), values, jets=jets, p=problem.p)
+    return jacobians.reshape(size, len(t), size).transpose(1, 0, 2)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from servocore.checks.impulses import has_jumps
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
+from servocore.solvers.results import Run, joined_runs
 from servocore.stepping.program import Program
 
 Progress = Callable[[int, int], None]
@@ -21,26 +22,6 @@ First = Callable[[Problem, Array, float, int], tuple[Array, float]]
 
 CHUNK = 512
 """Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """States at all instants and what they took.
-
-    Attributes
-    ----------
-    states : ndarray, shape (size, N + 1)
-        The first column is the consistent start.
-    newton_iterations, factorisations : int
-        Totals.
-    worst_residual : float
-        Largest of all steps.
-    """
-
-    states: Array
-    newton_iterations: int
-    factorisations: int
-    worst_residual: float
 
 
 def first_state(problem: Problem, program: Program, step: float, first: First) -> tuple[Array, float]:
@@ -107,16 +88,6 @@ def step_of(t: Array) -> float:
 def chunk_length(count: int) -> int:
     """Return how many of `count` steps go into one compiled loop, so that all loops are of one length."""
     return -(-count // -(-count // CHUNK))
-
-
-def joined_runs(parts: list[Run]) -> Run:
-    """Put runs of the same program one after the other."""
-    return Run(
-        np.hstack([part.states for part in parts]),
-        sum(part.newton_iterations for part in parts),
-        sum(part.factorisations for part in parts),
-        max(part.worst_residual for part in parts),
-    )
 
 
 def advance_chunk(

@@ -14,11 +14,40 @@ from servocore.errors import IntegrationFailed
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solution import Solution, Statistics
-from servocore.solvers.fixed_step_loop import Run
 from servocore.stepping.program import Program
 
 _DIFFERENCES, _FEWEST_FOR_NOISE = 8, 32
 _NORMAL_MEDIAN = 0.6745  # of the magnitude of a normal variable with deviation one
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """States at all instants and what they took.
+
+    Attributes
+    ----------
+    states : ndarray, shape (size, N + 1)
+        The first column is the consistent start.
+    newton_iterations, factorisations : int
+        Totals.
+    worst_residual : float
+        Largest of all steps.
+    """
+
+    states: Array
+    newton_iterations: int
+    factorisations: int
+    worst_residual: float
+
+
+def joined_runs(parts: list[Run]) -> Run:
+    """Put runs of the same program one after the other."""
+    return Run(
+        np.hstack([part.states for part in parts]),
+        sum(part.newton_iterations for part in parts),
+        sum(part.factorisations for part in parts),
+        max(part.worst_residual for part in parts),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from servocore.checks.before_run import require_smooth
 from servocore.checks.impulses import require_no_jumps, stepped_quantities
 from servocore.checks.redundant_constraints import require_redundant_constraints
-from servocore.errors import InconsistentStart, InvalidSetting, described
+from servocore.errors import InconsistentStart, InvalidSetting, described, require_callable, require_real
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call, at_instants
@@ -20,7 +20,6 @@ from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
 from servocore.solvers.forward_integration import Tolerance, integrated
 from servocore.solvers.input_functions import CheckedInputs, Inputs, interpolated, rising_times, values_at
-from servocore.stepping.argument_checks import require_callable, require_number
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.stepping.observation import observed, violations_of
 from servocore.stepping.prescribed_initial_values import with_initial_values
@@ -98,7 +97,7 @@ def simulate(
     require_scene(scene, "simulate")
     problem = Problem.of(scene, model, start)
     for what, value in (("rtol", rtol), ("atol", atol), ("time_limit", time_limit if time_limit is not None else 1.0)):
-        require_number(value, what, "a positive number")
+        require_real(value, what, "a positive number", InvalidSetting)
         if not 0.0 < value < float("inf"):
             raise InvalidSetting(f"{what} must be positive and finite, not {value}")
     if rtol < _SMALLEST_RTOL:
@@ -122,7 +121,7 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
         raise InvalidSetting(
             f"a forward simulation with a step of its own goes by EnergyMomentum(), not by {described(method)}"
         )
-    require_number(step, "the step of the energy-momentum scheme", "a time in s")
+    require_real(step, "the step of the energy-momentum scheme", "a time in s", InvalidSetting)
     scheme_of(problem, method)  # first of all: what cannot be conserved needs no start
     start = _initial_state(problem, float(t[0]))
     motion = conserved_motion(problem, method, start, inputs, t, float(step or 0.0))

@@ -23,7 +23,7 @@ from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dyna
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
 from servocore.checks.redundant_constraints import require_redundant_constraints
-from servocore.errors import InvalidSetting
+from servocore.errors import InvalidSetting, require_callable, require_formulation, require_method, require_real
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
@@ -36,17 +36,15 @@ from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise, compile_inputs
-from servocore.solvers.fixed_step import FixedStep
+from servocore.solvers.fixed_step import FixedStep, StateSelection
 from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.route import Route
-from servocore.solvers.state_selection import StateSelection
 from servocore.solvers.warm_start import inversion_near, perturbed_inversion, unknowns_near
 from servocore.solvers.within_limits import (
     check_between_instants,
     require_no_impulses,
     run_within_limits,
 )
-from servocore.stepping.argument_checks import require_callable, require_formulation, require_method, require_number
 from servocore.stepping.prescribed_initial_values import require_start
 from servocore.structure.inversion import inversion
 
@@ -177,9 +175,9 @@ def _require_arguments(
     if method is not None:
         require_method(method)
     if step is not None and not isinstance(step, Adaptive):
-        require_number(step, "the step", "a time in s or Adaptive(...)")
+        require_real(step, "the step", "a time in s or Adaptive(...)", InvalidSetting)
     if output_step is not None:
-        require_number(output_step, "the output step", "a time in s")
+        require_real(output_step, "the output step", "a time in s", InvalidSetting)
         if not isinstance(step, Adaptive):
             raise InvalidSetting("an output step of its own goes with error control; without it every step is reported")
     if progress is not None:

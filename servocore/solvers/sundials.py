@@ -14,8 +14,8 @@ from servocore.numerics.compiled_calls import Array, Call, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.formula import Formula
 from servocore.solution import Solution
-from servocore.solvers.fixed_step_loop import Progress, Run, first_state, step_of
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
+from servocore.solvers.results import Run, Segment, solution_of
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.inversion import inversion
 

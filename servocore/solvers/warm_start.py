@@ -14,8 +14,8 @@ from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.branch_continuation import CONTINUOUS, Branch, on_one_branch
-from servocore.solvers.fixed_step_loop import Run, run_steps
-from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.fixed_step_loop import run_steps
+from servocore.solvers.results import Run, Segment, solution_of
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.inversion import inversion
 

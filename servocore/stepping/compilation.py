@@ -10,8 +10,7 @@ import casadi as ca
 from servocore.dae import Dae
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Discretisation, Method, instantaneous
-from servocore.methods.damping import errs_less_with_smaller_steps
+from servocore.methods.base import Discretisation, Method, errs_less_with_smaller_steps, instantaneous
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.just_in_time import JustInTime, in_machine_code

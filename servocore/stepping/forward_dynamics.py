@@ -58,10 +58,6 @@ def compile_plant(system: MechanicalSystem) -> Plant:
     channels, observed = _observed(system)
     x_dot, lam, _ = rate(state, u, d, p)
     held_dot, held_lam, held_u = held_rate(state, d, p)
-    output = ca.Function("sc_plant_output", [ca.vertcat(system.q, system.v), system.p], [system.output])
-    jacobians = [ca.densify(ca.jacobian(x_dot, argument)) for argument in (state, u, d)]
-    by_state = ca.densify(ca.jacobian(output(state, p), state))
-    linear = ca.Function("sc_plant_jacobians", [state, u, d, p], [*jacobians, by_state])
     return Plant(
         name=system.name,
         step=ca.Function("sc_plant_step", [state, u, slope, d, p, h], [free]),
@@ -70,7 +66,6 @@ def compile_plant(system: MechanicalSystem) -> Plant:
         held_observe=ca.Function(
             "sc_plant_held_observe", [state, d, p], [observed(state, held_dot[n:], held_lam, held_u, d, p)]
         ),
-        linearise=ca.Function("sc_plant_linearize", [state, u, p], list(linear(state, u, ca.DM.zeros(m), p))),
         channels=channels,
         parameters=system.parameters.names,
     )
@@ -168,7 +163,6 @@ def _observed(system: MechanicalSystem) -> tuple[tuple[Quantity, ...], ca.Functi
     d, n = ca.MX.sym("d", len(system.outputs)), q.numel()
     more = [force(state[:n], state[n:], rate, u, d, p) for force in reactions.values()]
     everything = ca.vertcat(function(state, rate, lam, u, p), *more)
-    return (
-        (*(channel for channel, _ in unique.values()), *(replace(channel, positive=False) for channel in reactions)),
-        ca.Function("sc_plant_channels", [state, rate, lam, u, d, p], [everything]),
-    )
+    known = [channel for channel, _ in unique.values()]
+    allowed = [replace(channel, positive=False, tension=False) for channel in reactions]
+    return (*known, *allowed), ca.Function("sc_plant_channels", [state, rate, lam, u, d, p], [everything])

@@ -14,8 +14,8 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.serialization import from_json, to_json
 
-_FUNCTIONS = ("step", "held_step", "observe", "held_observe", "linearise")
-_FORMAT = "servocore plant 2"  # rises when a field changes: a file of another kind is refused, not misread
+_FUNCTIONS = ("step", "held_step", "observe", "held_observe")
+_FORMAT = "servocore plant 3"  # rises when a field changes: a file of another kind is refused, not misread
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,9 +34,6 @@ class Plant:
         (state, u, d, p) -> values of the channels.
     held_observe : casadi.Function
         (state, d, p) -> the same with the inputs held.
-    linearise : casadi.Function
-        (state, u, p) -> Jacobians of the rate of the state by state, inputs and disturbance, at d = 0, and of the
-        servo output by state.
     channels : tuple of Quantity
         Outputs with first (``_dot``) and second (``_ddot``) derivative, coordinates with first derivative,
         observables, inputs, ``energy``.
@@ -49,7 +46,6 @@ class Plant:
     held_step: ca.Function
     observe: ca.Function
     held_observe: ca.Function
-    linearise: ca.Function
     channels: tuple[Quantity, ...]
     parameters: tuple[str, ...]
     _calls: dict[str, Call] = field(init=False, repr=False)
@@ -129,28 +125,6 @@ class Plant:
         # before is kept: after an input jumps, its channels jump as well.
         observed = self._calls["held_observe"](state, d, p) if u is None else self._calls["observe"](state, u, d, p)
         return dict(zip((channel.name for channel in self.channels), map(float, observed[0]), strict=True))
-
-    def linearised(self, state: Array, u: Array, p: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the Jacobians of the rate by state, inputs and disturbance, and of the servo output by state.
-
-        Parameters
-        ----------
-        state : ndarray, shape (2 n,)
-            (q, v).
-        u : ndarray, shape (m,)
-            Inputs in their units.
-        p : ndarray
-            Parameters.
-
-        Returns
-        -------
-        tuple of ndarray
-            Of shapes (2 n, 2 n), (2 n, m), (2 n, m) and (m, 2 n).
-        """
-        n = len(state)
-        # A matrix of one column comes back as a vector: with a single input or output the products would have no shape.
-        by_state, by_input, by_disturbance, output = self._calls["linearise"](state, u, p)
-        return by_state.reshape(n, n), by_input.reshape(n, -1), by_disturbance.reshape(n, -1), output.reshape(-1, n)
 
     def to_json(self) -> str:
         """Serialize, with the functions in CasADi's own format.

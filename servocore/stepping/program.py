@@ -249,7 +249,7 @@ class Program:
         for channel, value in zip(self.channels, values, strict=True):
             # Newton's method may land on a mirror image, such as a rope that pushes; only signs tell.
             if channel.positive and not value > 0.0:
-                helps = channel.unit != "N" and self.smaller_steps_help
+                helps = self.smaller_steps_help and not channel.tension
                 cure = "; a smaller step keeps to its own" if helps else ""
                 raise IntegrationFailed(
                     f"{self.name}: at t = {time:.6g} s {channel.name} is {value:.4g} {channel.unit},"

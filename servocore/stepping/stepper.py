@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from servocore.errors import InvalidReference, InvalidSetting
+from servocore.errors import InvalidReference, InvalidSetting, require_formulation, require_method, require_real
 from servocore.formulations.base import Formulation
 from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
@@ -14,7 +14,6 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
-from servocore.stepping.argument_checks import require_formulation, require_method, require_number
 from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program, StepReport
 
@@ -59,7 +58,7 @@ class Stepper:
         require_scene(self.scene, "Stepper")
         require_formulation(self.formulation)
         require_method(self.method, routes=False)
-        require_number(self.step, "the step", "a time in s")
+        require_real(self.step, "the step", "a time in s", InvalidSetting)
         if not 0.0 < self.step < float("inf"):
             raise InvalidSetting(f"the step must be positive and finite, not {self.step} s")
         problem = Problem.of(self.scene, self.model)

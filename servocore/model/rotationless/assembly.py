@@ -233,10 +233,10 @@ class Assembly:
             same = [quantity for quantity, value in with_tensions.items() if self._equal(value, tension, lam)]
             for each in same:
                 with_tensions = {
-                    replace(k, positive=True) if k == each else k: value for k, value in with_tensions.items()
+                    replace(k, tension=True) if k == each else k: value for k, value in with_tensions.items()
                 }
             if not same:
-                with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", positive=True)] = tension
+                with_tensions[Quantity(f"{name}.tension", "N", f"tension of {name}", tension=True)] = tension
         return with_tensions
 
     def _equal(self, one: ca.SX, other: ca.SX, lam: Mapping[str, ca.SX]) -> bool:

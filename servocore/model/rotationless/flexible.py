@@ -12,7 +12,6 @@ from itertools import pairwise
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from servocore.errors import InvalidModel, require_count, require_kind
 from servocore.model.potentials import Energy
@@ -25,7 +24,6 @@ from servocore.model.rotationless.parts import (
     number,
     orthonormality,
     position_quantities,
-    turned,
 )
 from servocore.model.symbols import Parameters
 
@@ -143,18 +141,6 @@ class Beam:
     def pieces(self, value: Any) -> list[Any]:
         """Return what a configuration gives, (position, directors) of every node, one after the other."""
         return [piece for node in value for piece in node]
-
-    def unstrained(self, place: Frame) -> list[tuple[ca.SX, ca.SX]]:
-        """Return the configuration without strains that begins at a frame: (position, directors) of every node."""
-        step, curved = self.length / self.elements, float(np.linalg.norm(self.curvature))
-        turn: Any = turned(self.curvature, ca.asin(curved * step)) if curved else ca.SX.eye(3)
-        nodes = [(place.origin, place.directors)]
-        for _ in range(self.elements):
-            origin, directors = nodes[-1]
-            after = ca.mtimes(directors, turn)
-            middle = (directors + after) / 2
-            nodes.append((origin + step * ca.solve(middle.T, ca.SX([0, 0, 1])), after))
-        return nodes
 
     def check(self, parameters: Parameters) -> None:
         """Raise `InvalidModel` if a length, mass or stiffness is impossible at default parameters."""
