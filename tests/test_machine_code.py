@@ -27,7 +27,7 @@ from servocore.numerics.vector_code import vector_source
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.solvers import taylor as taylor_module
-from servocore.solvers.exact_inversion import compile_inputs
+from servocore.solvers.exact_inversion import input_evaluation
 from servocore.solvers.taylor import Taylor
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
@@ -334,8 +334,8 @@ def test_an_inversion_becomes_machine_code_from_the_second_call_on_and_keeps_its
     inputs(t)
     BACKGROUND.wait()
     np.testing.assert_array_equal(inputs(t), first)
-    quick = Problem.of(crane).resolved.once(compile_inputs, None).by_expression
-    assert quick.ready(Problem.of(crane), len(t))
+    problem = Problem.of(crane)
+    assert input_evaluation(problem, None).by_expression.ready(problem, len(t))
 
 
 @pytest.mark.usefixtures("compiler", "own_cache")

@@ -19,7 +19,7 @@ import servocore as sc
 from benchmarks.chart.candidate import OUTPUT_INTERVALS, Array
 from benchmarks.chart.timing import processor_time
 from servocore.numerics.compiled_calls import Call, side_by_side
-from servocore.solvers.exact_inversion import compile_inputs
+from servocore.solvers.exact_inversion import input_evaluation
 
 _INSIDE = ("run", "solution_of")  # looked into, rather than named
 _SMALLEST_SHARE = 0.02
@@ -72,7 +72,7 @@ def functions_of(scene: sc.Scene, model: str, steps: int = OUTPUT_INTERVALS) -> 
     problem = sc.Problem.of(scene, model)
     t = np.linspace(scene.reference.start_time, scene.reference.end_time, steps + 1)[1:]
     jets = scene.reference.jet(t, problem.array.reference_order)
-    functions = compile_inputs(problem.resolved, False).by_expression.function.map(
+    functions = input_evaluation(problem, False).by_expression.function.map(
         f"sc_{model}_inputs", "serial", steps, [], []
     )
     return functions, (side_by_side(jets), np.tile(problem.p[:, None], steps))

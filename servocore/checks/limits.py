@@ -91,4 +91,4 @@ def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool
 
 def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], native: bool | None) -> PathFunction:
     order = limits_order(resolved.system, limits)
-    return PathFunction(resolved, compile_margins(resolved.system, limits, order), native)
+    return PathFunction(compile_margins(resolved.system, limits, order), native, resolved.system.name)

@@ -12,9 +12,9 @@ from servocore.effects.drives import measured_in
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem, ResolvedSystem
-from servocore.structure.inversion import inversion
+from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, reading
 
 _CHUNK = 250  # instants in one call: one length of compiled maps serves all paths
 
@@ -61,14 +61,13 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
     IntegrationFailed
         If an instant is not solved, or a length is negative.
     """
-    function, wraps = problem.resolved.once(_drive_signals, measured)
+    evaluation, wraps = problem.resolved.once(_drive_signals, measured)
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, count)
     padded = np.concatenate([t, np.full(-count % _CHUNK, t[-1])])
     parts, seconds = [], np.inf
     for k in range(0, len(padded), _CHUNK):
-        jets = problem.reference.jet(padded[k : k + _CHUNK], problem.array.reference_order)
         began = time.process_time()
-        parts.append(at_instants(function, jets=jets, p=problem.p)[0])
+        parts.append(evaluation(problem, padded[k : k + _CHUNK])[0])
         seconds = min(seconds, time.process_time() - began)
     rows = np.hstack(parts)[:, :count].T
     unsolved = ~np.isfinite(rows).all(axis=1)
@@ -102,17 +101,10 @@ def _require_signs(problem: Problem, t: Array, values: Array) -> None:
         )
 
 
-def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple[ca.Function, list[bool]]:
-    """Compile (gamma, p) -> inputs, positions and rates of the drives, q, v, signs; and say which positions wrap."""
-    array, system, inverse = resolved.array, resolved.system, resolved.once(inversion)
+def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple[ExactEvaluation, list[bool]]:
+    """Compile inputs, positions and rates of the drives, q, v and signs; and say which positions wrap."""
+    system = resolved.system
     quantities, y = measured_in(system, measured)
-    q, v = ([array.position(f"q.{name}", order) for name in system.coordinates.names] for order in (0, 1))
-    u = [array.position(f"u.{quantity.name}", 0) for quantity in system.inputs]
-    signs = ca.vertcat(ca.SX(0, 1), *(each for _, each in _positive(system)))
-    read = ca.Function("sc_positions", [system.q, system.v, system.p], [y, ca.jtimes(y, system.q, system.v), signs])
-    gamma, p = (ca.MX.sym(name, *inverse.function.size_in(k)) for k, name in enumerate(("gamma", "p")))
-    unknowns, _, residual = inverse.function(gamma, p)
-    solved = ca.if_else(residual < np.inf, 0, np.nan)
-    *signals, positive = read(unknowns[q], unknowns[v], p)
-    row = ca.vertcat(unknowns[u], *signals, unknowns[q], unknowns[v], positive) + solved
-    return ca.Function("sc_drive_signals", [gamma, p], [ca.densify(row)]), [quantity.wraps for quantity in quantities]
+    positive = (each for _, each in _positive(system))
+    wanted = [system.u, y, ca.jtimes(y, system.q, system.v), system.q, system.v, *positive]
+    return exact_evaluation(resolved, reading(resolved, wanted)), [quantity.wraps for quantity in quantities]

@@ -1,69 +1,120 @@
-"""Just-in-time compilation: functions become machine code in the background, where that pays."""
+"""Just-in-time compilation: what is interpreted becomes machine code where that pays."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeVar
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import casadi as ca
 
-from servocore.numerics.generated_code import MANY
-from servocore.numerics.machine_code import BACKGROUND, Build, build_of, compiled, library_of, loaded
+if TYPE_CHECKING:
+    from servocore.numerics.machine_code import Build
 
-Holder = TypeVar("Holder", bound=Any)
+# Compilers are imported where one is needed: a program that solves once needs none.
+
+MANY = 10_000
+"""Instants from which on machine code is worth being made for a first call."""
+
+NAME, LANES = "sc_run", 8
+"""What a function of many instants is called in its library, and how many of them it takes at once, at least."""
+
+_SECOND = 2  # call from which on it is worth a look
+
+Loaded = TypeVar("Loaded")
 
 
-def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str) -> Holder:
-    """Return a dataclass with some of its functions as machine code, built now; `of_what` is for messages.
+def pays(calls: int, count: int) -> bool:
+    """Whether so many calls, this one included, or so many instants are worth writing a source and compiling it."""
+    return calls >= _SECOND or count >= MANY
+
+
+class JustInTime(Generic[Loaded]):
+    """Machine code that is there as soon as it is worth being made.
+
+    Parameters
+    ----------
+    make : callable
+        () -> what is to be built; None if it cannot be written as C, or is too long.
+    load : callable
+        Library -> what runs from it.
+    native : bool or None
+        True makes it now, False never; with None it is used if it was made before, and made in the background when
+        there is enough to do.
+    again : bool
+        Whether what it is for was evaluated before.
 
     Raises
     ------
     InvalidSetting
-        If there is no C compiler, or it does not compile.
-    """
-    functions: dict[str, ca.Function] = {name: getattr(holder, name) for name in names}
-    made: Holder = replace(holder, **compiled(functions, of_what))
-    return made
-
-
-@dataclass(eq=False)
-class JustInTime(Generic[Holder]):
-    """A dataclass some functions of which are machine code as soon as that is ready.
-
-    Parameters
-    ----------
-    interpreted : dataclass
-        With the functions as they are.
-    names : tuple of str
-        Which of its attributes are to become machine code.
-    of_what : str
-        What they belong to, for messages.
+        If there is no C compiler for `native`, or it does not compile.
     """
 
-    interpreted: Holder
-    names: tuple[str, ...]
-    of_what: str
-    _calls: int = 0
-    _build: Build | None = None
-    _made: Holder | None = field(default=None)
-    _given_up: bool = False
+    def __init__(
+        self,
+        make: Callable[[], Build | None],
+        load: Callable[[Path], Loaded],
+        native: bool | None = None,
+        again: bool = False,
+    ) -> None:
+        self._make, self._load, self._calls = make, load, int(again)
+        self._build: Build | None = None
+        self._loaded: Loaded | None = None
+        self._settled, self._asked = native is not None, False
+        build = make() if native else None
+        if build is not None:
+            from servocore.numerics.machine_code import built  # noqa: PLC0415
 
-    def best(self, count: int) -> Holder:
-        """Return it as machine code if that is there, and as it is if not; asked again, or for many, it is built."""
-        self._calls += 1
-        if self._made is not None or self._given_up or (self._calls < 2 and count < MANY):
-            return self.interpreted if self._made is None else self._made
-        functions: dict[str, ca.Function] = {name: getattr(self.interpreted, name) for name in self.names}
-        asked = self._build is not None
-        self._build = self._build or build_of(functions, self.of_what)
-        if asked and BACKGROUND.pending(self._build):
-            return self.interpreted
+            self._loaded = load(built(build))
+
+    def best(self, count: int, called: bool = True) -> Loaded | None:
+        """Return machine code for so many instants if it is there; a call (is this one?) brings it nearer."""
+        self._calls += called
+        if not self._settled and pays(self._calls, count):
+            self._look()
+        return self._loaded
+
+    def _look(self) -> None:
+        """Take machine code that is there; have it built if it is not."""
+        from servocore.numerics.machine_code import BACKGROUND, automatic, library_of  # noqa: PLC0415
+
+        if self._build is None:
+            self._build = self._make() if automatic() else None
+            if self._build is None:
+                self._settled = True
+                return
+        elif self._asked and BACKGROUND.pending(self._build):
+            return
         library = library_of(self._build)
         if library is not None:
-            with suppress(RuntimeError):  # a library that cannot be loaded
-                self._made = replace(self.interpreted, **loaded(library, functions))
-        self._given_up = self._made is None and (asked or library is not None)
-        if not asked and library is None:
+            with suppress(OSError, RuntimeError):  # a library that cannot be loaded
+                self._loaded = self._load(library)
+        self._settled = library is not None or self._asked
+        if not self._settled:
+            self._asked = True
             BACKGROUND.ask(self._build)
-        return self.interpreted if self._made is None else self._made
+
+
+Holder = TypeVar("Holder", bound=Any)
+
+
+def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
+    """Return a dataclass with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
+
+    def functions() -> dict[str, ca.Function]:
+        return {name: getattr(holder, name) for name in names}
+
+    def make() -> Build:
+        from servocore.numerics.machine_code import build_of  # noqa: PLC0415
+
+        return build_of(functions(), of_what)
+
+    def load(library: Path) -> Holder:
+        from servocore.numerics.machine_code import loaded  # noqa: PLC0415
+
+        made: Holder = replace(holder, **loaded(library, functions()))
+        return made
+
+    return JustInTime(make, load, native)

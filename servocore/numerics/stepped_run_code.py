@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import casadi as ca
 
-from servocore.numerics.vector_code import NAME, chain_part, joined, vector_part
+from servocore.numerics.just_in_time import NAME
+from servocore.numerics.vector_code import chain_part, joined, vector_part
 
 NODES = 4
 """Steps whose values and rates belong to one polynomial."""

@@ -8,9 +8,10 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
 from math import prod
+from pathlib import Path
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -19,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from servocore.numerics.compiled_calls import Array
-from servocore.numerics.generated_code import GeneratedCode
+from servocore.numerics.just_in_time import LANES, NAME, JustInTime
+from servocore.numerics.machine_code import Build
 from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
-from servocore.numerics.vector_code import LANES, NAME
+from servocore.numerics.vector_code import build_of_source
 from servocore.numerics.vectorized import addresses, threads_for
 
 _BYTES = 8
@@ -220,7 +222,7 @@ class _InPlace:
             return [result.copy(order="K") for result in self._results]
 
 
-class SteppedRuns(GeneratedCode):
+class SteppedRuns:
     """Runs of one step function, read by another.
 
     Parameters
@@ -232,7 +234,7 @@ class SteppedRuns(GeneratedCode):
     positive : range
         Which of that must be positive.
     native, of_what
-        See `GeneratedCode`, also for what is raised.
+        See `JustInTime`, also for what is raised; `of_what` is for messages.
     """
 
     def __init__(
@@ -242,16 +244,12 @@ class SteppedRuns(GeneratedCode):
         self._columns = int(read.numel_out(0))
         self._weights = hermite_weights()
         self._loops: dict[tuple[str, int], _InPlace] = {}
-        super().__init__((step, read), native, of_what)
+        self._of_what = of_what
+        self._code = JustInTime(self._build, _loaded, native)
 
-    def _source(self) -> str | None:
-        return run_source(self._step, self._weights, self._read, self._positive)
-
-    def _load(self, library: Any) -> None:
-        run = getattr(ctypes.CDLL(str(library)), NAME)
-        many, one = ctypes.c_void_p, ctypes.c_long
-        run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]
-        self._run = run
+    def _build(self) -> Build | None:
+        step, read = self._step, self._read
+        return build_of_source(lambda: run_source(step, self._weights, read, self._positive), self._of_what, step, read)
 
     def __call__(self, run: Run, instants: Instants) -> tuple[Array, bool]:
         """Step and read.
@@ -267,8 +265,9 @@ class SteppedRuns(GeneratedCode):
         count, cases = len(instants.t), run.cases
         if not count:
             return np.empty((*(() if cases is None else (cases,)), self._columns, 0)), True
-        if self.ready(count * (cases or 1), called=True):
-            return self._in_machine_code(run, instants, cases)
+        code = self._code.best(count * (cases or 1))
+        if code is not None:
+            return _in_machine_code(code, run, instants, cases, self._columns)
         if cases is None:
             return self._interpreted(run, instants)
         found = [self._interpreted(run.part(case), instants.part(case)) for case in range(cases)]
@@ -310,31 +309,42 @@ class SteppedRuns(GeneratedCode):
             self._loops[name, count] = known = _InPlace(loop)
         return known
 
-    def _in_machine_code(self, run: Run, instants: Instants, cases: int | None) -> tuple[Array, bool]:
-        count = len(instants.t)
-        values = np.empty((cases or 1, self._columns, instants.as_c.instants))
-        threads = 1 if cases is None else min(cases, threads_for(cases * count))
-        sound = (self._into if threads < 2 else partial(self._in_threads, threads))(run, instants, values)
-        values = values if len(values[0, 0]) == count else values[..., :count]
-        return values if cases is not None else values[0], sound
 
-    def _into(self, run: Run, instants: Instants, values: Array) -> bool:
-        """Write the values; return whether they are sound."""
-        sizes, arrays, _ = run.as_c
-        t, path, row, lane, count, _ = instants.as_c
-        (target,) = addresses([values])
-        answer = self._run(sizes, arrays, t, path, row, lane, count, target)
-        if answer == NO_MEMORY:
-            raise MemoryError
-        return bool(answer == SOUND)
+def _loaded(library: Path) -> Any:
+    """Return what runs from a library."""
+    run = getattr(ctypes.CDLL(str(library)), NAME)
+    many, one = ctypes.c_void_p, ctypes.c_long
+    run.restype, run.argtypes = ctypes.c_int, [many, many, many, many, one, one, one, many]
+    return run
 
-    def _in_threads(self, threads: int, run: Run, instants: Instants, values: Array) -> bool:
-        """Do the same, some cases in every thread."""
-        from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
 
-        def some(cases: slice) -> bool:
-            return self._into(run.part(cases), instants.part(cases), values[cases])
+def _in_machine_code(code: Any, run: Run, instants: Instants, cases: int | None, columns: int) -> tuple[Array, bool]:
+    count = len(instants.t)
+    values = np.empty((cases or 1, columns, instants.as_c.instants))
+    threads = 1 if cases is None else min(cases, threads_for(cases * count))
+    sound = _into(code, run, instants, values) if threads < 2 else _in_threads(threads, code, run, instants, values)
+    values = values if len(values[0, 0]) == count else values[..., :count]
+    return values if cases is not None else values[0], sound
 
-        parts = np.linspace(0, len(values), threads + 1).astype(int).tolist()
-        with ThreadPoolExecutor(threads) as pool:
-            return all([*pool.map(some, [slice(a, b) for a, b in pairwise(parts)])])
+
+def _into(code: Any, run: Run, instants: Instants, values: Array) -> bool:
+    """Write the values; return whether they are sound."""
+    sizes, arrays, _ = run.as_c
+    t, path, row, lane, count, _ = instants.as_c
+    (target,) = addresses([values])
+    answer = code(sizes, arrays, t, path, row, lane, count, target)
+    if answer == NO_MEMORY:
+        raise MemoryError
+    return bool(answer == SOUND)
+
+
+def _in_threads(threads: int, code: Any, run: Run, instants: Instants, values: Array) -> bool:
+    """Do the same, some cases in every thread."""
+    from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
+
+    def some(cases: slice) -> bool:
+        return _into(code, run.part(cases), instants.part(cases), values[cases])
+
+    parts = np.linspace(0, len(values), threads + 1).astype(int).tolist()
+    with ThreadPoolExecutor(threads) as pool:
+        return all([*pool.map(some, [slice(a, b) for a, b in pairwise(parts)])])

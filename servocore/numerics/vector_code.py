@@ -14,13 +14,14 @@ result, entry i of instant k of case c at (c*rows + i)*columns + k.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 
-LANES = 8
-NAME = "sc_run"
+from servocore.numerics.just_in_time import LANES, NAME
+from servocore.numerics.machine_code import Build
 
+_MOST_OPERATIONS = 30_000  # of all expressions of a source: beyond, compilers take minutes
 _TILE = 64  # instants whose results are gathered before they are written out: each row lies in a page of its own
 
 _VECTOR = {
@@ -103,6 +104,24 @@ def vector_source(function: ca.Function, along: Sequence[bool]) -> str | None:
         Which arguments go along with the instants; the others are shared by all instants of a case.
     """
     return joined(vector_part(NAME, function, along))
+
+
+def build_of_vectors(function: ca.Function, along: Sequence[bool], of_what: str) -> Build | None:
+    """Return what is to be built of `vector_source`; None if there is none, or it is too long."""
+    return build_of_source(lambda: vector_source(function, along), of_what, function)
+
+
+def build_of_extremes(function: ca.Function, along: Sequence[bool], of_what: str) -> Build | None:
+    """Return what is to be built of `extremes_source`; None if there is none, or it is too long."""
+    return build_of_source(lambda: extremes_source(function, along), of_what, function)
+
+
+def build_of_source(source: Callable[[], str | None], of_what: str, *functions: ca.Function) -> Build | None:
+    """Return what is to be built of the source of functions; None if there is none, or it is too long."""
+    if not all(each.is_a("SXFunction") for each in functions):
+        return None
+    text = source() if sum(each.n_instructions() for each in functions) <= _MOST_OPERATIONS else None
+    return None if text is None else Build(text, of_what, True)
 
 
 def vector_part(name: str, function: ca.Function, along: Sequence[bool]) -> str | None:

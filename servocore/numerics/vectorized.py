@@ -6,21 +6,24 @@ import ctypes
 import os
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, mapped
-from servocore.numerics.generated_code import GeneratedCode
-from servocore.numerics.vector_code import LANES, NAME, extremes_source, vector_source
+from servocore.numerics.just_in_time import LANES, NAME, JustInTime
+
+if TYPE_CHECKING:
+    from servocore.numerics.machine_code import Build
 
 _BYTES = 8
 _AT_ONCE = 1 << 16  # instants that the interpreter evaluates together: a million would fill the memory
 _PER_THREAD = 100_000  # instants that are worth a thread of their own
 
 
-class Vectorized(GeneratedCode):
+class Vectorized:
     """A function of arguments that go along with the instants and of others that are shared by all.
 
     Parameters
@@ -30,7 +33,7 @@ class Vectorized(GeneratedCode):
     along : sequence of bool
         Which arguments go along with the instants.
     native, of_what, again
-        See `GeneratedCode`, also for what is raised.
+        See `JustInTime`, also for what is raised; `of_what` is for messages.
     """
 
     def __init__(
@@ -38,16 +41,17 @@ class Vectorized(GeneratedCode):
     ) -> None:
         self.function, self._along = function, tuple(along)
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
-        super().__init__((function,), native, of_what, again)
+        self._of_what = of_what
+        self._code = JustInTime(self._build, _loaded, native, again)
 
-    def _source(self) -> str | None:
-        return vector_source(self.function, self._along)
+    def _build(self) -> Build | None:
+        from servocore.numerics.vector_code import build_of_vectors  # noqa: PLC0415 - few compile
 
-    def _load(self, library: Any) -> None:
-        run = getattr(ctypes.CDLL(str(library)), NAME)
-        run.restype, many = None, ctypes.c_void_p
-        run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
-        self._run = run
+        return build_of_vectors(self.function, self._along, self._of_what)
+
+    def ready(self, count: int, called: bool = True) -> bool:
+        """Whether machine code is there for so many instants; a call (is this one?) brings it nearer."""
+        return self._code.best(count, called) is not None
 
     def __call__(self, *arguments: Array) -> list[Array]:
         """Evaluate.
@@ -68,8 +72,9 @@ class Vectorized(GeneratedCode):
             count = argument.shape[-1] if along else count
             if argument.ndim == 2 + along:
                 cases, batch = len(argument), True
-        if self.ready(count * cases, called=True) and count:
-            results = self._in_machine_code(arguments, cases, count)
+        run = self._code.best(count * cases)
+        if run is not None and count:
+            results = self._in_machine_code(run, arguments, cases, count)
             return results if batch else [result[0] for result in results]
         if not batch:
             return self.interpreted(*arguments)
@@ -98,20 +103,19 @@ class Vectorized(GeneratedCode):
     def _of_case(self, arguments: tuple[Array, ...], case: int) -> list[Array]:
         return [a[case] if a.ndim == 2 + along else a for a, along in zip(arguments, self._along, strict=True)]
 
-    def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
+    def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         if count < LANES:
-            return [
-                result[..., :count] for result in self._in_machine_code(self._widened(arguments, count), cases, LANES)
-            ]
+            widened = self._in_machine_code(run, self._widened(arguments, count), cases, LANES)
+            return [result[..., :count] for result in widened]
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, size, count)) for size in self._sizes]
         sources, targets = (addresses(arrays) for arrays in (held, results))
         threads = threads_for(cases * count)
         if threads < 2:
-            self._run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
+            run(cases, count, _longs(sources), row, _longs(lanes), _longs(targets), count)
             return results
 
-        def run(first: int, last: int, begin: int, end: int) -> None:
+        def some(first: int, last: int, begin: int, end: int) -> None:
             """Evaluate some cases at some instants."""
             places = [
                 source + _BYTES * (first * lane + begin * along)
@@ -121,7 +125,7 @@ class Vectorized(GeneratedCode):
                 target + _BYTES * (first * size * count + begin)
                 for target, size in zip(targets, self._sizes, strict=True)
             ]
-            self._run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
+            run(last - first, end - begin, _longs(places), row, _longs(lanes), _longs(ends), count)
 
         from concurrent.futures import ThreadPoolExecutor  # noqa: PLC0415 - few have so much to do
 
@@ -129,7 +133,7 @@ class Vectorized(GeneratedCode):
         parts = np.linspace(0, cases if by_case else count, threads + 1).astype(int).tolist()
         shares = [(a, b, 0, count) if by_case else (0, cases, a, b) for a, b in pairwise(parts)]
         with ThreadPoolExecutor(threads) as pool:
-            for task in [pool.submit(run, *share) for share in shares]:
+            for task in [pool.submit(some, *share) for share in shares]:
                 task.result()
         return results
 
@@ -156,16 +160,26 @@ class Extremes(Vectorized):
         """Evaluate one case by CasADi's interpreter."""
         return [extremes_of(values) for values in super().interpreted(*arguments)]
 
-    def _source(self) -> str | None:
-        return extremes_source(self.function, self._along)
+    def _build(self) -> Build | None:
+        from servocore.numerics.vector_code import build_of_extremes  # noqa: PLC0415 - few compile
 
-    def _in_machine_code(self, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
+        return build_of_extremes(self.function, self._along, self._of_what)
+
+    def _in_machine_code(self, run: Any, arguments: tuple[Array, ...], cases: int, count: int) -> list[Array]:
         if count < LANES:
-            return self._in_machine_code(self._widened(arguments, count), cases, LANES)
+            return self._in_machine_code(run, self._widened(arguments, count), cases, LANES)
         held, row, lanes = self._placed(arguments)
         results = [np.empty((cases, 2, size)) for size in self._sizes]
-        self._run(cases, count, _longs(addresses(held)), row, _longs(lanes), _longs(addresses(results)), count)
+        run(cases, count, _longs(addresses(held)), row, _longs(lanes), _longs(addresses(results)), count)
         return results
+
+
+def _loaded(library: Path) -> Any:
+    """Return what runs from a library."""
+    run = getattr(ctypes.CDLL(str(library)), NAME)
+    run.restype, many = None, ctypes.c_void_p
+    run.argtypes = [ctypes.c_long, ctypes.c_long, many, many, many, many, ctypes.c_long]
+    return run
 
 
 def extremes_of(rows: Array) -> Array:

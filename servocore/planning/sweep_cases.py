@@ -22,7 +22,7 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
-from servocore.stepping.inverted_quantities import compile_inverted_quantities
+from servocore.stepping.exact_evaluation import exact_evaluation, reading
 from servocore.stepping.observation import observed
 
 _Expression = TypeVar("_Expression", ca.SX, ca.MX)
@@ -103,8 +103,8 @@ def work_of(problem: Problem, limits: tuple[Limit, ...], kept: bool, native: boo
     wanted += [known[SWING]] if swing else []
     wanted += [(Quantity(limit.quantity, limit.unit), _limited(problem, limit)) for limit in limits]
     wanted += problem.resolved.must_be_positive
-    by_expression, by_newton = compile_inverted_quantities(problem.resolved, wanted)
-    texts = [_in_time(function).serialize() for function in (by_expression or by_newton, by_newton)]
+    exact = exact_evaluation(problem.resolved, reading(problem.resolved, [each for _, each in wanted]), False)
+    texts = [_in_time(function).serialize() for function in (exact.by_expression.function, exact.by_newton)]
     bounds = tuple((limit.bound, limit.upper) for limit in limits)
     first = len(system.inputs) + swing
     turns = tuple(first + k for k, limit in enumerate(limits) if counts_turns(limit.expression, limit.rate, system))

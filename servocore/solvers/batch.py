@@ -6,21 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError, require_kind
 from servocore.model.scene import Scene, require_scene
 from servocore.model.symbols import Parameter
-from servocore.numerics.compiled_calls import Array, at_instants
-from servocore.problem import Problem, ResolvedSystem
+from servocore.numerics.compiled_calls import Array
+from servocore.problem import Problem
 from servocore.references.base import Reference, numbers_of
 from servocore.solvers.dynamic_inversion import DynamicCases
 from servocore.solvers.solve import solve
-from servocore.stepping.inverted_quantities import compile_inverted_quantities
+from servocore.stepping.exact_evaluation import exact_quantities
 from servocore.stepping.observation import observed
-from servocore.stepping.path_function import PathFunction
 from servocore.stepping.prescribed_initial_values import require_start
 
 
@@ -96,8 +94,9 @@ class Batch:
             raise InvalidModel(f"{scene.name} reports no {', '.join(wrong)}; it has {', '.join(sorted(known))}")
         self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
         if problem.flat:
-            self._by_expression, self._by_newton = problem.resolved.once(_compile_cases, self.names, native)
-            self._by_expression.prepare(problem.reference)
+            positive = (quantity.name for quantity, _ in problem.resolved.must_be_positive)
+            self._evaluation = problem.resolved.once(exact_quantities, (*self.names, *positive), native)
+            self._evaluation.by_expression.prepare(problem.reference)
 
     def __call__(
         self,
@@ -137,9 +136,7 @@ class Batch:
             return self._dynamic(references or [self._problem.reference], times, p).transpose(0, 2, 1)
         if not times.size:
             return np.empty((_count(p, references), 0, len(self.names)))
-        inputs = self._by_expression.of_cases(references or [self._problem.reference], times, p)[0]
-        if not np.isfinite(inputs).all():
-            inputs = self._solved_by_newton(inputs, references, times, p)
+        inputs = self._evaluation.of_cases(references or [self._problem.reference], times, p)[0]
         values, signs = inputs[:, : len(self.names)], inputs[:, len(self.names) :]
         # Written so that NaN counts as the wrong branch.
         if not (signs > 0.0).all():
@@ -221,16 +218,6 @@ class Batch:
             p[..., quantities[name]] = values
         return p
 
-    def _solved_by_newton(self, inputs: Array, references: list[Reference], t: Array, p: Array) -> Array:
-        """Solve by Newton's method the instants where the expression gave NaN."""
-        left = np.asarray(~np.isfinite(inputs).all(axis=1))
-        for case in np.flatnonzero(left.any(axis=1)):
-            reference = references[case % len(references)] if references else self._problem.reference
-            at = np.flatnonzero(left[case])
-            jets = reference.jet(t[at], self._by_expression.order)
-            inputs[case][:, at] = at_instants(self._by_newton, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)[0]
-        return inputs
-
 
 def _count(p: Array, references: Sequence[Reference]) -> int:
     """Return how many cases there are."""
@@ -250,15 +237,3 @@ def _require_allowed(parameter: Parameter, values: Array) -> None:
                 parameter.check(value)
             except InvalidModel as error:
                 raise InvalidModel(f"case {case} of a batch: {error}" if values.ndim else str(error)) from None
-
-
-def _compile_cases(
-    resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None
-) -> tuple[PathFunction, ca.Function]:
-    """Compile (gamma, p) -> named quantities and positive observables: as one expression, and by Newton's method."""
-    known = observed(resolved.system)
-    by_name = {quantity.name: (quantity, expression) for quantity, expression in known}
-    by_expression, by_newton = compile_inverted_quantities(
-        resolved, [*(by_name[name] for name in names), *resolved.must_be_positive]
-    )
-    return PathFunction(resolved, by_expression or by_newton, native), by_newton

@@ -213,7 +213,7 @@ class DynamicCases:
     steps : int
         What the scene itself takes.
     native : bool or None
-        See `GeneratedCode`.
+        See `JustInTime`.
     """
 
     problem: Problem

@@ -11,7 +11,6 @@ from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, chained, mapped
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
-from servocore.numerics.machine_code import automatic
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.fixed_step_loop import CHUNK
 from servocore.solvers.input_functions import Inputs, values_at
@@ -138,23 +137,19 @@ def conserved_motion(
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
     """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
-    if method.native:
-        return problem.resolved.once(_native_scheme, method.update)
-    if method.native is None and automatic():
-        return problem.resolved.once(_just_in_time_scheme, method.update).best(steps)
-    return problem.resolved.once(_scheme, method.update)
+    scheme = problem.resolved.once(_scheme, method.update)
+    code = None if method.native is False else problem.resolved.once(_in_machine_code, scheme, method.native)
+    return scheme if code is None else code.best(steps) or scheme
 
 
 def _scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
     return compile_conserving_step(resolved.system, update)
 
 
-def _native_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
-    return in_machine_code(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
-
-
-def _just_in_time_scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> JustInTime[ConservingStep]:
-    return JustInTime(resolved.once(_scheme, update), _IN_MACHINE_CODE, resolved.system.name)
+def _in_machine_code(
+    resolved: ResolvedSystem, scheme: ConservingStep, native: bool | None
+) -> JustInTime[ConservingStep]:
+    return in_machine_code(scheme, _IN_MACHINE_CODE, resolved.system.name, native)
 
 
 def _places(t: Array, step: float) -> npt.NDArray[np.intp]:

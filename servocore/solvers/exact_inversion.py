@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
-import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
@@ -15,11 +13,10 @@ from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Method, instantaneous
+from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
-from servocore.numerics.compiled_calls import Array, CompiledWhenUsed, at_instants, mapped, side_by_side
-from servocore.numerics.machine_code import compiled
-from servocore.problem import Problem, ResolvedSystem
+from servocore.numerics.compiled_calls import Array, mapped, side_by_side
+from servocore.problem import Problem
 from servocore.references.base import numbers_of
 from servocore.solution import Solution
 from servocore.solvers.branch_continuation import (
@@ -34,10 +31,9 @@ from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure,
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import prescribed_start_of, program_of
-from servocore.stepping.observation import compile_observation
-from servocore.stepping.path_function import PathFunction
+from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
 from servocore.stepping.program import Program
-from servocore.structure.inversion import LARGEST_RESIDUAL, Inversion, inversion
+from servocore.structure.inversion import inversion
 
 _CHUNK = 2048  # instants that are evaluated at once
 
@@ -64,13 +60,13 @@ class Pointwise:
         The guess of the model is a start, not a law: answers that do not continue their neighbours are found again,
         each from where the one before was heading.
         """
-        by_expression = self._by_expression(problem)
-        program = program_of(problem, self.formulation, self.method, bool(self.native) and by_expression is None)
+        evaluation = self._evaluation(problem)
+        program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
         if problem.follow_branch:
             done = run_steps(problem, program, times, prescribed_start_of(self.formulation, self.method), progress)
             require_followed(problem, times, done.states)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
-        done, observed = _at_every_instant(problem, program, times, by_expression, progress)
+        done, observed = _at_every_instant(problem, program, times, evaluation, progress)
         try:
             states, how = on_one_branch(problem, times, done.states, self.native)
         except IntegrationFailed as error:
@@ -85,64 +81,19 @@ class Pointwise:
             done, observed = replace(done, states=states), None
         return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)
 
-    def _by_expression(self, problem: Problem) -> _ByExpression | None:
-        """Return the inversion as one expression; None if the form has none, or a branch is followed."""
-        if self.formulation != Reduced() or problem.follow_branch:
+    def _evaluation(self, problem: Problem) -> ExactEvaluation | None:
+        """Return the inversion with what is observed; None if the form has none, or a branch is followed."""
+        exact = self.formulation == Reduced() and not problem.follow_branch
+        if not exact or problem.resolved.once(inversion).expression is None:
             return None
-        expression = problem.resolved.once(inversion).expression
-        if expression is None:
-            return None
-        program = program_of(problem, self.formulation, self.method)
-        by_expression = problem.resolved.once(_compile_by_expression, expression, program, self.native)
-        by_expression.function.prepare(problem.reference)
-        return by_expression
-
-
-@dataclass(frozen=True, eq=False)
-class _ByExpression:
-    """A function (gamma, p) -> state, counts, residual and observed values, as one expression.
-
-    It gives NaN where the guess of the model is not exact. Newton's method takes those instants, and is compiled only
-    then: no other function takes longer to compile.
-    """
-
-    function: PathFunction
-    program: Program
-
-    def __call__(self, problem: Problem, t: Array) -> list[Array]:
-        """Return all results at some instants, shape (rows, N) each."""
-        results = self.function(problem, t)
-        left = np.flatnonzero(~(results[2][0] < LARGEST_RESIDUAL))
-        if len(left):
-            jets = problem.reference.jet(t[left], self.function.order)
-            by_newton = problem.resolved.once(_compile_by_newton, self.program)
-            for result, solved in zip(results, at_instants(by_newton, jets=jets, p=problem.p), strict=True):
-                result[:, left] = solved.reshape(-1, len(left), order="F")
-        return results
-
-
-def _compile_by_expression(
-    resolved: ResolvedSystem, expression: ca.Function, program: Program, native: bool | None
-) -> _ByExpression:
-    """Compile the exact inversion together with the observed values."""
-    system, order = resolved.system, resolved.array.reference_order + 1
-    arguments = ca.SX.sym("gamma", system.gamma.size1(), program.order + 1), ca.SX.sym("p", system.p.numel())
-    exact = expression(arguments[0][:, :order], arguments[1])
-    results = [*exact, *program.observe(exact[0], *arguments)]
-    function = ca.Function("sc_quick", arguments, results, {"cse": True})
-    return _ByExpression(PathFunction(resolved, function, native), program)
-
-
-def _compile_by_newton(resolved: ResolvedSystem, program: Program) -> ca.Function:
-    """Compile (gamma, p) -> the same results by Newton's method from the guess of the model."""
-    system, order = resolved.system, resolved.array.reference_order + 1
-    gamma, p = ca.MX.sym("gamma", system.gamma.size1(), program.order + 1), ca.MX.sym("p", system.p.numel())
-    results = resolved.once(inversion).search_from_guess(gamma[:, :order], p)
-    return ca.Function("sc_sought", [gamma, p], [*results, *program.observe(results[0], gamma, p)])
+        observe = program_of(problem, self.formulation, self.method).observe
+        evaluation = problem.resolved.once(exact_evaluation, observe, self.native, True)
+        evaluation.by_expression.prepare(problem.reference)
+        return evaluation
 
 
 def _at_every_instant(
-    problem: Problem, program: Program, times: Array, by_expression: _ByExpression | None, progress: Progress | None
+    problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
 ) -> tuple[Run, tuple[Array, Array] | None]:
     """Solve every instant from the guess of the model, NaN where that fails; with what is observed if that is known."""
     if problem.reference.max_order < program.start_order:
@@ -150,7 +101,7 @@ def _at_every_instant(
             f"the path has derivatives up to order {problem.reference.max_order},"
             f" {program.name} needs order {program.start_order}"
         )
-    results = _all_results(problem, program, times, by_expression, progress)
+    results = _all_results(problem, program, times, evaluation, progress)
     states, counts, residuals, *observed = results
     good = np.isfinite(residuals[0])
     if not good.all():
@@ -161,20 +112,20 @@ def _at_every_instant(
 
 
 def _all_results(
-    problem: Problem, program: Program, times: Array, by_expression: _ByExpression | None, progress: Progress | None
+    problem: Problem, program: Program, times: Array, evaluation: ExactEvaluation | None, progress: Progress | None
 ) -> list[Array]:
     """Return states, counts and residuals, and what is observed if that is known, shape (rows, N) each."""
     count, p = len(times), problem.p
-    if by_expression is not None and by_expression.function.ready(problem, count):
-        results = by_expression(problem, times)
+    if evaluation is not None and evaluation.by_expression.ready(problem, count):
+        results = evaluation(problem, times)
         if progress is not None:
             progress(count - 1, count - 1)
         return results
     results = []
     for k in range(0, count, _CHUNK):
         t = times[k : k + _CHUNK]
-        if by_expression is not None:
-            columns = by_expression(problem, t)
+        if evaluation is not None:
+            columns = evaluation(problem, t)
         else:
             size = len(t)
             jets = side_by_side(problem.reference.jet(t, program.order))
@@ -249,8 +200,8 @@ class ExactInversion:
             )
         require_feasible(problem)
         self._problem, self._order = problem, array.reference_order
-        self._functions = problem.resolved.once(compile_inputs, native)
-        self._functions.by_expression.prepare(scene.reference)
+        self._evaluation = input_evaluation(problem, native)
+        self._evaluation.by_expression.prepare(scene.reference)
         self._table: BranchTable | IntegrationFailed | None
         try:
             self._table = prepared_table(problem)
@@ -284,12 +235,11 @@ class ExactInversion:
         """
         times = numbers_of(t, "the times of inputs")
         instants = times.reshape(-1)
+        if not len(instants):
+            return np.empty((*times.shape, len(self.inputs)))
         followed = self._table if isinstance(self._table, BranchTable) else None
-        inputs = self._from_branch(followed, instants) if followed else self._by_expression(instants)
+        inputs = self._from_branch(followed, instants) if followed else self._evaluation(self._problem, instants)[0].T
         finite = bool(np.isfinite(inputs).all())
-        if not finite and not followed:
-            inputs = self._by_newton(inputs, instants)
-            finite = bool(np.isfinite(inputs).all())
         if finite:
             self._require_signs(inputs, instants)
         if isinstance(self._table, IntegrationFailed):
@@ -298,27 +248,10 @@ class ExactInversion:
             self._require_solved(inputs, instants)
         return inputs[:, : len(self.inputs)].reshape(*times.shape, len(self.inputs))
 
-    def _by_expression(self, t: Array) -> Array:
-        """Return inputs and positive observables, shape (N, columns); NaN where the guess is not exact."""
-        if not len(t):
-            return np.empty((0, len(self.inputs) + len(self._signs)))
-        return self._functions.by_expression(self._problem, t)[0].T
-
     def _from_branch(self, table: BranchTable, t: Array) -> Array:
-        """Return the same, read from the branch that the table follows."""
-        if not len(t):
-            return np.empty((0, len(self.inputs) + len(self._signs)))
-        jets = self._problem.reference.jet(t, self._order)
-        states = table.states_at(t, side_by_side(jets))
-        return at_instants(self._functions.from_unknowns, states, jets=jets, p=self._problem.p)[0].T
-
-    def _by_newton(self, inputs: Array, t: Array) -> Array:
-        """Return inputs (N, columns), those that are NaN solved by Newton's method."""
-        left = np.flatnonzero(~np.isfinite(inputs).all(axis=1))
-        inputs = inputs.copy()
-        jets = self._problem.reference.jet(t[left], self._order)
-        inputs[left] = at_instants(self._functions.by_newton, jets=jets, p=self._problem.p)[0].T
-        return inputs
+        """Return inputs and positive observables, shape (N, columns), read from the branch that the table follows."""
+        states = table.states_at(t, side_by_side(self._problem.reference.jet(t, self._order)))
+        return self._evaluation.of_unknowns(self._problem, t, states)[0].T
 
     def _require_solved(self, inputs: Array, t: Array) -> None:
         """Raise `IntegrationFailed` if an instant is not solved."""
@@ -339,49 +272,8 @@ class ExactInversion:
             )
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class InputFunctions:
-    """Functions of the path that return the inputs and the observables that must be positive.
-
-    Attributes
-    ----------
-    by_expression : PathFunction
-        (gamma, p) -> values, NaN where the guess of the model is not exact; gamma has shape (m, reference_order + 1).
-        Where the inversion is no single expression, this is `by_newton`.
-    by_newton : casadi.Function
-        (gamma, p) -> values, by Newton's method where the guess is not exact; compiled at its first use.
-    from_unknowns : casadi.Function
-        (unknowns of the derivative array, gamma, p) -> values.
-    """
-
-    by_expression: PathFunction
-    by_newton: CompiledWhenUsed = CompiledWhenUsed()
-    from_unknowns: ca.Function
-
-
-def compile_inputs(resolved: ResolvedSystem, native: bool | None = None) -> InputFunctions:
-    """Compile the functions that give inputs at an instant, as machine code if `native` says so."""
-    system, dae, inverse = resolved.system, resolved.dae(Reduced()), resolved.once(inversion)
-    wanted = [(quantity, expression) for quantity, expression in system.observables.items() if quantity.positive]
-    wanted = [*zip(system.inputs, ca.vertsplit(system.u), strict=True), *wanted]
-    order = resolved.array.reference_order
-    read = compile_observation(system, dae, instantaneous(dae), wanted, order)
-    gamma, p, expression = system.gamma[:, : order + 1], system.p, inverse.expression
-    if expression is not None:
-        unknowns = expression(gamma, p)[0]
-        function = ca.Function("sc_quick_inputs", [gamma, p], [read(unknowns, gamma, p)[0]], {"cse": True})
-        by_newton = partial(_compile_inputs_by_newton, inverse, read)
-        return InputFunctions(
-            by_expression=PathFunction(resolved, function, native), by_newton=by_newton, from_unknowns=read
-        )
-    function = _compile_inputs_by_newton(inverse, read)
-    if native:
-        function = compiled({"seeking": function}, system.name)["seeking"]
-    return InputFunctions(
-        by_expression=PathFunction(resolved, function, native), by_newton=function, from_unknowns=read
-    )
-
-
-def _compile_inputs_by_newton(inverse: Inversion, read: ca.Function) -> ca.Function:
-    gamma, p = (ca.MX.sym(name, *inverse.guess.size_in(k)) for k, name in enumerate(("gamma", "p")))
-    return ca.Function("sc_inputs", [gamma, p], [read(inverse.function(gamma, p)[0], gamma, p)[0]])
+def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:
+    """Return what exact inversions give of the inputs and, behind them, of the observables that must be positive."""
+    system = problem.system
+    names = *(channel.name for channel in system.inputs), *(each.name for each in system.observables if each.positive)
+    return problem.resolved.once(exact_quantities, names, native)

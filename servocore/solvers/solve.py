@@ -35,7 +35,7 @@ from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
 from servocore.solvers.adaptive import Adaptive, ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
-from servocore.solvers.exact_inversion import Pointwise, compile_inputs
+from servocore.solvers.exact_inversion import Pointwise, input_evaluation
 from servocore.solvers.fixed_step import FixedStep, StateSelection
 from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.route import Route
@@ -46,7 +46,6 @@ from servocore.solvers.within_limits import (
     run_within_limits,
 )
 from servocore.stepping.prescribed_initial_values import require_start
-from servocore.structure.inversion import inversion
 
 _SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
 _NATIVE_FROM = 500  # instants from which on checks are worth machine code
@@ -265,9 +264,10 @@ def _branch_statement(problem: Problem, route: Route, solution: Solution) -> str
         return warn_and_state_branch(problem, better, solution, doubtful, (Reduced(), None))
     how = (route.formulation, route.method)
     if problem.flat:
-        everywhere = problem.resolved.once(inversion).expression is not None
-        inputs = problem.resolved.once(compile_inputs, _native_checks(route, solution.t)).by_expression
-        doubtful = inputs_may_be_far(problem, solution, lambda t: inputs(problem, t)[0], everywhere)
+        inputs = input_evaluation(problem, _native_checks(route, solution.t))
+        doubtful = inputs_may_be_far(
+            problem, solution, lambda t: inputs.by_expression(problem, t)[0], inputs.is_expression
+        )
     elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
         doubtful = False  # its user was warned before the run
     elif isinstance(route, ToTolerance):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from servocore.checks.between_instants import refuse_or_warn_of_poles, suspected_poles
@@ -27,7 +26,6 @@ from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
 from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table, system_jacobians
-from servocore.stepping.path_function import PathFunction
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
 
@@ -136,7 +134,7 @@ def check_between_instants(
     beside : callable
         (problem, solution) -> all unknowns of the derivative array (size, N) nearest to it.
     native : bool or None
-        Whether machine code may look first whether there is something; see `GeneratedCode`.
+        Whether machine code may look first whether there is something; see `JustInTime`.
 
     Raises
     ------
@@ -159,12 +157,6 @@ def check_between_instants(
         jets = problem.reference.jet(t, watched.order)
         return at_instants(watched.function, states(t), jets=jets, p=problem.p)[0]
 
-    # Where the guess of the model is exact, most suspected poles are cleared without looking at branches.
-    guessed = problem.resolved.once(_compile_guessed, names, native)
-    known = guessed(problem, solution.t)[0] if guessed else np.full((len(channels), len(solution.t)), np.nan)
-    left = _confirmed(problem, solution, suspected, channels, known)
-    if not left:
-        return False
     try:
         table = prepared_table(problem)
     except IntegrationFailed:  # that close to a singular point a branch cannot be followed; the guess may still do
@@ -174,8 +166,7 @@ def check_between_instants(
     def values(channel: int, t: Array) -> Array:
         return np.asarray(exact(followed, t)[channels.index(channel)])
 
-    if table is not None or not np.isfinite(known).all():
-        left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
+    left = _confirmed(problem, solution, suspected, channels, exact(followed, solution.t))
     return refuse_or_warn_of_poles(solution, left, values) if left else False
 
 
@@ -188,21 +179,6 @@ def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tu
 
 def _compile_named(resolved: ResolvedSystem, names: tuple[str, ...]) -> Watched:
     return compile_watched(resolved, tuple((Named(name), False) for name in names))
-
-
-def _compile_guessed(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> PathFunction | None:
-    """Compile (gamma, p) -> quantities by exact inversion, NaN where the guess of the model is not exact.
-
-    None where the inversion is not one expression.
-    """
-    expression, watched = resolved.once(inversion).expression, resolved.once(_compile_named, names)
-    if expression is None or not watched.function.is_a("SXFunction"):
-        return None
-    gamma = ca.SX.sym("gamma", resolved.system.gamma.size1(), watched.order + 1)
-    p = ca.SX.sym("p", resolved.system.p.numel())
-    unknowns, _, _ = expression(gamma[:, : resolved.array.reference_order + 1], p)
-    values = ca.densify(watched.function(unknowns, gamma, p))
-    return PathFunction(resolved, ca.Function("sc_guessed", [gamma, p], [values], {"cse": True}), native)
 
 
 def _confirmed(

@@ -14,7 +14,6 @@ from servocore.methods.base import Discretisation, Method, errs_less_with_smalle
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
-from servocore.numerics.machine_code import automatic
 from servocore.numerics.square_systems import compile_solver
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
@@ -24,8 +23,6 @@ from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import Inversion, compile_inversion, inversion
-
-_IN_MACHINE_CODE = ("start", "step", "observe")
 
 
 def program_of(
@@ -45,28 +42,15 @@ def program_of(
     steps : int
         How many are to be taken.
     """
-    make = _in_machine_code if native else compile_program
     settings = formulation, method, tuple(limit for limit in problem.limits if limit.of_path), problem.follow_branch
-    program = problem.resolved.once(make, *settings)
-    if native is not None or not automatic():
-        return program
-    return problem.resolved.once(_just_in_time, *settings).best(steps)
+    program = problem.resolved.once(compile_program, *settings)
+    code = None if native is False else problem.resolved.once(_in_machine_code, program, native)
+    return program if code is None else code.best(steps) or program
 
 
-def _just_in_time(
-    resolved: ResolvedSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...], follow_branch: bool
-) -> JustInTime[Program]:
-    """Return a program with start, step and observation as machine code as soon as that is ready."""
-    program = resolved.once(compile_program, formulation, method, limits, follow_branch)
-    return JustInTime(program, _IN_MACHINE_CODE, program.name)
-
-
-def _in_machine_code(
-    resolved: ResolvedSystem, formulation: Formulation, method: Method, limits: tuple[Limit, ...], follow_branch: bool
-) -> Program:
-    """Return the same program with start, step and observation as machine code."""
-    program = resolved.once(compile_program, formulation, method, limits, follow_branch)
-    return in_machine_code(program, _IN_MACHINE_CODE, program.name)
+def _in_machine_code(_: ResolvedSystem, program: Program, native: bool | None) -> JustInTime[Program]:
+    """Return a program with start, step and observation as machine code."""
+    return in_machine_code(program, ("start", "step", "observe"), program.name, native)
 
 
 def compile_program(

@@ -14,12 +14,12 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidModel
-from servocore.formulations.reduced import Reduced
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.problem import ResolvedSystem
 from servocore.references.base import Reference
 from servocore.references.formula import Formula
+from servocore.stepping.exact_evaluation import reading
 from servocore.stepping.observation import observed
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import compile_explicit
@@ -129,7 +129,9 @@ def compile_explicit_steps(
     step = ca.Function("sc_explicit_step", [x, path, numbers, hp], [after, rates[0]], {"cse": True})
     q = ca.SX.sym("p", system.p.numel())
     now = tables[0] if formula is None else ca.horzcat(*formula.jet(time, ca.vertsplit(numbers), order))
-    results = _read_off(resolved, explicit(now, q, x), now, q, names)
+    known = {quantity.name: expression for quantity, expression in observed(system)}
+    wanted = [system.u, *(each for _, each in resolved.must_be_positive), *(known[name] for name in names)]
+    results = reading(resolved, wanted)(explicit(now, q, x), now, q)
     read = ca.Function(
         "sc_inputs", [x, time if formula else ca.vec(now), numbers, q], [ca.densify(results)], {"cse": True}
     )
@@ -137,21 +139,6 @@ def compile_explicit_steps(
     inputs = system.u.numel()
     runs = SteppedRuns(step, read, range(inputs, inputs + positive), native, system.name)
     return ExplicitSteps(runs, order, formula, method.c)
-
-
-def _read_off(resolved: ResolvedSystem, unknowns: ca.SX, gamma: ca.SX, p: ca.SX, names: tuple[str, ...]) -> ca.SX:
-    """Return what is read as expressions of the unknowns of the array, the path and parameters."""
-    system, array, dae = resolved.system, resolved.array, resolved.dae(Reduced())
-    positive = [expression for _, expression in resolved.must_be_positive]
-    known = {quantity.name: expression for quantity, expression in observed(system)}
-    wanted = ca.substitute(
-        ca.vertcat(system.u, *positive, *(known[name] for name in names)),
-        ca.vertcat(system.q, system.v, system.lam, system.u),
-        ca.vertcat(*(dae.physical[name] for name in ("q", "v", "lam", "u"))),
-    )
-    symbols = ca.vertcat(dae.x, dae.z, ca.vec(system.gamma[:, : gamma.size2()]), system.p)
-    values = [unknowns[array.places(chosen)] for chosen in (array.states, array.determined)]
-    return ca.substitute(wanted, symbols, ca.vertcat(*values, ca.vec(gamma), p))
 
 
 def _rates(array: DerivativeArray, unknowns: ca.SX) -> ca.SX:

@@ -1,0 +1,155 @@
+"""Exact inversions evaluated along paths, in the one place where that is assembled.
+
+An expression gives the unknowns where the guess of the model is exact, and Newton's method where it is not. Both are
+read by one function of the unknowns, at one instant or many, of one case or many, interpreted or as machine code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import casadi as ca
+import numpy as np
+
+from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import Reference
+from servocore.stepping.observation import observed
+from servocore.stepping.path_function import PathFunction
+from servocore.structure.inversion import LARGEST_RESIDUAL, inversion
+
+_Symbol = TypeVar("_Symbol", ca.SX, ca.MX)
+
+
+@dataclass(frozen=True, eq=False)
+class ExactEvaluation:
+    """What exact inversions give at instants of paths.
+
+    Attributes
+    ----------
+    resolved : ResolvedSystem
+        What is inverted.
+    read : casadi.Function
+        (unknowns of the derivative array, gamma (m, order + 1), p) -> results.
+    whole : bool
+        Whether unknowns, counts and residual of the inversion come before these.
+    by_expression : PathFunction
+        (gamma, p) -> all results, NaN where the guess of the model is not exact. By Newton's method where the inversion
+        is no single expression.
+    is_expression : bool
+        Whether it is one.
+    """
+
+    resolved: ResolvedSystem
+    read: ca.Function
+    whole: bool
+    by_expression: PathFunction
+    is_expression: bool
+
+    @property
+    def by_newton(self) -> ca.Function:
+        """Return (gamma, p) -> the results by Newton's method.
+
+        It is compiled when it is needed first: no other function takes longer to compile.
+        """
+        return self.resolved.once(_by_newton, self.read, self.whole)
+
+    def __call__(self, problem: Problem, t: Array) -> list[Array]:
+        """Return the results at instants (N,), shape (rows, N) each; NaN where they are not solved."""
+        results = self.by_expression(problem, t)
+        left = self._left(results)
+        if len(left):
+            jets = problem.reference.jet(t[left], self.by_expression.order)
+            for result, solved in zip(results, at_instants(self.by_newton, jets=jets, p=problem.p), strict=True):
+                result[:, left] = solved
+        return results
+
+    def of_cases(self, references: Sequence[Reference], t: Array, p: Array) -> list[Array]:
+        """Return the results of cases, shape (cases, rows, N) each; see `PathFunction.of_cases`."""
+        results = self.by_expression.of_cases(references, t, p)
+        for case in range(len(results[0])) if not np.isfinite(results[0]).all() else ():
+            left = self._left([result[case] for result in results])
+            if len(left):
+                jets = references[case % len(references)].jet(t[left], self.by_expression.order)
+                solved = at_instants(self.by_newton, jets=jets, p=p[case % len(p)] if p.ndim == 2 else p)
+                for result, values in zip(results, solved, strict=True):
+                    result[case][:, left] = values
+        return results
+
+    def of_unknowns(self, problem: Problem, t: Array, unknowns: Array) -> list[Array]:
+        """Return what is read from unknowns (size, N) that are known at instants (N,)."""
+        jets = problem.reference.jet(t, self.by_expression.order)
+        return list(at_instants(self.read, unknowns, jets=jets, p=problem.p))
+
+    def _left(self, results: Sequence[Array]) -> Sequence[int]:
+        """Return the instants that are left to Newton's method."""
+        good = results[2] < LARGEST_RESIDUAL if self.whole else np.isfinite(results[0])
+        if not self.is_expression or good.all():
+            return ()
+        left: list[int] = np.flatnonzero(~good.all(axis=0)).tolist()
+        return left
+
+
+def exact_evaluation(
+    resolved: ResolvedSystem, read: ca.Function, native: bool | None = None, whole: bool = False
+) -> ExactEvaluation:
+    """Compile what is read from exact inversions; meant for `ResolvedSystem.once`.
+
+    Parameters
+    ----------
+    resolved : ResolvedSystem
+        Without internal dynamics.
+    read, whole
+        See `ExactEvaluation`; `read` is one of expressions.
+    native : bool or None
+        See `JustInTime`.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no C compiler for `native`.
+    """
+    expression = resolved.once(inversion).expression
+    if expression is not None:
+        function = _composed("sc_by_expression", expression, read, whole, ca.SX)
+    else:
+        function = resolved.once(_by_newton, read, whole)
+        if native:
+            from servocore.numerics.machine_code import compiled  # noqa: PLC0415 - few compile
+
+            function = compiled({"by_newton": function}, resolved.system.name)["by_newton"]
+    path_function = PathFunction(function, native, resolved.system.name)
+    return ExactEvaluation(resolved, read, whole, path_function, expression is not None)
+
+
+def exact_quantities(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> ExactEvaluation:
+    """Compile what exact inversions give of quantities by name; meant for `ResolvedSystem.once`.
+
+    Names are those that `solve` reports, and those of `ResolvedSystem.must_be_positive`.
+    """
+    known = {quantity.name: each for quantity, each in (*observed(resolved.system), *resolved.must_be_positive)}
+    return exact_evaluation(resolved, reading(resolved, [known[name] for name in names]), native)
+
+
+def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Function:
+    """Compile (unknowns of the derivative array, gamma (m, reference_order + 1), p) -> expressions of the system."""
+    array, system = resolved.array, resolved.system
+    n, y = len(system.coordinates), array.y
+    symbols = ca.vertcat(system.q, system.v, system.lam, system.u)
+    (values,) = ca.substitute([ca.vertcat(*expressions)], [symbols], [ca.vertcat(y[:n, 0], y[:n, 1], y[n:, 0])])
+    arguments = [array.column(array.unknowns), system.gamma[:, : array.reference_order + 1], system.p]
+    return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
+
+
+def _by_newton(resolved: ResolvedSystem, read: ca.Function, whole: bool) -> ca.Function:
+    return _composed("sc_by_newton", resolved.once(inversion).search_from_guess, read, whole, ca.MX)
+
+
+def _composed(name: str, inverted: ca.Function, read: ca.Function, whole: bool, kind: type[_Symbol]) -> ca.Function:
+    """Return (gamma, p) -> what is read from an inversion, after all that it gives if the `whole` is asked for."""
+    gamma, p = kind.sym("gamma", *read.size_in(1)), kind.sym("p", read.numel_in(2))
+    found = inverted.call([gamma[:, : inverted.size2_in(0)], p])
+    results = read.call([found[0], gamma, p])
+    return ca.Function(name, [gamma, p], found + results if whole else results, {"cse": kind is ca.SX})
