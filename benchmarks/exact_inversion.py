@@ -32,7 +32,7 @@ from servocore.cli.level_tables import machine
 from servocore.numerics.compiled_calls import Call, side_by_side
 from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 CRANE = sc.scenes.rotary_crane()
 CARS = range(2, 9)
@@ -107,7 +107,7 @@ def blocks_against_one(effort: Effort) -> Table:
         p = scene.model(model).parameters.values(scene.parameters)
         jets = scene.reference.jet(instants_of(scene, effort.instants), array.reference_order)
         arguments = side_by_side(jets), np.tile(p[:, None], effort.instants)
-        blocks = Call(compile_inversion(array).function.map(effort.instants))
+        blocks = Call(inversion(array).function.map(effort.instants))
         undivided = Call(undivided_inversion(array).map(effort.instants))
         difference = worst_difference(array, blocks(*arguments)[0], undivided(*arguments)[0])
         spreads = effort.microseconds(
@@ -138,7 +138,7 @@ def undivided_inversion(array: DerivativeArray) -> ca.Function:
          "common_options": {"cse": True}},
     )  # fmt: skip
     gamma, p = ca.MX.sym("gamma", *reference.shape), ca.MX.sym("p", system.p.numel())
-    guess = compile_inversion(array).guess(gamma, p) / scale
+    guess = inversion(array).guess(gamma, p) / scale
     return ca.Function("undivided", [gamma, p], [ca.densify(find_root(guess, ca.vertcat(ca.vec(gamma), p)) * scale)])
 
 

@@ -85,13 +85,12 @@ if TYPE_CHECKING:
     from servocore.references.rest_to_rest import rest_to_rest
     from servocore.references.splines import sampled, through
     from servocore.solution import Margin, Solution, Statistics
-    from servocore.solvers.adaptive import Adaptive
     from servocore.solvers.batch import Batch
     from servocore.solvers.boundary_value import BoundaryValue
     from servocore.solvers.dynamic_inversion import DynamicInversion
     from servocore.solvers.energy_momentum import EnergyMomentum
     from servocore.solvers.exact_inversion import ExactInversion
-    from servocore.solvers.route import Route
+    from servocore.solvers.route import Adaptive, Route
     from servocore.solvers.simulate import simulate
     from servocore.solvers.solve import solve
     from servocore.solvers.sundials import Sundials

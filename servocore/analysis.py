@@ -9,32 +9,21 @@ import numpy as np
 from servocore.checks.branches import rank_losses
 from servocore.checks.failure_causes import SINGULAR_CONDITION, out_of_reach, singular, singular_in_words
 from servocore.checks.internal_stability import (
-    FLAT,
-    MINIMUM_PHASE,
-    NON_MINIMUM_PHASE,
+    ADVICE,
     SINGULAR,
-    WEAKLY_MINIMUM_PHASE,
     internal_dynamics,
 )
 from servocore.checks.limits import require_feasible
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.compiled_calls import Array, Call, at_instants
-from servocore.problem import Problem, ResolvedSystem
+from servocore.numerics.compiled_calls import Array, at_instants, call_of
+from servocore.problem import Problem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import LARGEST_RESIDUAL, inversion, system_jacobian, system_jacobian_entries
 from servocore.structure.signature import condition_numbers
 
 _SURVEY_POINTS = 201
-
-ADVICE = {
-    FLAT: "Reduced: the inputs follow from the reference and its derivatives at every instant, to round-off",
-    MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics forward in time",
-    WEAKLY_MINIMUM_PHASE: "Reduced with a method that integrates the internal dynamics, which are not damped",
-    NON_MINIMUM_PHASE: "BoundaryValue: forward in time the unstable internal dynamics let errors grow exponentially",
-    SINGULAR: "another path, other parameters or another model",
-}
 
 
 @dataclass(frozen=True)
@@ -187,11 +176,11 @@ def _along_reference(problem: Problem, instants: int) -> tuple[float, str, str]:
     except InvalidReference as error:
         return np.inf, str(error), ""
     unknowns = _unknowns_along(problem, jets)
-    entries, parts = problem.resolved.once(system_jacobian_entries)
+    entries, parts = system_jacobian_entries(problem.array)
     conditions = condition_numbers(parts, at_instants(entries, np.column_stack(unknowns), jets=jets, p=problem.p)[0])
     if not (conditions < SINGULAR_CONDITION).all():
         k = int((~(conditions < SINGULAR_CONDITION)).argmax())
-        matrix = np.asarray(problem.resolved.once(system_jacobian)(unknowns[k], jets[k].T, problem.p))
+        matrix = np.asarray(system_jacobian(problem.array)(unknowns[k], jets[k].T, problem.p))
         singularity = "" if np.isfinite(matrix).all() else singular(problem)
         reason = (
             out_of_reach(problem) or singularity or singular_in_words(problem, float(times[k]), unknowns[k], matrix)
@@ -209,12 +198,13 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
 
     What a guess that knows nothing of the path does not solve is solved from a neighbour.
     """
-    expression = problem.resolved.once(inversion).expression
+    expression = inversion(problem.array).expression
     if expression is not None:
         states, _, residual = at_instants(expression, jets=jets, p=problem.p)
         if (residual < LARGEST_RESIDUAL).all():
             return list(states.T)
-    invert, search = problem.resolved.once(_survey_functions)
+    inverse = inversion(problem.array)
+    invert, search = call_of(inverse.function), call_of(inverse.search)
     unknowns = [invert(jet.T, problem.p)[0] for jet in jets]
     solved = [bool(np.isfinite(values).all()) for values in unknowns]
     count = len(unknowns)
@@ -226,8 +216,3 @@ def _unknowns_along(problem: Problem, jets: Array) -> list[Array]:
                 if np.isfinite(values).all():
                     unknowns[k], solved[k] = values, True
     return unknowns
-
-
-def _survey_functions(resolved: ResolvedSystem) -> tuple[Call, Call]:
-    inverse = resolved.once(inversion)
-    return Call(inverse.function), Call(inverse.search)

@@ -6,10 +6,8 @@ and is shared by all problems of that system; what belongs to one path and one s
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -26,8 +24,8 @@ from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, lock_arrays
 from servocore.numerics.components import filled
+from servocore.numerics.memoization import made_once
 from servocore.references.base import FloatArray, Reference
-from servocore.references.time_augmented import TimeAugmented
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.signature import Signature, is_regular
 
@@ -37,10 +35,6 @@ LEFT_OUT_HOLDS = 1e-4
 Solvers keep the others better."""
 
 _NO_REACH = 1e-300  # of a row that nothing moves, as a stop that is not touched
-_MOST_MADE = 128  # compiled functions that are kept with a system
-
-Settings = ParamSpec("Settings")
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +57,6 @@ class ResolvedSystem:
     redundant: tuple[int, ...]
     outcome: DerivativeArray | InvalidModel
     left_out: ca.SX = field(default_factory=lambda: ca.SX(0, 1), repr=False)
-    _made: dict[Hashable, Any] = field(default_factory=dict, repr=False)
 
     @property
     def left_out_shares(self) -> ca.SX:
@@ -92,29 +85,7 @@ class ResolvedSystem:
 
     def dae(self, formulation: Formulation) -> Dae:
         """Return the system in a formulation."""
-        return self.once(_dae, formulation)
-
-    def once(
-        self,
-        make: Callable[Concatenate[ResolvedSystem, Settings], Made],
-        *settings: Settings.args,
-        **named: Settings.kwargs,
-    ) -> Made:
-        """Return ``make(self, *settings)``, made at the first call and kept: compiling takes longer than solving.
-
-        Parameters
-        ----------
-        make : callable
-            A function of this system and the settings alone.
-        *settings, **named
-            What else it takes; hashable.
-        """
-        key = (make, settings, tuple(named.items()))
-        made: Made = self._made.pop(key) if key in self._made else make(self, *settings, **named)
-        self._made[key] = made  # put last: the order is that of the latest use
-        if len(self._made) > _MOST_MADE:
-            del self._made[next(iter(self._made))]  # the one that has not been used for longest
-        return made
+        return _dae(self, formulation)
 
     def suits(self, p: Array) -> bool:
         """Whether the structure found at the system's home is the structure at the parameter values `p` too."""
@@ -124,11 +95,12 @@ class ResolvedSystem:
         return not signature.equations.special and is_regular(signature, p)
 
 
+@made_once
 def _dae(resolved: ResolvedSystem, formulation: Formulation) -> Dae:
     return formulation.dae(resolved.system)
 
 
-@lru_cache(maxsize=256)  # solves of one scene on many paths share what was compiled for its system
+@made_once  # solves of one scene on many paths share what was compiled for its system
 def resolve(system: MechanicalSystem, p: tuple[float, ...]) -> ResolvedSystem:
     """Leave out redundant constraints and find the structure of a system at parameter values.
 
@@ -274,6 +246,8 @@ class Problem:
         left_out = system.listed_constraints(resolved.redundant)
         reference = scene.reference
         if system.time.numel() and reference.dimension == len(system.outputs):
+            from servocore.references.time_augmented import TimeAugmented  # noqa: PLC0415 - few hold the time
+
             reference = TimeAugmented.of(reference)
         return cls(
             scene.name, resolved, p, reference, scene.limits, scene.follow_branch, left_out, start or {}, scene.drawing

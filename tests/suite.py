@@ -44,7 +44,7 @@ from servocore.stepping.compilation import program_of
 from servocore.stepping.program import Program
 from servocore.stepping.stepper import Stepper
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 from servocore.structure.projection import project
 from servocore.structure.structural_analysis import analyse_structure
 
@@ -57,14 +57,14 @@ def perturbations(m: int) -> SearchStrategy[Array]:
 
 
 @cache
-def inversion(system: sc.MechanicalSystem) -> tuple[DerivativeArray, ca.Function]:
+def compiled_inversion(system: sc.MechanicalSystem) -> tuple[DerivativeArray, ca.Function]:
     array = derivative_array(system)
-    return array, compile_inversion(array).function
+    return array, inversion(array).function
 
 
 def inverted(system: sc.MechanicalSystem, jet: Array, p: Array) -> dict[tuple[str, int], float]:
     """Return q, v, v_dot, lam, u of the exact inversion at a reference jet, by (variable, order)."""
-    array, invert = inversion(system)
+    array, invert = compiled_inversion(system)
     y, _, residual = invert(jet[: array.reference_order + 1].T, p)
     assert float(residual) < 1e-8
     return {

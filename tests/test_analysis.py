@@ -16,7 +16,7 @@ from problems import actuated_chain, as_scene, driven_pendulum, redundant_pendul
 from thinned import thinned
 
 import servocore as sc
-from servocore.analysis import ADVICE
+from servocore.checks.internal_stability import ADVICE
 from servocore.numerics.compiled_calls import Array
 from servocore.references.rest_to_rest import RestToRest
 from servocore.structure.signature import condition_number

@@ -14,7 +14,7 @@ from suite import inverted
 
 from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 
 @pytest.mark.parametrize(("name", "model"), MODELS)
@@ -130,7 +130,7 @@ def test_an_instant_without_solution_is_not_passed_off_as_one() -> None:
     array = derivative_array(system)
     gamma = np.zeros((3, array.reference_order + 1))
     gamma[:, 0], gamma[2, 2] = (4.0, 0.0, -5.0), -9.81
-    found, _, residual = compile_inversion(array).function(gamma, system.parameters.values())
+    found, _, residual = inversion(array).function(gamma, system.parameters.values())
     assert not (np.isfinite(np.asarray(found)).all() and float(residual) < 1e-6)
 
 
@@ -139,5 +139,5 @@ def test_few_iterations_are_enough_from_the_configuration_at_rest() -> None:
     array = derivative_array(system)
     gamma = np.random.default_rng(3).uniform(-1.0, 1.0, (3, array.reference_order + 1))
     gamma[:, 0] += (4.0, 0.0, -5.0)
-    counts = np.asarray(compile_inversion(array).function(gamma, system.parameters.values())[1]).ravel()
+    counts = np.asarray(inversion(array).function(gamma, system.parameters.values())[1]).ravel()
     assert 1 <= counts[0] <= 8

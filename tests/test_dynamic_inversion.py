@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from present import present
 from problems import scene
 
 import servocore as sc
@@ -73,7 +74,7 @@ def test_one_instant_gives_one_row_and_instants_may_come_in_any_order() -> None:
 
 def test_steps_have_order_eight_and_polynomials_of_degree_seven_are_met() -> None:
     problem = sc.Problem.of(scene("mass_on_car"))
-    steps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, False)
+    steps = compile_explicit_steps(problem.resolved, problem.reference.formula, False)
     runs = [steps.run([problem.reference], count, problem.p, np.zeros(2)) for count in (20, 40, 400)]
     ends = [steps.runs.states(each)[0, :, -1] for each in runs]
     ratio = np.abs(ends[0] - ends[2]).max() / np.abs(ends[1] - ends[2]).max()
@@ -114,13 +115,13 @@ def test_a_call_is_one_of_machine_code_at_instants_that_are_new_too(
 ) -> None:
     inputs = sc.DynamicInversion(sampled_car() if of_a_table else scene("mass_on_car"), native=True)
     runs, asked = inputs._steps.runs, list[object]()
-    compiled = runs._run
+    compiled = present(runs._code.best(1))
 
     def counted(*given: object) -> object:
         asked.append(given)
         return compiled(*given)
 
-    monkeypatch.setattr(runs, "_run", counted)
+    monkeypatch.setattr(runs._code, "_loaded", counted)
     monkeypatch.setattr(runs, "_interpreted", None)
     for last in (4.0, 4.0, 3.0, 2.0):
         inputs(np.linspace(0.0, last, 201))

@@ -12,7 +12,7 @@ from problems import scene
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
 from servocore.structure.derivative_array import derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 CRANE = scene("rotary_crane")
 POINTWISE = [
@@ -39,7 +39,7 @@ def test_the_inputs_are_those_of_the_closed_form(name: str, model: str) -> None:
 
 def test_all_cranes_are_among_the_scenes_with_one_expression() -> None:
     for name in ("rotary_crane", "overhead_crane", "gantry_crane"):
-        found = compile_inversion(sc.Problem.of(scene(name), "points").array).expression
+        found = inversion(sc.Problem.of(scene(name), "points").array).expression
         assert found is not None
         assert found.n_instructions() < 1000
 
@@ -49,7 +49,7 @@ def test_forces_of_which_the_guess_knows_only_their_size_at_rest_take_no_iterati
     """The rope's direction is unknown in space as its force is: a nonlinear block with a force in it."""
     problem = sc.Problem.of(scene(name))
     array = problem.array
-    expression = compile_inversion(array).expression
+    expression = inversion(array).expression
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, 101)
     for jet in problem.reference.jet(t, array.reference_order):
         assert expression is not None
@@ -93,7 +93,7 @@ def test_a_guess_that_is_not_exact_costs_time_and_nothing_else() -> None:
     t = np.linspace(0.0, 20.0, 51)
     array = sc.Problem.of(crane).array
     jet = CRANE.reference.jet(7.0, array.reference_order)
-    quick = present(compile_inversion(array).expression)(jet.T, astray.parameters.values({}))[0]
+    quick = present(inversion(array).expression)(jet.T, astray.parameters.values({}))[0]
     assert np.isnan(np.asarray(quick)).any()
     assert_exact(sc.ExactInversion(crane)(t), CRANE.exact(t), ("M_b", "F", "M_w"))
     assert_exact(sc.solve(crane, sc.Reduced(), step=0.4).values, CRANE.exact(t), ("M_b", "F", "M_w"))

@@ -6,13 +6,16 @@ import ast
 import re
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("servocore", "crane_fmu")
 SOURCES = [path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
-MOST_MODULES = 80
+MOST_MODULES = 65
 """Modules of servocore that a cold default solve of the rotary crane imports or runs."""
 
 
@@ -32,30 +35,86 @@ def imported(path: Path) -> Iterator[tuple[str, str]]:
                 yield (whole, "") if whole in MODULES else (node.module or "", each.name)
 
 
+LAYERS = next(
+    contract["layers"]
+    for contract in tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    if contract.get("containers") == ["servocore"]
+)
+HEIGHT = {room.strip(): -k for k, line in enumerate(LAYERS) for room in line.split("|")}
 TRACED = """
 import sys
 import servocore as sc
 
-scene, ran = sc.scenes.rotary_crane(), set()
+scene, ran = sc.scenes.REGISTRY[sys.argv[1]](), set()
+
+
+def name_of(frame):
+    name = frame.f_globals.get("__name__", "")
+    return name if name.startswith("servocore") else ""
 
 
 def watch(frame, event, argument):
-    if event == "call" and frame.f_code.co_flags & 2:  # the body of a function, and not of a module or class
-        ran.add(frame.f_globals.get("__name__", ""))
+    if event != "call" or not frame.f_code.co_flags & 2 or not name_of(frame):  # bodies of functions, not of modules
+        return
+    caller = frame.f_back
+    while caller and not name_of(caller):
+        caller = caller.f_back
+    ran.add((name_of(caller) if caller else "servocore", name_of(frame)))
 
 
 sys.setprofile(watch)
 sc.solve(scene)
 sys.setprofile(None)
-print(*sorted(name for name in ran if name.startswith("servocore")))
+for pair in sorted(ran):
+    print(*pair)
 """
 
 
+def calls(scene: str) -> list[tuple[str, str]]:
+    """Return pairs of modules, of a cold default solve, the first of which calls the second."""
+    command = [sys.executable, "-W", "ignore", "-c", TRACED, scene]
+    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    return [(each.split()[0], each.split()[1]) for each in run.stdout.splitlines()]
+
+
 def test_a_default_solve_runs_few_modules() -> None:
-    run = subprocess.run([sys.executable, "-c", TRACED], cwd=ROOT, capture_output=True, text=True, check=True)
-    modules = run.stdout.split()
+    modules = {called for _, called in calls("rotary_crane")}
     assert "servocore.solvers.solve" in modules
     assert len(modules) <= MOST_MODULES, modules
+
+
+@pytest.mark.parametrize("scene", ["rotary_crane", "mass_on_car", "passive_joint_arm"])
+def test_no_room_runs_code_of_a_higher_one(scene: str) -> None:
+    """A scene is the user's: its factories and limits are called by what is below."""
+    rooms = [(below.split(".")[1:2], above.split(".")[1:2]) for below, above in calls(scene)]
+    known = {(below[0], above[0]) for below, above in rooms if below and above}
+    assert len(known) > 20
+    assert {(below, above) for below, above in known if above != "scenes" and HEIGHT[above] > HEIGHT[below]} == set()
+
+
+def test_one_module_of_the_library_starts_compilers() -> None:
+    """What is exported is built for other machines too, and the command line stops what runs."""
+    starts = {name for name, path in MODULES.items() if "subprocess" in path.read_text(encoding="utf-8")}
+    own = {name for name in starts if name.startswith("servocore.") and name.split(".")[1] not in {"export", "cli"}}
+    assert own == {"servocore.numerics.machine_code"}
+
+
+def test_one_module_puts_exact_inversion_together() -> None:
+    whole = {name for name, path in MODULES.items() if ".search_from_guess" in path.read_text(encoding="utf-8")}
+    assert whole == {"servocore.structure.inversion", "servocore.stepping.exact_evaluation"}
+
+
+def test_what_is_made_once_is_kept_in_one_way() -> None:
+    kept = re.compile(r"^\s*@(?:functools\.)?(?:lru_)?cache\b|\blru_cache\(", re.MULTILINE)
+    own = {name for name, path in MODULES.items() if kept.search(path.read_text(encoding="utf-8"))}
+    own -= {
+        name
+        for name in own
+        if not name.startswith("servocore") or name.startswith(("servocore.export", "servocore.cli"))
+    }
+    assert own == {"servocore", "servocore.numerics.memoization"}
 
 
 def test_names_with_an_underscore_stay_in_their_file() -> None:

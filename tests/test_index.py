@@ -14,7 +14,7 @@ import pytest
 from problems import FORMULATIONS, REFUSED, changed, mass_on_car, scene
 
 import servocore as sc
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 SCENES = {
     **{name: scene(name) for name in sc.scenes.REGISTRY},
@@ -38,7 +38,7 @@ def at_rest(problem: sc.Problem, dae: sc.Dae) -> tuple[np.ndarray, np.ndarray]:
     system, array = problem.system, problem.array
     gamma = np.zeros(system.gamma.shape)
     gamma[:, 0] = problem.reference.jet(problem.reference.start_time, 0)[0]
-    values, _, residual = compile_inversion(array).function(gamma[:, : array.reference_order + 1], problem.p)
+    values, _, residual = inversion(array).function(gamma[:, : array.reference_order + 1], problem.p)
     assert float(residual) < 1e-9
     unknowns = np.array([float(values[array.position(each.variable, each.order)]) for each in dae.unknowns])
     x = ca.vertcat(dae.x, dae.z)

@@ -187,7 +187,7 @@ def test_neighbours_that_are_apart_are_found_in_machine_code_too() -> None:
     problem = Problem.of(sc.scenes.rotary_crane())
     taylor, t = Taylor.of(problem.array), np.linspace(0.0, 20.0, 101)
     jets = problem.reference.jet(t, problem.array.reference_order)
-    function, size = problem.resolved.once(inversion).function, len(problem.array.unknowns)
+    function, size = inversion(problem.array).function, len(problem.array.unknowns)
     states = np.hstack([np.asarray(function(jet.T, problem.p)[0]) for jet in jets])
     states[:, 40] *= 1.01
     states[3, 60] = np.nan
@@ -231,10 +231,10 @@ def test_what_stands_out_between_instants_is_found_in_machine_code_too() -> None
 
 def test_machine_code_has_no_more_statements_than_the_expression_has_operations() -> None:
     problem = Problem.of(sc.scenes.rotary_crane())
-    flat = present(problem.resolved.once(inversion).expression)
+    flat = present(inversion(problem.array).expression)
     source = present(vector_source(flat, (True, False)))
     assert sum(line.startswith("    const vec") for line in source.splitlines()) <= flat.n_instructions()
-    assert vector_source(problem.resolved.once(inversion).search, (True, False, True)) is None
+    assert vector_source(inversion(problem.array).search, (True, False, True)) is None
 
 
 # When it is made -----------------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.scenes.rotary_crane import INPUTS, PARAMETERS, bodies, points, rotary_crane
 from servocore.solvers.solve import solve
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 from servocore.structure.signature import signature
 from servocore.structure.structural_analysis import second_order_equations
 
@@ -31,14 +31,14 @@ def crane() -> MechanicalSystem:
 
 
 @cache
-def inversion(model: Callable[[], sc.MechanicalSystem]) -> tuple[DerivativeArray, ca.Function]:
+def compiled_inversion(model: Callable[[], sc.MechanicalSystem]) -> tuple[DerivativeArray, ca.Function]:
     array = derivative_array(model())
-    return array, compile_inversion(array).function
+    return array, inversion(array).function
 
 
 def inverted(model: Callable[[], sc.MechanicalSystem], jets: Array, changed: dict[str, float] | None = None) -> Array:
     """Unknowns of the derivative array, shape (unknowns, N), for jets of shape (N, orders, 3)."""
-    array, invert = inversion(model)
+    array, invert = compiled_inversion(model)
     gamma = np.concatenate([jet[: array.reference_order + 1].T for jet in jets], axis=1)
     p = np.tile(PARAMETERS.values(changed)[:, None], (1, len(jets)))
     y, _, residual = invert.map(len(jets))(gamma, p)
@@ -47,7 +47,7 @@ def inverted(model: Callable[[], sc.MechanicalSystem], jets: Array, changed: dic
 
 
 def inputs(model: Callable[..., MechanicalSystem], jets: Array, changed: dict[str, float] | None = None) -> Array:
-    array, _ = inversion(model)
+    array, _ = compiled_inversion(model)
     y = inverted(model, jets, changed)
     return y[[array.position(name, 0) for name in INPUT_NAMES]]
 
@@ -133,7 +133,7 @@ def test_at_rest_only_the_winch_holds_the_load() -> None:
 
 
 def test_observables_read_angle_distance_length_tension_and_swing_of_the_rope() -> None:
-    system, (array, _) = crane(), inversion(crane)
+    system, (array, _) = crane(), compiled_inversion(crane)
     jet = np.zeros((1, 6, 3))
     jet[0, 0], jet[0, 2] = (3.0, 4.0, -2.0), (0.6, 0.8, 0.0)  # accelerates outwards along the bridge
     y = inverted(crane, jet)

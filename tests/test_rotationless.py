@@ -41,7 +41,7 @@ from servocore.rotationless import (
     turned,
 )
 from servocore.structure.derivative_array import derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 from servocore.structure.signature import signature
 from servocore.structure.structural_analysis import second_order_equations
 
@@ -79,7 +79,7 @@ def invert(system: MechanicalSystem, *jets: tuple[float | tuple[float, float, fl
     """Inputs, shape (N, m), for (value, velocity, acceleration) of the servo outputs at N instants."""
     array = derivative_array(system)
     assert array.signature.degrees_of_freedom == 0
-    function, found = compile_inversion(array).function, []
+    function, found = inversion(array).function, []
     for jet in jets:
         gamma = np.full((len(system.outputs), array.reference_order + 1), 7.0)  # a jerk must not matter
         gamma[:, :3] = jet
@@ -439,7 +439,7 @@ def test_four_hinges_in_a_plane_have_one_degree_of_freedom_and_three_redundant_r
         derivative_array(system)
     kept = without_constraints(system, system.constraint_rank(p).redundant)
     array = derivative_array(kept)
-    y, _, residual = compile_inversion(array).function(ca.horzcat(1.0, 2.0, -3.0), p)
+    y, _, residual = inversion(array).function(ca.horzcat(1.0, 2.0, -3.0), p)
     assert float(y[array.position("u.torque", 0)]) == pytest.approx(FourBar(1.0).torque(2.0, -3.0), rel=1e-9)
     assert float(residual) < 1e-12
 

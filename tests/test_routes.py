@@ -13,6 +13,7 @@ from problems import scene
 
 import servocore as sc
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.solvers.adaptive import ToTolerance
 from servocore.solvers.boundary_value import BoundaryValue
 from servocore.solvers.exact_inversion import Pointwise
@@ -97,11 +98,13 @@ def test_problems_of_one_system_share_what_was_compiled_and_nothing_else() -> No
     np.testing.assert_allclose(sc.solve(other)["F"], exact, atol=1e-9 * np.abs(exact).max())
 
 
-def test_only_so_much_is_kept_with_a_system() -> None:
-    limits = [sc.Limit("z", "m", -100.0, "it falls", lambda gamma, _, k=k: gamma[1, 0] + 0 * k) for k in range(200)]
-    for limit in limits:
-        sc.analyse(replace(CRANE, limits=(limit,)))
-    assert len(sc.Problem.of(CRANE).resolved._made) <= 128
+def test_what_is_made_once_is_kept_until_many_others_are_made() -> None:
+    made = made_once(lambda _: object())
+    first = made(0)
+    assert made(0) is first
+    for k in range(1, 300):
+        made(k)
+    assert made(0) is not first
 
 
 def test_the_error_of_a_structure_without_an_answer_is_a_new_one_every_time() -> None:

@@ -13,7 +13,7 @@ from present import present
 from problems import as_scene, car_chain, polynomial_path, problem, scene, solved
 
 import servocore as sc
-from servocore.checks.instants import time_grid
+from servocore.references.base import time_grid
 from servocore.references.rest_to_rest import RestToRest
 from servocore.solvers.fixed_step_loop import CHUNK
 

@@ -99,10 +99,10 @@ def _in_c(inputs: sc.DynamicInversion, t: Array) -> dict[str, Run]:
     many, one = ctypes.c_void_p, ctypes.c_long
     again.restype, again.argtypes = ctypes.c_int, [one, *[many] * 5, one, one, one, many]
     (sizes, arrays, _), instants = inputs._run.as_c, inputs._instants(t)
-    compiled, values = (
-        ctypes.cast(inputs._steps.runs._code.best(INSTANTS), many),
-        np.empty((len(inputs.inputs), INSTANTS)),
-    )
+    code = inputs._steps.runs._code.best(INSTANTS)
+    if code is None:
+        raise ArithmeticError("there is no machine code")
+    compiled, values = ctypes.cast(code, many), np.empty((len(inputs.inputs), INSTANTS))
 
     def run() -> Array:
         if again(CALLS, compiled, sizes, arrays, *instants.as_c[:5], values.ctypes.data):

@@ -29,7 +29,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.solvers.fixed_step_loop import run_steps
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.structure.derivative_array import derivative_array
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 Key = tuple[str, int]
 """A variable and which of its derivatives: ("q.s", 1)."""
@@ -298,7 +298,7 @@ def quasi_static(form: Form, t: Array) -> Array:
     reference, p = form.problem.scene.reference, array.system.parameters.values(form.problem.scene.parameters)
     jets = np.zeros((len(t), array.reference_order + 1, reference.dimension))
     jets[:, 0] = reference.jet(t, 0)[:, 0]
-    guess = compile_inversion(array).guess
+    guess = inversion(array).guess
     values = np.column_stack([np.asarray(guess(jet.T, p)).ravel() for jet in jets])
     rows = {(array.names[j], order): values[k] for k, (j, order) in enumerate(array.unknowns)}
     return np.array([

@@ -154,7 +154,7 @@ def _idas(scene: sc.Scene) -> Callable[[], object]:
     options = {"reltol": 1e-6, "abstol": 1e-6, "max_num_steps": 20_000}
     integrate = Lean(ca.integrator("sc_peer", "idas", equations, t[0], list(t[1:]), options))
     jet = scene.reference.jet(t[:1], order)[0].T
-    z0 = np.asarray(problem.resolved.once(inversion).function(jet, problem.p)[0]).ravel()
+    z0 = np.asarray(inversion(problem.array).function(jet, problem.p)[0]).ravel()
     return lambda: integrate(np.zeros(1), z0)
 
 

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.program import Program
@@ -28,9 +29,10 @@ def ambiguous_angles(problem: Problem, program: Program) -> tuple[int, ...]:
     if program.index <= 1:
         return ()
     names = [channel.name for channel in program.channels]
-    return tuple(names.index(statement) for statement in problem.resolved.once(_periodic_coordinates))
+    return tuple(names.index(statement) for statement in _periodic_coordinates(problem.resolved))
 
 
+@made_once
 def _periodic_coordinates(resolved: ResolvedSystem) -> tuple[str, ...]:
     """Return the angles among the coordinates, reported as they are, of which an equation is a periodic function.
 
@@ -73,7 +75,7 @@ def follow_angles(
     wrapping = tuple(k for k, channel in enumerate(channels) if channel.wraps)
     if program.index > 0 or problem.follow_branch or not wrapping:
         return
-    angular = problem.resolved.once(_angles_and_rates, tuple(channels[k].name for k in wrapping), native)
+    angular = _angles_and_rates(problem.resolved, tuple(channels[k].name for k in wrapping), native)
     if angular is None:
         return
     if len(t) > 1 and _turns_little(t, values[:, wrapping], angular.fastest(states, problem.p)):
@@ -145,6 +147,7 @@ def _bisected(problem: Problem, program: Program, angular: _Angular, row: int, t
     return done
 
 
+@made_once
 def _angles_and_rates(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> _Angular | None:
     """Return angles and rates as functions of the state of an exact inversion, or None if they are none of q."""
     system, array = resolved.system, resolved.array

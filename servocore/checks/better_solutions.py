@@ -27,11 +27,15 @@ from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import ErrorEstimate, Solution
+from servocore.stepping.exact_evaluation import ExactEvaluation
 
 STEPWISE = "one: no step of the motion stands out from its neighbours"
 
 Run = Callable[[Problem, Array], Solution]
 """What solves a problem at instants."""
+
+LOOSE_TOLERANCE = 0.01
+"""A tolerance above it does not prove by itself that inputs are good."""
 
 _MOST_HALVINGS = 3
 _SURE = 2.0  # times what half the step changes in the better values: a difference that is larger is the run's error
@@ -185,26 +189,23 @@ def _standing_out(solution: Solution, steps: npt.NDArray[np.intp]) -> str:
     return f"the step from t = {solution.t[k]:.6g} s to {solution.t[k + 1]:.6g} s is much larger than its neighbours"
 
 
-def inputs_may_be_far(
-    problem: Problem, solution: Solution, inputs_at: Callable[[Array], Array], everywhere: bool
-) -> bool:
+def inputs_may_be_far(problem: Problem, solution: Solution, exact: ExactEvaluation) -> bool:
     """Whether inputs may be far from the exact ones, which are known at every instant.
 
     Parameters
     ----------
     problem, solution : Problem, Solution
         Without internal dynamics, and what was found.
-    inputs_at : callable
-        Instants (N,) -> inputs and more, shape (rows, N); NaN where it does not know.
-    everywhere : bool
-        Whether it is cheap; else some instants are looked at, with less patience.
+    exact : ExactEvaluation
+        Of the inputs and more. Where it is an expression every instant is looked at, else some are, with less patience.
     """
+    everywhere = exact.is_expression
     inputs = solution.values[:, : len(problem.system.inputs)]
     at = np.arange(len(inputs)) if everywhere else _samples(inputs)
-    exact = inputs_at(solution.t[at])[: inputs.shape[1]].T
+    known = exact.by_expression(problem, solution.t[at])[0][: inputs.shape[1]].T
     allowed = LARGEST_UNWARNED if everywhere else _SUSPICIOUS
     # Not <=, so that what is not known is looked at again.
-    return not bool((np.abs(inputs[at] - exact).max(axis=0) <= allowed * np.abs(exact).max(axis=0)).all())
+    return not bool((np.abs(inputs[at] - known).max(axis=0) <= allowed * np.abs(known).max(axis=0)).all())
 
 
 def _samples(inputs: Array) -> npt.NDArray[np.intp]:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed, ServocoreWarning
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
@@ -40,9 +41,9 @@ def suspected_poles(problem: Problem, solution: Solution, native: bool | None = 
     t = solution.t
     if len(t) < 4 * _BESIDE[1] or len(solution.channels) < len(problem.system.inputs):
         return []
-    columns, positive, coordinates = problem.resolved.once(_watched, solution.channels)
+    columns, positive, coordinates = _watched(problem.resolved, solution.channels)
     if native is not False:
-        alarm = problem.resolved.once(_compiled_alarm, solution.channels, native)
+        alarm = _compiled_alarm(problem.resolved, solution.channels, native)
         if alarm.ready(len(t)) and not _alarming(alarm, solution.values, [*columns, *coordinates], positive):
             return []
     values = solution.values.T[[*columns, *coordinates]]
@@ -85,6 +86,7 @@ def _alarming(alarm: Vectorized, values: Array, rows: list[int], positive: list[
     )
 
 
+@made_once
 def _compiled_alarm(resolved: ResolvedSystem, channels: tuple[Quantity, ...], native: bool | None) -> Vectorized:
     """Compile (values at instants in a row, least) -> whether one stands out in the middle."""
     (columns, positive, coordinates), near = _watched(resolved, channels), _BESIDE[0]
@@ -122,6 +124,7 @@ def _standing_out(bend: Array, least: Array) -> npt.NDArray[np.bool_]:
     return stands_out
 
 
+@made_once
 def _watched(resolved: ResolvedSystem, channels: tuple[Quantity, ...]) -> tuple[list[int], list[int], list[int]]:
     """Return which channels are inputs or observables but angles, which of these must be positive, and coordinates."""
     system = resolved.system

@@ -21,6 +21,7 @@ from servocore.numerics.compiled_calls import Array, Call, at_instants
 from servocore.numerics.components import Part, parts_of
 from servocore.numerics.constraint_ranks import Rows, assembled
 from servocore.numerics.interpolation import lagrange
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 from servocore.stepping.observation import observed
@@ -78,7 +79,7 @@ def rank_losses(problem: Problem, t: Array, q: Array) -> list[RankLoss]:
         return []
     entries, magnitudes = _entries(problem, t, q), _magnitudes(problem, q)
     losses = []
-    for part in problem.resolved.once(constraint_entries).parts:
+    for part in constraint_entries(problem.resolved).parts:
         if len(part.rows) and len(part.columns):
             losses += _losses(problem, t, q, part, part.dense(entries) * magnitudes[part.columns])
     return sorted(losses, key=lambda loss: loss.time)
@@ -148,10 +149,10 @@ class _Motion:
         """Prepare to look at a part of the constraints, or at all of them."""
         magnitudes, holonomic = _magnitudes(problem, q), problem.system.lam.numel()
         if part is None:
-            evaluate = problem.resolved.once(constraint_rows)
+            evaluate = constraint_rows(problem.resolved)
         else:
             rows, columns = tuple(part.rows.tolist()), tuple(part.columns.tolist())
-            evaluate, holonomic = problem.resolved.once(constraint_rows, rows, columns), int(sum(part.rows < holonomic))
+            evaluate, holonomic = constraint_rows(problem.resolved, rows, columns), int(sum(part.rows < holonomic))
             q, magnitudes = q[:, part.columns], magnitudes[part.columns]
         return cls(problem, t, q / magnitudes, magnitudes, row_scale, evaluate, holonomic)
 
@@ -207,7 +208,7 @@ def _condition(jacobian: Array) -> float:
 
 def _entries(problem: Problem, t: Array, q: Array) -> Array:
     """Return the entries of S at every configuration, shape (nnz, N)."""
-    compiled = problem.resolved.once(constraint_entries)
+    compiled = constraint_entries(problem.resolved)
     jets = problem.reference.jet(t, 0) if compiled.on_path else np.zeros((len(t), 1, problem.reference.dimension))
     return at_instants(compiled.function, q.T, jets=jets, p=problem.p)[0]
 
@@ -223,6 +224,7 @@ class _Entries(NamedTuple):
     on_path: bool
 
 
+@made_once
 def constraint_entries(resolved: ResolvedSystem) -> _Entries:
     """Compile the entries of all constraints' Jacobian, and find its independent parts."""
     system = resolved.system
@@ -231,6 +233,7 @@ def constraint_entries(resolved: ResolvedSystem) -> _Entries:
     return _Entries(function, parts_of(S.sparsity()), bool(ca.depends_on(S, path)))
 
 
+@made_once
 def constraint_rows(
     resolved: ResolvedSystem, rows: tuple[int, ...] | None = None, columns: tuple[int, ...] | None = None
 ) -> Call:
@@ -254,7 +257,7 @@ def require_one_branch(problem: Problem, solution: Solution) -> str:
     IntegrationFailed
         If the configurations do not go on as they came.
     """
-    places = problem.resolved.once(_columns, solution.names) if problem.system.lam.numel() else None
+    places = _columns(problem.resolved, solution.names) if problem.system.lam.numel() else None
     if places is None:
         return ""
     passed, count = "", len(solution.t)
@@ -275,10 +278,11 @@ def require_one_branch(problem: Problem, solution: Solution) -> str:
 
 def configurations(problem: Problem, solution: Solution) -> Array | None:
     """Return the coordinates of a solution, shape (N, n); None where it does not report them by their names."""
-    places = problem.resolved.once(_columns, solution.names)
+    places = _columns(problem.resolved, solution.names)
     return None if places is None else solution.values[:, places]
 
 
+@made_once
 def _columns(resolved: ResolvedSystem, names: tuple[str, ...]) -> list[int] | None:
     """Places of the coordinates among reported names; None if one is missing or its name is that of something else."""
     reported = {quantity.name: expression for quantity, expression in observed(resolved.system)}

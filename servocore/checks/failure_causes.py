@@ -15,10 +15,11 @@ import numpy as np
 
 from servocore.checks.branches import constraint_rows
 from servocore.checks.impulses import first_jump, has_kinks_or_jumps
-from servocore.checks.instants import survey
 from servocore.errors import InconsistentStart, IntegrationFailed, InvalidReference, ServocoreError
-from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, at_instants, call_of, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import survey
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion, system_jacobian
 from servocore.structure.signature import condition_number, lost_rank
@@ -48,11 +49,11 @@ def explained(problem: Problem, error: ServocoreError) -> ServocoreError:
 def _jump(problem: Problem) -> str:
     """Say where the motion of a problem without internal dynamics jumps, from the guess of its model."""
     array = problem.resolved.outcome
-    if not (problem.flat and isinstance(array, DerivativeArray) and problem.resolved.once(has_kinks_or_jumps)):
+    if not (problem.flat and isinstance(array, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
         return ""
     if problem.reference.max_order < array.reference_order:
         return ""
-    inverse = problem.resolved.once(inversion)
+    inverse = inversion(problem.array)
 
     def states(t: Array) -> Array:
         jets = problem.reference.jet(t, array.reference_order)
@@ -89,7 +90,7 @@ class _Reach:
         largest = np.abs(reference.jet(times, 0)[:, 0, : len(units)]).max(axis=0)
         size = np.array([largest[units == unit].max(initial=0.0) for unit in units])
         size = np.where(size > 0.0, size, max(float(largest.max(initial=0.0)), 1e-9))
-        rows, x = problem.resolved.once(constraint_rows), _guess(problem, float(times[0]))
+        rows, x = constraint_rows(problem.resolved), _guess(problem, float(times[0]))
         nominal = np.array(problem.system.coordinates.nominal)
         residual, jacobian = rows(x * nominal, reference.jet(float(times[0]), 0)[0], problem.p)
         # Constraints hold to a part of what their rows change by when a coordinate goes as far as it does.
@@ -174,13 +175,14 @@ def _guess(problem: Problem, time: float) -> Array:
     gamma = np.zeros(system.gamma.shape)
     order = min(system.gamma.size2() - 1, reference.max_order)
     gamma[:, : order + 1] = reference.jet(time, order).T
-    evaluate = problem.resolved.once(_compiled_guess)
+    evaluate = _compiled_guess(problem.resolved)
     guess = np.asarray(evaluate(gamma, problem.p)).ravel()
     start: Array = guess if np.isfinite(guess).all() else system.home_configuration(problem.p)[0]
     nominal: Array = np.array(system.coordinates.nominal)
     return start / nominal
 
 
+@made_once
 def _compiled_guess(resolved: ResolvedSystem) -> ca.Function:
     system = resolved.system
     return ca.Function("sc_guess", [system.gamma, system.p], [ca.densify(system.guess)])
@@ -225,7 +227,7 @@ def singular(problem: Problem) -> str:
     reference, array = problem.reference, problem.array
     if reference.max_order < array.reference_order:
         return ""
-    inverse, J = problem.resolved.once(inversion), problem.resolved.once(_jacobian_call)
+    inverse, J = inversion(problem.array), call_of(system_jacobian(problem.array))
     invert, search, guess = Call(inverse.function), Call(inverse.search), Call(inverse.guess)
     times = np.linspace(reference.start_time, reference.end_time, _INSTANTS if problem.flat else 1)
     last: Array | None = None
@@ -247,14 +249,10 @@ def singular(problem: Problem) -> str:
     return ""
 
 
-def _jacobian_call(resolved: ResolvedSystem) -> Call:
-    return Call(resolved.once(system_jacobian))
-
-
 def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
     """Return all unknowns of the derivative array, states as they start, by least squares; None if that fails."""
     array = problem.array
-    free, evaluate = array.places(array.determined), problem.resolved.once(_compiled_array)
+    free, evaluate = array.places(array.determined), _compiled_array(problem.resolved)
 
     def rows(x: Array) -> tuple[Array, Array]:
         values = start.copy()
@@ -270,6 +268,7 @@ def _solved(problem: Problem, jet: Array, start: Array) -> Array | None:
     return values if np.linalg.norm(rows(x)[0]) < _SOLVED else None
 
 
+@made_once
 def _compiled_array(resolved: ResolvedSystem) -> Call:
     array = resolved.array
     gamma = array.system.gamma[:, : array.reference_order + 1]
@@ -312,10 +311,8 @@ def _at_rest(problem: Problem, time: float, jet: Array, values: Array) -> str:
     array, p = problem.array, problem.p
     if np.abs(jet[1:]).max(initial=0.0) > _RESTING * np.abs(jet).max(initial=0.0):
         return ""
-    sentence = (
-        values if np.isfinite(values).all() else np.asarray(problem.resolved.once(inversion).guess(jet.T, p)).ravel()
-    )
-    jacobian = problem.resolved.once(_jacobian_call)
+    sentence = values if np.isfinite(values).all() else np.asarray(inversion(problem.array).guess(jet.T, p)).ravel()
+    jacobian = call_of(system_jacobian(problem.array))
     J = jacobian(sentence, jet.T, p)[0]
     if condition_number(J) < SINGULAR_CONDITION:
         return ""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -18,12 +18,11 @@ import numpy.typing as npt
 from servocore.checks.switching_instants import with_switching_instants
 from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
-from servocore.model.system import MechanicalSystem
 from servocore.numerics.angle_wrapping import wrapped_angle
 from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.memoization import made_once
 from servocore.numerics.step_operations import JUMPS, KINKS, holds_any, switching_levels
-from servocore.references.base import Reference
-from servocore.structure.derivative_array import DerivativeArray
+from servocore.problem import Problem, ResolvedSystem
 
 States = Callable[[Array], Array]
 """Times (N,) -> all unknowns of the derivative array (size, N), NaN where they are not found."""
@@ -41,41 +40,6 @@ _ASIDE = 1e-8  # of the duration: instants beside a jump, where round-off would 
 _STEADY = 0.2  # of a jump: by how much values beside it may differ
 _KINDS = "the model has a kink or a jump there (fabs, sign, floor, fmod, fmin, fmax, if_else)"
 _FIELDS = "mass", "potential", "force", "gyroscopic", "constraints", "output", "input_matrix"
-
-
-class Resolved(Protocol):
-    """A system with what was compiled for it, as `servocore.problem.ResolvedSystem` is."""
-
-    @property
-    def system(self) -> MechanicalSystem:
-        """The system."""
-
-    def once(self, make: Callable[..., Any], *settings: Any) -> Any:
-        """Return what is made of it, made once."""
-
-
-class Posed(Protocol):
-    """A system with parameter values and a path, as `servocore.problem.Problem` has them."""
-
-    @property
-    def system(self) -> MechanicalSystem:
-        """The system."""
-
-    @property
-    def resolved(self) -> Resolved:
-        """What was compiled for it."""
-
-    @property
-    def array(self) -> DerivativeArray:
-        """The derivative array."""
-
-    @property
-    def reference(self) -> Reference:
-        """The path."""
-
-    @property
-    def p(self) -> Array:
-        """Parameter values."""
 
 
 @dataclass(frozen=True)
@@ -120,22 +84,24 @@ class Jump:
         return f"at t = {self.time:.9g} s {self.what} {jumps} from {values}, {and_inputs}: {smooth}"
 
 
-def has_kinks_or_jumps(resolved: Resolved) -> bool:
+@made_once
+def has_kinks_or_jumps(resolved: ResolvedSystem) -> bool:
     """Whether the equations of a system hold operations with a kink or a jump; what has none, has no impulses."""
     return any(holds_any(getattr(resolved.system, name), KINKS) for name in _FIELDS)
 
 
-def has_jumps(resolved: Resolved) -> bool:
+@made_once
+def has_jumps(resolved: ResolvedSystem) -> bool:
     """Whether the equations of a system hold operations that jump."""
     return any(holds_any(getattr(resolved.system, name), JUMPS) for name in _FIELDS)
 
 
-def first_jump(problem: Posed, t: Array, states: States) -> Jump | None:
+def first_jump(problem: Problem, t: Array, states: States) -> Jump | None:
     """Find the first jump of a motion; None where there is none.
 
     Parameters
     ----------
-    problem : Posed
+    problem : Problem
         What was solved.
     t : ndarray, shape (N,)
         Instants in rising order, between which it is looked for.
@@ -152,14 +118,15 @@ def first_jump(problem: Posed, t: Array, states: States) -> Jump | None:
     return next((jump for jump in jumps if jump), None)
 
 
-def require_no_jumps(problem: Posed, t: Array, states: States) -> None:
+def require_no_jumps(problem: Problem, t: Array, states: States) -> None:
     """Raise `IntegrationFailed` if a motion jumps between some instants; see `first_jump`."""
     jump = first_jump(problem, t, states)
     if jump:
         raise IntegrationFailed(f"{problem.system.name}: {jump}")
 
 
-def _switching_arguments(resolved: Resolved) -> ca.Function | None:
+@made_once
+def _switching_arguments(resolved: ResolvedSystem) -> ca.Function | None:
     """Compile (q, v, path with the time, p) -> arguments of what switches, shape (k,); see `switching_levels`."""
     system = resolved.system
     levels = switching_levels(ca.vertcat(*(ca.vec(ca.densify(getattr(system, name))) for name in _FIELDS)))
@@ -175,7 +142,8 @@ class SteppedQuantities(NamedTuple):
     quantities: tuple[Quantity, ...]
 
 
-def stepped_quantities(resolved: Resolved) -> SteppedQuantities | None:
+@made_once
+def stepped_quantities(resolved: ResolvedSystem) -> SteppedQuantities | None:
     """Compile entries of the mass and the potential that hold jumps, None if there is none."""
     system = resolved.system
     found: list[tuple[Quantity, ca.SX]] = []
@@ -203,7 +171,7 @@ class _Motion:
     Accelerations that are not known count as zero.
     """
 
-    problem: Posed
+    problem: Problem
     states: States
     places: npt.NDArray[np.intp]
     rates: npt.NDArray[np.intp]
@@ -212,13 +180,13 @@ class _Motion:
     stepped: SteppedQuantities | None
 
     @classmethod
-    def of(cls, problem: Posed, states: States) -> _Motion:
+    def of(cls, problem: Problem, states: States) -> _Motion:
         """Find the places in the derivative array."""
         array, quantities = problem.array, problem.system.coordinates.quantities
         places = [array.places((k, order) for k in range(len(quantities))) for order in (0, 1)]
         known = {unknown: k for k, unknown in enumerate(array.unknowns)}
         second = [known.get((k, 2), -1) for k in range(len(quantities))]
-        stepped = problem.resolved.once(stepped_quantities)
+        stepped = stepped_quantities(problem.resolved)
         velocities = [Quantity(f"the velocity of {each.name}", f"{each.unit}/s") for each in quantities]
         watched = (*quantities, *velocities, *(stepped.quantities if stepped else ()))
         wraps = np.array([k < len(quantities) and quantities[k].wraps for k in range(len(watched))])
@@ -237,14 +205,16 @@ class _Motion:
 
     def arguments(self) -> Callable[[Array], Array] | None:
         """Return what switches as a function of times, None if nothing is known to."""
-        function = self.problem.resolved.once(_switching_arguments)
+        function = _switching_arguments(self.problem.resolved)
+        if function is None:
+            return None
         n = len(self.problem.system.coordinates)
 
         def at(t: Array) -> Array:
             known, jets = self.states(t)[self.places], self.problem.reference.jet(t, 0)
             return at_instants(function, known[:n], known[n:], jets=jets, p=self.problem.p)[0]
 
-        return None if function is None else at
+        return at
 
     def _stepped_at(self, stepped: SteppedQuantities, values: Array, t: Array) -> tuple[Array, ...]:
         n, jets = len(self.problem.system.coordinates), self.problem.reference.jet(t, 1)

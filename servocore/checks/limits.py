@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
 import numpy as np
 import numpy.typing as npt
 
-from servocore.checks.instants import survey
+from servocore.errors import LimitBroken
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.stepping.limit_margins import compile_margins, limit_texts, limits_order
+from servocore.references.base import survey
+from servocore.stepping.observation import compile_margins, limit_texts, limits_order
 from servocore.stepping.path_function import PathFunction
 from servocore.stepping.program import LimitText, require_margins
 
@@ -86,9 +91,143 @@ def _require_at(problem: Problem, limits: tuple[Limit, ...], t: Array | None, na
 
 def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool | None) -> Array:
     """Return how far each limit is at the instants, shape (limits, N)."""
-    return problem.resolved.once(_compiled_margins, limits, native)(problem, t)[0]
+    return _compiled_margins(problem.resolved, limits, native)(problem, t)[0]
 
 
+@made_once
 def _compiled_margins(resolved: ResolvedSystem, limits: tuple[Limit, ...], native: bool | None) -> PathFunction:
     order = limits_order(resolved.system, limits)
     return PathFunction(compile_margins(resolved.system, limits, order), native, resolved.system.name)
+
+
+_ROUND_OFF = 1e-9  # of the bounds: beyond them by less is on them
+_BEND = 0.05  # of its range: a quantity that changes by more between two instants is looked at in between
+_SLIGHT = 1e-4  # of the bounds: a range that says nothing
+_MOST_INSTANTS = 20_000
+_HALVINGS = 50
+_SECTIONS, _ROUNDS = 9, 5
+
+
+@dataclass(frozen=True, eq=False)
+class LimitSurvey:
+    """Limits along a path, and the values that they compare, shape (limits, N), at any instants."""
+
+    name: str
+    limits: tuple[Limit, ...]
+    wraps: tuple[bool, ...]
+    evaluate: Callable[[Array], Array]
+    sizes: tuple[float, ...] = ()
+
+    def require(self, t: Array) -> None:
+        """Raise `LimitBroken` for the limit that is broken first; `t` are instants to begin with."""
+        t, values = self._dense(t)
+        sized = replace(self, sizes=tuple(map(size_of_bounds, self.limits, values)))
+        broken = [(*found, row) for row in range(len(self.limits)) if (found := sized._broken(row, t, values[row]))]
+        if broken:
+            first, worst, value, row = min(broken)
+            raise LimitBroken(broken_limit(self.name, self.limits[row], first, worst, value))
+
+    def _dense(self, t: Array) -> tuple[Array, Array]:
+        """Return instants between which no quantity changes much, and the values there."""
+        values = self._unwrapped(self.evaluate(t))
+        while True:
+            known = np.where(np.isfinite(values), values, 0.0)
+            sizes = np.maximum(np.ptp(known, axis=1), _SLIGHT * np.array(list(map(size_of_bounds, self.limits, known))))
+            steep = np.abs(np.diff(known, axis=1)) > _BEND * sizes[:, None]
+            at = np.flatnonzero((steep & (np.diff(t) > 1e-9 * np.ptp(t))).any(axis=0))
+            if not len(at) or len(t) + len(at) > _MOST_INSTANTS:
+                return t, values
+            middle = (t[at] + t[at + 1]) / 2
+            values = self._unwrapped(np.insert(values, at + 1, self.evaluate(middle), axis=1))
+            t = np.insert(t, at + 1, middle)
+
+    def _unwrapped(self, values: Array) -> Array:
+        for row in np.flatnonzero(self.wraps):
+            values[row] = np.unwrap(values[row])
+        return values
+
+    def _broken(self, row: int, t: Array, values: Array) -> tuple[float, float, float] | None:
+        """Return when a limit is broken first, and when it is worst and how the quantity is then; None if never."""
+        margins = self._margin(row, values)
+        bad = np.flatnonzero(~(margins >= 0.0))
+        first = int(bad[0]) if len(bad) else len(t)
+        for k in self._valleys(margins[: first + 1]):
+            at, margin, value = self._lowest(row, t, values, int(k))
+            if not margin >= 0.0:
+                before = max(int(k) - 1, 0)
+                return self._crossing(row, float(t[before]), at, float(values[before])), at, value
+        if not len(bad):
+            return None
+        spell = bad[: 1 + int(np.argmax(np.diff([*bad, len(t) + 1]) > 1))]
+        at, _, value = self._lowest(row, t, values, int(spell[np.nan_to_num(margins[spell], nan=-np.inf).argmin()]))
+        if first == 0:
+            return float(t[0]), at, value
+        return self._crossing(row, float(t[first - 1]), float(t[first]), float(values[first - 1])), at, value
+
+    def _valleys(self, margins: Array) -> npt.NDArray[np.intp]:
+        """Return local minima that may come down to zero between instants, to judge by second differences."""
+        if len(margins) < 3 or not np.isfinite(margins[:-1]).all():
+            return np.zeros(0, dtype=np.intp)
+        bend = np.abs(np.diff(margins, 2))
+        low = (margins[1:-1] <= margins[:-2]) & (margins[1:-1] <= margins[2:]) & (margins[1:-1] <= bend)
+        return np.flatnonzero(low & (margins[1:-1] >= 0.0)) + 1
+
+    def _lowest(self, row: int, t: Array, values: Array, k: int) -> tuple[float, float, float]:
+        """Return where a margin is lowest around an instant, that margin and the value."""
+        begin, end, found = t[max(k - 1, 0)], t[min(k + 1, len(t) - 1)], (float(t[k]), 0.0, float(values[k]))
+        if not np.isfinite(values[k]):
+            return found
+        for _ in range(_ROUNDS):
+            at = np.linspace(begin, end, _SECTIONS)
+            tried = self._near(row, at, float(values[k]))
+            margins = np.nan_to_num(self._margin(row, tried), nan=np.inf)
+            lowest = int(margins.argmin())
+            begin, end = at[max(lowest - 1, 0)], at[min(lowest + 1, _SECTIONS - 1)]
+            found = float(at[lowest]), float(margins[lowest]), float(tried[lowest])
+        return found
+
+    def _crossing(self, row: int, good: float, bad: float, near: float) -> float:
+        """Return the first time at which a limit is broken, between one at which it is kept and one at which not."""
+        for _ in range(_HALVINGS):
+            middle = (good + bad) / 2
+            if not good < middle < bad:
+                break
+            kept = self._margin(row, self._near(row, np.array([middle]), near))[0] >= 0.0
+            good, bad = (middle, bad) if kept else (good, middle)
+        return bad
+
+    def _margin(self, row: int, values: Array) -> Array:
+        return margin_within(self.limits[row], values, self.sizes[row])
+
+    def _near(self, row: int, t: Array, near: float) -> Array:
+        """Return the values of one row; an angle known up to full turns comes out near the value given."""
+        values: Array = self.evaluate(t)[row]
+        return values + 2.0 * np.pi * np.round((near - values) / (2.0 * np.pi)) if self.wraps[row] else values
+
+
+def margin_within(limit: Limit, values: Array, size: float) -> Array:
+    """Return how far values are within a limit, negative beyond it; what is on it but for round-off is within."""
+    margins: Array = np.minimum(values - limit.bound, limit.upper - values) + _ROUND_OFF * size
+    if limit.rate:  # of the length of a vector, where that is zero
+        margins = np.where(np.isnan(margins), np.inf, margins)
+    return margins
+
+
+def size_of_bounds(limit: Limit, values: Array) -> float:
+    """Return the size of the bounds, where these are zero that of the values."""
+    known = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+    bounds = max((abs(each) for each in (limit.bound, limit.upper) if np.isfinite(each)), default=0.0)
+    return float(bounds or known)
+
+
+def broken_limit(name: str, limit: Limit, first: float, worst: float, value: float) -> str:
+    """Return the sentence that says when a limit is broken, and how far the quantity goes beyond it."""
+    below = value - limit.bound < limit.upper - value
+    which, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
+    why = f" {limit.reason}:" if limit.reason else ""
+    if not np.isfinite(value):
+        return f"{name}: at t = {first:.6g} s{why} {limit.quantity} is not finite, and has a limit"
+    return (
+        f"{name}: at t = {first:.6g} s{why} {limit.quantity} goes beyond its {which} limit of {bound:.6g} {limit.unit};"
+        f" it reaches {value:.6g} {limit.unit} at t = {worst:.6g} s"
+    )

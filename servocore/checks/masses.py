@@ -8,6 +8,7 @@ import numpy as np
 from servocore.checks.branches import configurations
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Call
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 
@@ -20,7 +21,7 @@ def require_positive_mass(problem: Problem, solution: Solution) -> None:
 
     A constant one is looked at when the system is made.
     """
-    evaluate = problem.resolved.once(_compiled_mass)
+    evaluate = _compiled_mass(problem.resolved)
     q = configurations(problem, solution) if evaluate is not None else None
     if evaluate is None or q is None:
         return
@@ -34,6 +35,7 @@ def require_positive_mass(problem: Problem, solution: Solution) -> None:
             )
 
 
+@made_once
 def _compiled_mass(resolved: ResolvedSystem) -> Call | None:
     system = resolved.system
     if not ca.depends_on(system.mass, system.q):

@@ -12,15 +12,16 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from servocore.checks.instants import survey
-from servocore.checks.limit_survey import LimitSurvey, broken_limit, margin_within, size_of_bounds
+from servocore.checks.limits import LimitSurvey, broken_limit, margin_within, size_of_bounds
 from servocore.errors import InvalidModel, InvalidReference, LimitBroken
 from servocore.model.limits import Expression, Limit, Named, reported_quantities
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem, resolve
+from servocore.references.base import survey
 from servocore.solution import Solution
 from servocore.structure.derivative_array import DerivativeArray
 
@@ -104,11 +105,12 @@ class Watched:
 def watched_limits(problem: Problem) -> Watched:
     """Return what the `motion_limits` of a flat problem compare."""
     wanted = tuple((limit.expression, limit.rate) for limit in motion_limits(problem))
-    return problem.resolved.once(compile_watched, wanted)
+    return compile_watched(problem.resolved, wanted)
 
 
+@made_once
 def compile_watched(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], ...]) -> Watched:
-    """Compile expressions, and rates of those marked, for an exact inversion; meant for `ResolvedSystem.once`.
+    """Compile expressions, and rates of those marked, for an exact inversion.
 
     The rate of what stands last in the derivative array follows from the array differentiated once more, which is
     linear in it.
@@ -223,10 +225,11 @@ def with_watched(problem: Problem) -> Problem:
     limits = motion_limits(problem)
     if not limits:
         return problem
-    resolved = problem.resolved.once(_observing, tuple((limit.expression, limit.rate) for limit in limits))
+    resolved = _observing(problem.resolved, tuple((limit.expression, limit.rate) for limit in limits))
     return replace(problem, resolved=resolved)
 
 
+@made_once
 def _observing(resolved: ResolvedSystem, wanted: tuple[tuple[Expression, bool], ...]) -> ResolvedSystem:
     system, hidden = resolved.system, {}
     forces = ca.vertcat(system.v, system.lam, system.u)

@@ -9,12 +9,13 @@ from functools import partial
 import casadi as ca
 import numpy as np
 
-from servocore.checks.instants import survey
 from servocore.errors import InvalidModel
 from servocore.model.limits import Limit
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.memoization import made_once
 from servocore.problem import LEFT_OUT_HOLDS, Problem, ResolvedSystem
+from servocore.references.base import survey
 
 _WHY = "it follows from the others where the model is at home, and was left out"
 
@@ -36,7 +37,7 @@ def require_redundant_constraints(problem: Problem, t: Array, q: Array | None) -
     """
     if q is None or not problem.resolved.redundant:
         return
-    function = problem.resolved.once(_compiled_left_out)
+    function = _compiled_left_out(problem.resolved)
     jets = problem.reference.jet(t, 0)
     values, shares = at_instants(function, q.T, jets=jets, p=problem.p)
     broken = np.abs(shares) > LEFT_OUT_HOLDS
@@ -82,6 +83,7 @@ def _names(problem: Problem) -> list[str]:
     return names if len(names) == rows else [problem.left_out] * rows
 
 
+@made_once
 def _compiled_left_out(resolved: ResolvedSystem) -> ca.Function:
     """Compile (q, path with the time, p) -> constraints left out, and how far they are from holding."""
     system = resolved.system

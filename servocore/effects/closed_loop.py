@@ -11,6 +11,7 @@ from servocore.effects.drives import Gains, measured_in
 from servocore.effects.model_inversion import Inverted
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, Call, chained, mapped
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate
 
@@ -46,8 +47,9 @@ class Loop:
     seen: ca.Function
 
 
+@made_once
 def compile_loop(resolved: ResolvedSystem, measured: tuple[str, ...], hanging: tuple[str, ...]) -> Loop:
-    """Compile a plant with drives; meant for `ResolvedSystem.once`.
+    """Compile a plant with drives.
 
     Parameters
     ----------
@@ -175,7 +177,7 @@ def run_loop(
     InvalidModel
         If the plant is too stiff to be run, or its equations hold the time.
     """
-    loop, gains, motion = problem.resolved.once(compile_loop, measured, hanging), driven.gains, driven.motion
+    loop, gains, motion = compile_loop(problem.resolved, measured, hanging), driven.gains, driven.motion
     start, both = inversion.start, np.concatenate([gains.position, gains.rate])
     zero = loop.read(start)[0]
     signals = np.column_stack([driven.inputs, motion.positions, motion.rates])
@@ -223,7 +225,7 @@ def linear_answers(
     """
     import scipy.signal  # noqa: PLC0415 - kept out of the run time of an FMU
 
-    loop, n = problem.resolved.once(compile_loop, measured, hanging), len(motion.end)
+    loop, n = compile_loop(problem.resolved, measured, hanging), len(motion.end)
     both, errors = np.concatenate([gains.position, gains.rate]), []
     for q, u in ((motion.start[:n], motion.inputs[0]), (motion.end, motion.inputs[-1])):
         state = np.concatenate([q, np.zeros(n)])

@@ -13,6 +13,7 @@ from servocore.errors import IntegrationFailed
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, reading
 
@@ -61,7 +62,7 @@ def inverted(problem: Problem, measured: tuple[str, ...], count: int) -> Inverte
     IntegrationFailed
         If an instant is not solved, or a length is negative.
     """
-    evaluation, wraps = problem.resolved.once(_drive_signals, measured)
+    evaluation, wraps = _drive_signals(problem.resolved, measured)
     t = np.linspace(problem.reference.start_time, problem.reference.end_time, count)
     padded = np.concatenate([t, np.full(-count % _CHUNK, t[-1])])
     parts, seconds = [], np.inf
@@ -101,6 +102,7 @@ def _require_signs(problem: Problem, t: Array, values: Array) -> None:
         )
 
 
+@made_once
 def _drive_signals(resolved: ResolvedSystem, measured: tuple[str, ...]) -> tuple[ExactEvaluation, list[bool]]:
     """Compile inputs, positions and rates of the drives, q, v and signs; and say which positions wrap."""
     system = resolved.system

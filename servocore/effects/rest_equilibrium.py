@@ -9,6 +9,7 @@ from servocore.effects.drives import measured_in
 from servocore.effects.model_inversion import Inverted
 from servocore.errors import InconsistentStart
 from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 
 _ITERATIONS = 50
@@ -40,7 +41,7 @@ def at_rest(problem: Problem, measured: tuple[str, ...]) -> Inverted:
 
 def _equilibrium(problem: Problem, time: float) -> Array:
     """Return (q, lam, u) at rest with the output where the path is at a time."""
-    guess, balance = problem.resolved.once(_statics)
+    guess, balance = _statics(problem.resolved)
     place = problem.reference.jet(time, 0)[0]
     unknowns = guess(place, problem.p)[0]
     for _ in range(_ITERATIONS):
@@ -59,6 +60,7 @@ def _equilibrium(problem: Problem, time: float) -> Array:
     return unknowns
 
 
+@made_once
 def _statics(resolved: ResolvedSystem) -> tuple[Call, Call]:
     """Compile (place, p) -> guess of (q, lam, u), and (unknowns, place, p) -> residual of the statics, Jacobian."""
     system = resolved.system

@@ -42,7 +42,7 @@ from servocore.problem import Problem
 from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table
 from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_restart
-from servocore.stepping.limit_margins import compile_margins, limits_order
+from servocore.stepping.observation import compile_margins, limits_order
 from servocore.structure.inversion import inversion
 
 METHOD = RadauIIA(3)
@@ -293,7 +293,7 @@ def _instantaneous(known: _Known, identifier: str) -> Mathematics:
     """Every instant by itself: the equations as one expression, and Newton's method where that does not do."""
     problem = known.problem
     system, dae = problem.system, problem.dae(Reduced())
-    inverse = problem.resolved.once(inversion)
+    inverse = inversion(problem.array)
     rows = problem.array.reference_order + 1
     orders = max(rows, known.orders)
     read = observation(system, dae, instantaneous(dae), known.wanted, orders - 1)
@@ -370,7 +370,7 @@ def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX
 
 def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, offset: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return the first state, its internal states moved from where they rest, and the residual of the equations."""
-    array, inverse, dae = problem.array, problem.resolved.once(inversion), problem.dae(Reduced())
+    array, inverse, dae = problem.array, inversion(problem.array), problem.dae(Reduced())
     path = path[:, : order + 1]
     used = path[:, : array.reference_order + 1]
     if array.states:

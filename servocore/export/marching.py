@@ -59,7 +59,7 @@ def marching(problem: Problem, identifier: str) -> Marching:
         If the model cannot be projected.
     """
     system, array, form = problem.system, problem.array, Projected()
-    program, inverse = program_of(problem, form, METHOD), problem.resolved.once(inversion)
+    program, inverse = program_of(problem, form, METHOD), inversion(problem.array)
     dae, orders, instants = problem.dae(form), program.start_order + 1, program.start_instants
     reduced, discretization = problem.dae(Reduced(states=array.named_states)), discretized(dae, METHOD)
     read = observation(system, dae, discretization, wanted(problem), program.start_order)

@@ -246,7 +246,7 @@ def _begin(problem: Problem, name: str, offsets: Mapping[str, Sequence[str]]) ->
     servo, orders = len(system.outputs), _start_orders(problem)
     motion, p = ca.MX.sym("motion", servo, orders), ca.MX.sym("p", system.p.numel())
     path = ca.horzcat(motion, ca.MX.zeros(servo, 1))[:, : array.reference_order + 1]
-    unknowns = problem.resolved.once(inversion).function(path, p)[0]
+    unknowns = inversion(problem.array).function(path, p)[0]
     coordinates = _coordinates(problem)
     state = [unknowns[array.position(f"q.{each}", order)] for order in (0, 1) for each in coordinates]
     names = [each for of in offsets.values() for each in of]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import lru_cache
 from numbers import Integral
 from typing import ClassVar
 
@@ -16,6 +15,7 @@ from servocore.errors import InvalidSetting, require_kind
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Discretisation, Orders, Start
 from servocore.numerics.interpolation import Array, lagrange
+from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem
 
 _MOST_STAGES = 7
@@ -47,7 +47,7 @@ class Tableau:
                 raise InvalidSetting(f"the quadrature condition B({k}) fails")
 
 
-@lru_cache(maxsize=32)  # methods are made anew for every run, and roots are dearer than a run of a small scene
+@made_once  # methods are made anew for every run, and roots are dearer than a run of a small scene
 def tableau(family: str, stages: int) -> Tableau:
     """Compute the coefficients of ``radau`` (IIA) or ``gauss`` with any number of stages up to seven.
 

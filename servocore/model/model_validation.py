@@ -6,9 +6,8 @@ neighbours on two sides, and a point without symmetry.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -75,77 +74,6 @@ class Written:
     def symbols(self, kind: str) -> ca.SX:
         """Return the column of "coordinates" or "parameters"."""
         return ca.vertcat(ca.SX(0, 1), *(symbol for _, symbol in getattr(self, kind)))
-
-
-class _HasName(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-class _Coordinates(Protocol):
-    @property
-    def quantities(self) -> Sequence[_HasName]: ...
-    @property
-    def nominal(self) -> tuple[float, ...]: ...
-    @property
-    def q(self) -> ca.SX: ...
-    @property
-    def v(self) -> ca.SX: ...
-
-
-class _Parameters(Protocol):
-    @property
-    def declared(self) -> Sequence[_HasName]: ...
-    @property
-    def p(self) -> ca.SX: ...
-
-
-class _Fields(Protocol):
-    """What a mechanical system holds, each as `MechanicalSystem` describes it."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def coordinates(self) -> _Coordinates: ...
-    @property
-    def parameters(self) -> _Parameters: ...
-    @property
-    def inputs(self) -> Sequence[_HasName]: ...
-    @property
-    def outputs(self) -> Sequence[_HasName]: ...
-    @property
-    def constraint_names(self) -> tuple[str, ...]: ...
-    @property
-    def time(self) -> ca.SX: ...
-    @property
-    def home(self) -> tuple[float, ...]: ...
-    @property
-    def home_parameters(self) -> tuple[float, ...]: ...
-
-
-def written(system: _Fields, observables: Named, fields: Mapping[str, ca.SX]) -> Written:
-    """Write a system out, with its observables and fields of expressions by name."""
-    numbered = tuple(map(str, range(1, fields["constraints"].numel() + 1)))
-    return Written(
-        name=system.name,
-        inputs=_named(system.inputs, fields["u"]),
-        observables=observables,
-        outputs=_named(system.outputs, fields["output"]),
-        coordinates=_named(system.coordinates.quantities, system.coordinates.q),
-        parameters=_named(system.parameters.declared, system.parameters.p),
-        constraint_names=system.constraint_names or numbered,
-        fields=fields,
-        v=system.coordinates.v,
-        time=system.time,
-        nominal=system.coordinates.nominal,
-        home=system.home,
-        home_parameters=np.array(system.home_parameters),
-    )
-
-
-def _named(quantities: Iterable[_HasName], values: ca.SX) -> list[tuple[str, ca.SX]]:
-    """Return the rows of an expression by the names of their quantities."""
-    return list(zip((quantity.name for quantity in quantities), ca.vertsplit(values), strict=True))
 
 
 def require_sound(system: Written) -> None:

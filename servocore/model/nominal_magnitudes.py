@@ -7,7 +7,6 @@ otherwise. For a path of a nanometre that is no accuracy at all.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -16,6 +15,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.components import of_one_shape, parts_of
+from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 
 _FAR_LESS = 2e-3  # than a nominal value, or one unit: within that range it is good enough
@@ -31,7 +31,7 @@ def decades_of(path: Reference) -> tuple[float, ...]:
         return tuple(np.round(np.log10(path.extent)).tolist())
 
 
-@lru_cache(maxsize=256)  # every solve asks, and what was compiled for a system is kept with the object
+@made_once  # every solve asks, and what was compiled for a system is kept with the object
 def scaled_to(system: MechanicalSystem, decades: tuple[float, ...]) -> MechanicalSystem:
     """Return the system with nominal values for an extent of the path; the same object where its own serve.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, described, require_kind
 from servocore.model.drawing import Drawing
@@ -12,6 +11,7 @@ from servocore.model.effects import NO_EFFECTS, Effects
 from servocore.model.limits import RATE, Bounds, Limit, Named, limit_named
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.references.base import Reference
 from servocore.references.consistency import require_consistent
 
@@ -327,6 +327,6 @@ def within_limits(scene: Scene, limits: Mapping[str, Bounds | None] | None) -> S
 # What was resolved and compiled for a system is found again by the system itself: scenes made twice, by
 # `with_reference` or by calling `cars(3)` again, must give the same object. The bound only keeps a program that makes
 # factories without end from filling the memory.
-@lru_cache(maxsize=256)
+@made_once
 def _made(factory: ModelFactory) -> MechanicalSystem:
     return factory()

@@ -305,3 +305,8 @@ class Parameters:
             raise InvalidModel(
                 f"no parameter is called {', '.join(map(str, unknown))}; there are {', '.join(self.names) or 'none'}"
             )
+
+
+def named(quantities: Iterable[Quantity | Parameter], values: ca.SX) -> list[tuple[str, ca.SX]]:
+    """Return the rows of an expression by the names of their quantities."""
+    return list(zip((quantity.name for quantity in quantities), ca.vertsplit(values), strict=True))

@@ -6,13 +6,13 @@ The conversions cost ten times what a small function itself takes. This module t
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import lru_cache
 from threading import Lock
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+
+from servocore.numerics.memoization import made_once
 
 Array = npt.NDArray[np.float64]
 
@@ -88,30 +88,13 @@ class Call:
                 result.fill(np.nan)
 
 
-class CompiledWhenUsed:
-    """Descriptor of a dataclass field that holds a CasADi function, or a callable that compiles it at the first access.
-
-    Newton's method for a system takes longer to compile than anything else, and an exact inversion seldom needs it.
-    """
-
-    def __set_name__(self, _: type, name: str) -> None:
-        self._name = name
-
-    def __set__(self, holder: object, function: ca.Function | Callable[[], ca.Function]) -> None:
-        holder.__dict__[self._name] = function
-
-    def __get__(self, holder: object, _: type | None = None) -> ca.Function:
-        if holder is None:
-            raise AttributeError(self._name)  # to a dataclass: a field without a default
-        held: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
-        if isinstance(held, ca.Function):
-            return held
-        compiled: ca.Function = held()
-        holder.__dict__[self._name] = compiled
-        return compiled
+@made_once
+def call_of(function: ca.Function) -> Call:
+    """Return the call of a function."""
+    return Call(function)
 
 
-@lru_cache(maxsize=256)  # to build a map costs more than to evaluate it, and runs of one length follow one another
+@made_once  # to build a map costs more than to evaluate it, and runs of one length follow one another
 def _repeated(function: ca.Function, count: int, chained: bool) -> Call:
     return Call(function.mapaccum(f"{function.name()}_loop", count) if chained else function.map(count))
 

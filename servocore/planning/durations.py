@@ -9,13 +9,13 @@ from functools import partial
 
 import numpy as np
 
-from servocore.checks.instants import survey
 from servocore.errors import InvalidModel, LimitBroken, PlanningFailed, ServocoreError
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.planning.limit_rows import Rows, limit_rows, require_at_rest
 from servocore.planning.time_laws import shortest_kept
 from servocore.problem import Problem
+from servocore.references.base import survey
 from servocore.references.time_scaled import TimeScaled
 from servocore.solvers.exact_inversion import ExactInversion
 

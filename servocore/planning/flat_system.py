@@ -18,6 +18,7 @@ import numpy.typing as npt
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidSetting, refused_if_missing
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.forward_dynamics import forward_rate
 from servocore.structure.inversion import inversion
@@ -131,8 +132,8 @@ class _Maps:
         n, m = len(system.coordinates), len(system.inputs)
         places = [(j, k) for k in (0, 1) for j in range(n)]
         places += [(n + system.lam.numel() + k, 0) for k in range(m)]
-        flag, flow = (problem.resolved.once(make) for make in (_flag, _flow))
-        inverse = Call(problem.resolved.once(inversion).function)
+        flag, flow = _flag(problem.resolved), _flow(problem.resolved)
+        inverse = Call(inversion(problem.array).function)
         indices = np.array(array.places(places), dtype=np.intp)
         return cls(
             system.parameters.names, problem.p, Call(flag), Call(flow), inverse, indices, 2 * n, array.reference_order
@@ -181,11 +182,13 @@ def _rate(resolved: ResolvedSystem) -> tuple[ca.MX, ca.MX, ca.MX, ca.MX, ca.Func
     return x, u, p, x_dot, ca.Function("sc_outputs", [ca.vertcat(system.q, system.v), system.p], [system.output])
 
 
+@made_once
 def _flow(resolved: ResolvedSystem) -> ca.Function:
     x, u, p, x_dot, outputs = _rate(resolved)
     return ca.Function("sc_flow", [x, u, p], [ca.densify(x_dot), ca.densify(outputs(x, p))])
 
 
+@made_once
 def _flag(resolved: ResolvedSystem) -> ca.Function:
     """Compile (x, u, p) -> the outputs and their derivatives along the plant with constant inputs."""
     x, u, p, x_dot, outputs = _rate(resolved)

@@ -14,6 +14,7 @@ from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit, Named, reported_quantities
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.memoization import made_once
 from servocore.planning.smoothed_lengths import rounded
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.inversion import inversion
@@ -97,7 +98,7 @@ def limit_rows(problem: Problem, rest: Array) -> Rows:
     InvalidModel
         If a limit is on the rate of something that is differentiated already.
     """
-    return problem.resolved.once(_compile_rows, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
+    return _compile_rows(problem.resolved, problem.limits, tuple(rest.tolist()), tuple(problem.p.tolist()))
 
 
 def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0.0) -> None:
@@ -135,7 +136,7 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
 
 def _is_explicit(resolved: ResolvedSystem, rest: Array, p: Array) -> bool:
     """Whether an expression gives the motion from the path: near a place of rest, the guess of its model is exact."""
-    explicit = resolved.once(inversion).expression
+    explicit = inversion(resolved.array).expression
     if explicit is None:
         return False
     gamma = np.full((len(rest), resolved.array.reference_order + 1), _SLIGHT)
@@ -152,7 +153,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
         If a limit is on the rate of something that is differentiated already.
     """
     array, system = resolved.array, resolved.system
-    order = resolved.once(compile_watched, tuple((limit.expression, limit.rate) for limit in limits)).order
+    order = compile_watched(resolved, tuple((limit.expression, limit.rate) for limit in limits)).order
     values, y = limited_expressions(
         resolved, [(expression, limit.rate) for expression, limit in zip(expressions, limits, strict=True)]
     )
@@ -162,7 +163,7 @@ def _lifted(resolved: ResolvedSystem, limits: Sequence[Limit], expressions: Sequ
         unknown for unknown in {(c % y.size1(), c // y.size1()) for c in entries} if unknown not in array.unknowns
     ]
     G, p = ca.MX.sym("G", *gamma.shape), ca.MX.sym("p", system.p.numel())
-    state = resolved.once(inversion).function(G[:, : array.reference_order + 1], p)[0]
+    state = inversion(resolved.array).function(G[:, : array.reference_order + 1], p)[0]
     if not beyond:
         start = ca.Function("sc_lifted", [G, p], [state])
         return _Lifted(column, array.residual, tuple(values), start, order)
@@ -176,7 +177,7 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
     """Return what limits compare as expressions of gamma and p, of which `smooth` are without rates."""
     array, system = resolved.array, resolved.system
     gamma, n = system.gamma, len(system.coordinates)
-    formula = cast("ca.Function", resolved.once(inversion).expression)
+    formula = cast("ca.Function", inversion(resolved.array).expression)
     unknowns = formula(gamma[:, : array.reference_order + 1], system.p)[0]
     known = dict(zip(array.unknowns, ca.vertsplit(unknowns), strict=True))
 
@@ -197,6 +198,7 @@ def _explicit(resolved: ResolvedSystem, limits: Sequence[Limit], smooth: Sequenc
     return quantities
 
 
+@made_once
 def _compile_rows(
     resolved: ResolvedSystem, limits: tuple[Limit, ...], rest: tuple[float, ...], p: tuple[float, ...]
 ) -> Rows:

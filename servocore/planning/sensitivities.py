@@ -9,7 +9,6 @@ import casadi as ca
 import numpy as np
 
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.instants import time_grid
 from servocore.checks.limits import require_feasible
 from servocore.checks.redundant_constraints import require_redundant_constraints_along_path
 from servocore.errors import InvalidModel, InvalidSetting
@@ -17,7 +16,9 @@ from servocore.files import csv_text
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, at_instants, lock_arrays
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
+from servocore.references.base import time_grid
 from servocore.solvers.branch_continuation import exact_states, prepared_table
 from servocore.stepping.forward_dynamics import forward_rate
 
@@ -160,7 +161,7 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
         states = motion(t)
     require_redundant_constraints_along_path(problem, motion)
     jets = problem.reference.jet(t, array.reference_order)
-    (slopes,) = at_instants(problem.resolved.once(_implicit), states, jets=jets, p=problem.p)
+    (slopes,) = at_instants(_implicit(problem.resolved), states, jets=jets, p=problem.p)
     slopes = slopes.reshape(len(states), len(t), -1)[:, :, columns]
     rows = [*((j, 0) for j in range(n)), *((j, 1) for j in range(n))]
     rows += [(n + system.lam.numel() + k, 0) for k in range(m)]
@@ -168,6 +169,7 @@ def _by_implicit_function(problem: Problem, t: Array, columns: list[int]) -> tup
     return states[places], slopes[places[2 * n :]].transpose(1, 0, 2), slopes[places[: 2 * n], 0]
 
 
+@made_once
 def _implicit(resolved: ResolvedSystem) -> ca.Function:
     """Compile (unknowns of the array, gamma, p) -> their derivatives by p."""
     array, system = resolved.array, resolved.system
@@ -188,7 +190,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
     `t` holds the ends and the middle of every step.
     """
     n = len(problem.system.coordinates)
-    function = problem.resolved.once(_linearized)
+    function = _linearized(problem.resolved)
     matrices = [instant.reshape(instant.shape[0], len(t), -1).transpose(1, 0, 2) for instant in at_instants(
         function, motion[: 2 * n], motion[2 * n :], jets=np.zeros((len(t), 1, 1)), p=problem.p)]  # fmt: skip
     A, b, C, d = matrices[0], matrices[1][:, :, columns], matrices[2], matrices[3][:, :, columns]
@@ -204,6 +206,7 @@ def _drifts(problem: Problem, t: Array, motion: Array, start: Array, columns: li
     return np.array(held)
 
 
+@made_once
 def _linearized(resolved: ResolvedSystem) -> ca.Function:
     """Compile (state, u, nothing, p) -> derivatives of state_dot by state and p, and of the outputs by both."""
     system, rate = resolved.system, forward_rate(resolved.system, held=False)

@@ -27,7 +27,7 @@ from servocore.planning.sweep_grid import DURATION, Slices
 from servocore.planning.sweep_settings import SweepSettings, checked_settings, in_time, settings_of
 from servocore.planning.sweep_store import Memory, Sink, Zarr
 from servocore.planning.sweep_tables import SUFFIX, Parquet
-from servocore.planning.worker_pools import PoolLost, pool_of
+from servocore.planning.worker_pools import Cluster, Pool, PoolLost
 from servocore.references.base import Reference
 from servocore.solvers.branch_continuation import prepared_table
 from servocore.solvers.solve import solve
@@ -121,12 +121,10 @@ def sweep(
     shape = swept.grid.block(chunk or fitting)
     settings = {**settings_of(swept), "function": sha256(work.by_expression.encode()).hexdigest() if work else None}
     sink = _sink(swept, settings, shape, store, resume)
-    if distributed is not None:
-        executor = distributed.get_executor()
     todo = [block for block in swept.grid.blocks(shape) if not sink.has(block[0])]
     done = swept.grid.size - sum(_count(block) for _, block in todo)
     try:
-        for number, block, answers in _computed(swept, work, todo, executor):
+        for number, block, answers in _computed(swept, work, todo, executor, distributed):
             _put(sink, number, block, answers, store)
             done += _count(block)
             if progress is not None:
@@ -197,7 +195,11 @@ def _work(swept: SweepSettings, native: bool | None) -> Work | None:
 
 
 def _computed(
-    swept: SweepSettings, work: Work | None, todo: list[tuple[int, Slices]], executor: Executor | None
+    swept: SweepSettings,
+    work: Work | None,
+    todo: list[tuple[int, Slices]],
+    executor: Executor | None,
+    distributed: Any,
 ) -> Iterator[tuple[int, Slices, dict[str, Any]]]:
     """Yield the results of blocks as they come, with the sentences of cases that failed."""
     if work is None:
@@ -205,7 +207,7 @@ def _computed(
             yield number, block, _one_by_one(swept, block)
         return
     with ThreadPoolExecutor(os.cpu_count() or 1) as threads:
-        pool = pool_of(executor or threads)
+        pool = Pool(executor or threads) if distributed is None else Cluster(distributed)
         waiting, left = dict[Any, tuple[int, Slices]](), iter(todo)
         try:
             while True:

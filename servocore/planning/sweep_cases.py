@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TypeVar
 
 import casadi as ca
@@ -20,6 +19,7 @@ from servocore.errors import InvalidSetting
 from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Extremes, Vectorized, extremes_of
 from servocore.problem import Problem
 from servocore.stepping.exact_evaluation import exact_evaluation, reading
@@ -210,7 +210,7 @@ class _Functions:
     by_newton: ca.Function
 
 
-@lru_cache(maxsize=4)  # a process gets the same work with every block, and nothing else lives as long as it does
+@made_once  # a process gets the same work with every block, and nothing else lives as long as it does
 def _rebuilt(work: Work) -> _Functions:
     """Return the functions of a work: made once in every process."""
     by_expression, by_newton = (ca.Function.deserialize(text) for text in (work.by_expression, work.by_newton))

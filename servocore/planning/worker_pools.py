@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, wait
@@ -13,7 +14,7 @@ PATIENCE = 60.0
 """How long a cluster may be without any worker, in s; workers that die are started again within seconds."""
 
 _LOOKS = 12  # in that time, and no more: a scheduler has other things to do
-_UNKNOWN = 64  # workers, where an executor does not tell
+_FEWEST = 16  # workers that an executor is thought to have, which tells nobody how many there are
 
 
 class PoolLost(Exception):
@@ -35,7 +36,7 @@ class Pool:
     @property
     def ahead(self) -> int:
         """How many calls are under way at once, so that no worker waits for the next."""
-        return 2 * int(getattr(self.executor, "_max_workers", _UNKNOWN)) + 2
+        return 2 * max(os.cpu_count() or 1, _FEWEST) + 2
 
     def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
         """Have something computed.
@@ -74,11 +75,16 @@ class Pool:
 
 
 @dataclass(frozen=True)
-class _Cluster(Pool):
-    """Workers of Dask, asked for one result after the other.
+class Cluster:
+    """Workers of Dask, asked for one result after the other; see `Pool`.
 
-    Its own executor asks for all at once. Where a worker died with results that nobody had fetched yet, every one of
+    Dask's own executor asks for all at once. Where a worker died with results that nobody had fetched yet, every one of
     these questions has all of them computed again.
+
+    Attributes
+    ----------
+    client : distributed.Client
+        Which knows the workers.
     """
 
     client: Any
@@ -90,9 +96,9 @@ class _Cluster(Pool):
             return 2 * int(sum(self.client.ncores().values())) + 8
 
     def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
-        asked = getattr(self.executor, "_kwargs", {})  # for certain workers, or resources of theirs
+        """Have something computed."""
         with self._connected():
-            return self.client.submit(call, *arguments, **{"pure": False, **asked})
+            return self.client.submit(call, *arguments, pure=False)
 
     def completed(self, waiting: Collection[Any]) -> Collection[Any]:
         """Wait for the first of some calls; `PoolLost` if there is no worker for too long."""
@@ -106,10 +112,12 @@ class _Cluster(Pool):
             return done
 
     def forget(self, waiting: Collection[Any]) -> None:
+        """Cancel calls whose results nobody wants any more."""
         if self.client.status == "running":  # else there is nobody to tell
-            super().forget(waiting)
+            self.client.cancel(list(waiting))
 
     def result(self, future: Any) -> Any:
+        """Return what was computed; `PoolLost` if the cluster has lost the call."""
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
         try:
@@ -147,12 +155,6 @@ class _Cluster(Pool):
                     seen = time.monotonic()
                 elif time.monotonic() - seen >= PATIENCE:
                     raise PoolLost(f"the cluster had no worker for {PATIENCE:g} s") from None
-
-
-def pool_of(executor: Executor) -> Pool:
-    """Return what computes in an executor; that of a Dask client stands for its cluster."""
-    client = getattr(executor, "_client", None)
-    return Pool(executor) if client is None else _Cluster(executor, client)
 
 
 def _broken(error: Exception) -> PoolLost:

@@ -6,15 +6,16 @@ A reference is a value: nothing about it changes after it was made, and asking t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import InvalidReference, described, require_kind, require_real
-from servocore.references.formula import Formula
+from servocore.errors import InvalidReference, InvalidSetting, described, require_kind, require_real
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -179,3 +180,103 @@ def positive_time(value: float, what: str) -> float:
     if not (np.isfinite(value) and value > 0.0):
         raise InvalidReference(f"the {what} of a path must be a positive time, not {value} s")
     return float(value)
+
+
+_FEWEST, _MOST = 400, 20_000
+_DEFAULT_STEPS = 200
+_MOST_STEPS = 10**8
+_EACH = 16  # on a stretch of the path
+
+
+def survey(reference: Reference) -> FloatArray:
+    """Return instants evenly on every stretch of the path, in all not too few and not too many."""
+    ends = reference.stretches
+    pieces = len(ends) - 1
+    each = max(_EACH, -(-_FEWEST // pieces))
+    each = max(1, min(each, _MOST // pieces))
+    fractions = np.arange(each) / each
+    return np.append((ends[:-1, None] + np.diff(ends)[:, None] * fractions).ravel(), ends[-1])
+
+
+def time_grid(reference: Reference, step: float | None) -> FloatArray:
+    """Return the instants from start to end, a whole number of equal steps.
+
+    Raises
+    ------
+    InvalidSetting
+        If the step is not positive, exceeds the duration or does not divide it.
+    """
+    duration = reference.duration
+    if step is None:
+        step = duration / _DEFAULT_STEPS
+    if not 0.0 < step < float("inf"):
+        raise InvalidSetting(f"the step must be positive and finite, not {step} s")
+    if step > duration * (1 + 1e-9):
+        raise InvalidSetting(f"the step of {step:g} s is larger than the duration of {duration:g} s")
+    count = round(duration / step)
+    if count > _MOST_STEPS:
+        raise InvalidSetting(
+            f"the step of {step:g} s divides the duration of {duration:g} s into {count:.2g} steps, more than"
+            f" {_MOST_STEPS:.0e}"
+        )
+    if abs(count * step - duration) > 1e-6 * step:
+        below, above = duration / np.ceil(duration / step), duration / max(1, np.floor(duration / step))
+        raise InvalidSetting(
+            f"the step of {step:g} s does not divide the duration of {duration:g} s;"
+            f" the nearest that do are {below:.10g} s and {above:.10g} s"
+        )
+    # k * step rather than a running sum; the last instant is the end of the path to the last bit.
+    t: FloatArray = reference.start_time + np.arange(count + 1, dtype=np.float64) * (duration / count)
+    t[-1] = reference.end_time
+    return t
+
+
+Values = Any
+"""Numbers, an array of one number an instant, or an expression."""
+
+
+@dataclass(frozen=True)
+class Formula:
+    """What a path is as an expression of time; formulas of one kind are equal.
+
+    Attributes
+    ----------
+    kind : hashable
+        Paths of one kind have the same expression.
+    numbers : callable
+        order -> what of the path stands in its place in the expression, up to some derivative.
+    jet : callable
+        (time, numbers, order) -> gamma, gamma', ..., one column of expressions each.
+    """
+
+    kind: Hashable
+    numbers: Callable[[int], list[float]] = field(compare=False)
+    jet: Callable[[ca.SX, list[ca.SX], int], list[ca.SX]] = field(compare=False)
+
+
+def least(a: Values, b: Values) -> Values:
+    """Return the smaller of each."""
+    return ca.fmin(a, b) if isinstance(a, ca.SX) else np.minimum(a, b)
+
+
+def most(a: Values, b: Values) -> Values:
+    """Return the larger of each."""
+    return ca.fmax(a, b) if isinstance(a, ca.SX) else np.maximum(a, b)
+
+
+def where(condition: Values, a: Values, b: Values) -> Values:
+    """Return one value where a condition holds, and another elsewhere."""
+    return ca.if_else(condition, a, b) if isinstance(condition, ca.SX) else np.where(condition, a, b)
+
+
+def either(a: Values, b: Values) -> Values:
+    """Whether one of two conditions holds."""
+    return ca.logic_or(a, b) if isinstance(a, ca.SX) else a | b
+
+
+def powers(x: Values, highest: int) -> list[Values]:
+    """Return 1, x, x^2, ..., each a product: a library's power has other last digits on every machine."""
+    monomials = [1.0]
+    for _ in range(highest):
+        monomials.append(monomials[-1] * x if len(monomials) > 1 else x)
+    return monomials

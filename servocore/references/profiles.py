@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind, require_real
-from servocore.references.formula import Values, either, least, most, powers, where
+from servocore.references.base import Values, either, least, most, powers, where
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -9,8 +9,18 @@ import casadi as ca
 import numpy as np
 
 from servocore.errors import InvalidReference, require_kind, require_real
-from servocore.references.base import ANALYTIC_ORDER, FloatArray, Reference, points, positive_time
-from servocore.references.formula import Formula, Values, either, least, most
+from servocore.references.base import (
+    ANALYTIC_ORDER,
+    FloatArray,
+    Formula,
+    Reference,
+    Values,
+    either,
+    least,
+    most,
+    points,
+    positive_time,
+)
 from servocore.references.profiles import DEGREE9, Profile
 
 if TYPE_CHECKING:

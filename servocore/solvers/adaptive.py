@@ -8,18 +8,19 @@ not fall with the step. There whole runs at constant step are repeated with half
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from servocore.errors import IntegrationFailed, InvalidSetting, require_real
-from servocore.formulations.base import Formulation
-from servocore.methods.base import Method
+from servocore.checks.better_solutions import LOOSE_TOLERANCE
+from servocore.errors import IntegrationFailed
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
+from servocore.solvers.fixed_step import Stepped
 from servocore.solvers.fixed_step_loop import First, Progress, first_state, run_steps, step_of
 from servocore.solvers.results import Run, Segment, joined_runs, solution_of
+from servocore.solvers.route import Adaptive
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.program import Program
 
@@ -29,69 +30,20 @@ _MOST_HALVINGS = 14
 
 
 @dataclass(frozen=True)
-class Adaptive:
-    """The accuracy wanted of every input; the only knob.
-
-    An error e of an input with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
-    round-off, so it needs no tolerance of its own.
-
-    Parameters
-    ----------
-    rtol : float
-        Relative to the peak of each input over the run.
-    atol : float
-        In the input's own unit.
-    most_steps : int
-        A run that needs more is given up.
-    """
-
-    rtol: float = 1e-6
-    atol: float = 0.0
-    most_steps: int = 1_000_000
-
-    def __post_init__(self) -> None:
-        for name in ("rtol", "atol", "most_steps"):
-            require_real(getattr(self, name), name, "a number", InvalidSetting)
-        if not (0.0 <= self.rtol < 1.0 and 0.0 <= self.atol < float("inf") and self.rtol + self.atol > 0.0):
-            raise InvalidSetting(
-                f"tolerances must be finite and not negative, one of them positive, and rtol below 1;"
-                f" they are rtol = {self.rtol}, atol = {self.atol}"
-            )
-
-    def allowed(self, peaks: Array) -> Array:
-        """Return the error that is accepted of inputs with these peaks.
-
-        Parameters
-        ----------
-        peaks : ndarray, shape (inputs,)
-            Largest magnitude of each input so far, in its unit.
-
-        Returns
-        -------
-        ndarray, shape (inputs,)
-            In the same units.
-        """
-        return self.atol + self.rtol * peaks
-
-
-@dataclass(frozen=True)
-class ToTolerance:
+class ToTolerance(Stepped):
     """So accurate that every input meets a tolerance at the instants.
 
     Parameters
     ----------
-    formulation, method : Formulation, Method
-        What is stepped, and how.
     control : Adaptive
         The accuracy wanted.
-    native : bool, optional
-        Whether as machine code; in the background where there is much to do when not given.
     """
 
-    formulation: Formulation
-    method: Method
-    control: Adaptive
-    native: bool | None = None
+    control: Adaptive = field(default_factory=Adaptive)
+
+    def is_doubtful(self, _: Problem, solution: Solution) -> bool:
+        """Whether the tolerance was too loose to prove that inputs are right."""
+        return not (solution.statistics.error_estimate or np.inf) <= LOOSE_TOLERANCE
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Solve to the tolerance; see `Route`.

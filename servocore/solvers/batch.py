@@ -95,7 +95,7 @@ class Batch:
         self._dynamic = None if problem.flat else DynamicCases.of(scene, model, self.names, tolerance, start, native)
         if problem.flat:
             positive = (quantity.name for quantity, _ in problem.resolved.must_be_positive)
-            self._evaluation = problem.resolved.once(exact_quantities, (*self.names, *positive), native)
+            self._evaluation = exact_quantities(problem.resolved, (*self.names, *positive), native)
             self._evaluation.by_expression.prepare(problem.reference)
 
     def __call__(

@@ -16,15 +16,19 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from servocore.checks.better_solutions import LOOSE_TOLERANCE, BetterSolver, warn_and_state_branch
 from servocore.dae import Dae
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, InvalidSetting, require_real
+from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.collocation import Gauss, RadauIIA
 from servocore.numerics.compiled_calls import Array, at_instants, mapped, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.results import Run, Segment, solution_of
+from servocore.solvers.route import JudgedRoute
 from servocore.stepping.compilation import program_of
 from servocore.structure.inversion import inversion
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
@@ -39,7 +43,7 @@ _AT_REST = 1e-9
 
 
 @dataclass(frozen=True)
-class BoundaryValue:
+class BoundaryValue(JudgedRoute):
     """Bounded inversion by Gauss collocation over a horizon longer than the path, or over one period of it.
 
     A path that comes back to where it began, with all derivatives that enter, counts as one period (or several) of a
@@ -76,6 +80,31 @@ class BoundaryValue:
     def name(self) -> str:
         """Name on command lines and in tables."""
         return "boundary-value"
+
+    def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:
+        """Raise `InvalidSetting` for another form than `Reduced`, for a start, or for a tolerance of steps."""
+        if formulation != Reduced():
+            raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
+        if problem.start:
+            raise InvalidSetting("a bounded inversion finds its own initial values; the start is given in vain")
+        if adaptive:
+            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+
+    def better(self, _: Problem) -> BetterSolver:
+        """Return one with more stages, to a smaller tolerance, over the longer horizon that it needs."""
+        return BetterSolver(self._again, True, "a bounded inversion of higher order")
+
+    def _again(self, problem: Problem, times: Array) -> Solution:
+        start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
+        inside = times[(times > start - margin) & (times < end + margin)]
+        tolerance = min(max(self.tolerance / 100.0, 1e-11), 1e-6)
+        again = replace(self, tolerance=tolerance, stages=min(self.stages + 2, 7), pre=None, post=None)
+        return again.run(problem, inside)
+
+    def branch_statement(self, problem: Problem, solution: Solution) -> str:
+        """Judge a solution whose tolerance is loose, or whose horizon its user chose; see `JudgedRoute`."""
+        doubtful = self.tolerance > LOOSE_TOLERANCE or self.pre is not None or self.post is not None
+        return warn_and_state_branch(problem, self.better(problem), solution, doubtful, (Reduced(), None))
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Compute the bounded inputs on the grid of `times`, continued beyond both its ends; see `Route`.
@@ -165,7 +194,7 @@ def _pose(problem: Problem, route: BoundaryValue) -> _Bounded:
                 f"a bounded inversion needs a path that is at rest at its ends or repeats itself, but this one moves"
                 f" at t = {time:g} s and does not end as it began"
             )
-    linear = problem.resolved.once(linearization, problem.resolved.once(inversion))
+    linear = linearization(problem.array)
     left, right = (internal_equilibrium(linear, problem.p, jet[0]) for jet in ends)
     bounded = _Bounded(problem, problem.dae(Reduced()), left, right, Gauss(route.stages), periodic)
     _require_as_many_conditions_as_states(bounded)
@@ -208,6 +237,7 @@ def _horizon(bounded: _Bounded, route: BoundaryValue, step: float) -> Array:
     return grid
 
 
+@made_once
 def _interval(resolved: ResolvedSystem, method: Gauss) -> tuple[ca.Function, ca.Function, Places]:
     """Compile the collocation equations of one mesh interval.
 
@@ -275,7 +305,7 @@ def _collocation(
     Unknowns are x and stages of the first interval, of the second, ..., and x at the right end.
     """
     problem, dae, count = bounded.problem, bounded.dae, len(mesh) - 1
-    one, one_jacobian, (rows, columns) = problem.resolved.once(_interval, bounded.method)
+    one, one_jacobian, (rows, columns) = _interval(problem.resolved, bounded.method)
     size_x, width, height = dae.x.numel(), one.numel_in(0) - dae.x.numel(), one.numel_out(0)
     h = (mesh[-1] - mesh[0]) / count
     nodes = (mesh[:-1, None] + h * bounded.method.tableau.c).ravel()
@@ -325,7 +355,7 @@ def _quasi_static(bounded: _Bounded, mesh: Array) -> Array:
 def _algebraic(bounded: _Bounded, t: Array, states: Array) -> Array:
     """Solve for everything that the states (N, len x) and the reference determine: [x; z], shape (size, N)."""
     problem, array = bounded.problem, bounded.problem.array
-    inverse, jets = problem.resolved.once(inversion), problem.reference.jet(t, array.reference_order)
+    inverse, jets = inversion(problem.array), problem.reference.jet(t, array.reference_order)
     start = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     start[array.places(array.states)] = states.T
     unknowns = inverse.search_at_instants(side_by_side(jets), problem.p, start)

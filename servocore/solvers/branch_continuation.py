@@ -19,8 +19,9 @@ import numpy.typing as npt
 from servocore.checks.impulses import LESS_THAN_HALF, States, has_kinks_or_jumps, require_no_jumps
 from servocore.errors import IntegrationFailed
 from servocore.numerics.angle_wrapping import wrapped_angle
-from servocore.numerics.compiled_calls import Array, Call, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
 from servocore.numerics.components import Part, balanced
+from servocore.numerics.memoization import made_once
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.taylor import SLIGHT, Taylor
@@ -71,7 +72,7 @@ class Branch:
     @classmethod
     def along(cls, problem: Problem, states: Array) -> Branch:
         """Prepare to follow; `states` (size, N) are answers along the path, not all of which need be right."""
-        taylor = problem.resolved.once(_compiled_taylor)
+        taylor = _taylor(problem.array)
         q = states[taylor.q]
         ranges = q.max(axis=1) - q.min(axis=1)
         if not np.isfinite(ranges).all():
@@ -84,7 +85,7 @@ class Branch:
     def jumps(self, t: Array, states: Array, native: bool | None = False) -> npt.NDArray[np.intp]:
         """Return the intervals between the instants `t` (N,) over which the answers (size, N) seem to jump."""
         if native is not False and len(t) > _MANY:
-            apart = self.problem.resolved.once(_compiled_apart, native)
+            apart = _compiled_apart(self.problem.resolved, native)
             if apart.ready(len(t) - 1):
                 (together,) = apart(states[:, :-1], states[:, 1:], np.diff(t)[None], self.scale)
                 return np.flatnonzero(together[0] != 1.0)
@@ -166,7 +167,7 @@ class Branch:
         """
         problem, q = self.problem, self.taylor.q
         jets = problem.reference.jet(t, problem.array.reference_order)
-        guess = at_instants(problem.resolved.once(inversion).guess, jets=jets, p=problem.p)[0]
+        guess = at_instants(inversion(problem.array).guess, jets=jets, p=problem.p)[0]
         off = np.abs(guess[q] - states[q])
         if not (off <= _EXACT * np.maximum(np.abs(states[q]), self.scale[:, None])).all():
             return False
@@ -232,7 +233,7 @@ class Branch:
     def _solved(self, time: float, guess: Array) -> Array | None:
         problem = self.problem
         jet = side_by_side(problem.reference.jet(np.array([time]), problem.array.reference_order))
-        unknowns, _, residual = problem.resolved.once(_compiled_search)(jet, problem.p, guess)
+        unknowns, _, residual = call_of(inversion(problem.array).search)(jet, problem.p, guess)
         return unknowns if np.isfinite(unknowns).all() and np.isfinite(residual).all() else None
 
 
@@ -249,28 +250,24 @@ def system_jacobians(problem: Problem, t: Array, states: Array) -> Array:
         Its unknowns there.
     """
     jets = problem.reference.jet(t, problem.array.reference_order)
-    (rows,) = at_instants(problem.resolved.once(system_jacobian), states, jets=jets, p=problem.p)
+    (rows,) = at_instants(system_jacobian(problem.array), states, jets=jets, p=problem.p)
     matrices: Array = np.nan_to_num(rows).reshape(len(rows), len(t), -1).transpose(1, 0, 2)
     return matrices
 
 
 def _jacobian_entries(problem: Problem, t: Array, states: Array) -> tuple[tuple[Part, ...], Array]:
     """Return the independent parts of the system Jacobian, and its entries (nnz, N), zeros for what is not finite."""
-    function, parts = problem.resolved.once(system_jacobian_entries)
+    function, parts = system_jacobian_entries(problem.array)
     jets = problem.reference.jet(t, problem.array.reference_order)
     return parts, np.nan_to_num(at_instants(function, states, jets=jets, p=problem.p)[0])
 
 
-def _compiled_taylor(resolved: ResolvedSystem) -> Taylor:
-    return Taylor.of(resolved.array)
+_taylor = made_once(Taylor.of)
 
 
-def _compiled_search(resolved: ResolvedSystem) -> Call:
-    return Call(resolved.once(inversion).search)
-
-
+@made_once
 def _compiled_apart(resolved: ResolvedSystem, native: bool | None) -> Vectorized:
-    function = resolved.once(_compiled_taylor).compile_together(len(resolved.array.unknowns))
+    function = _taylor(resolved.array).compile_together(len(resolved.array.unknowns))
     return Vectorized(function, (True, True, True, False), native, resolved.system.name)
 
 
@@ -360,7 +357,7 @@ class BranchTable:
         near = np.where(t - self.t[after - 1] < self.t[after] - t, after - 1, after)
         first, h = self.states[:, near], t - self.t[near]
         problem, taylor = self.branch.problem, self.branch.taylor
-        unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, taylor.ahead(first, h)).copy()
+        unknowns = inversion(problem.array).search_at_instants(jets, problem.p, taylor.ahead(first, h)).copy()
         for k in np.flatnonzero(taylor.apart(first, unknowns, h, self.branch.scale)):
             unknowns[:, k] = self.branch.follow(first[:, k], float(self.t[near[k]]), float(t[k]))
         return unknowns
@@ -368,7 +365,7 @@ class BranchTable:
 
 def prepared_table(problem: Problem) -> BranchTable | None:
     """Return answers along the path of a problem on one branch; None if the guess of the model is the answer itself."""
-    ends, inverse = problem.reference.stretches, problem.resolved.once(inversion)
+    ends, inverse = problem.reference.stretches, inversion(problem.array)
     each = max(1, -(-_SURVEYED // (len(ends) - 1)))
     t = np.unique(np.concatenate([np.linspace(a, b, each + 1) for a, b in pairwise(ends)]))
     jets = problem.reference.jet(t, problem.array.reference_order)
@@ -381,7 +378,7 @@ def prepared_table(problem: Problem) -> BranchTable | None:
     branch = Branch.along(problem, kept)
     closed = not how.startswith(FOLLOWED) and (by_expression or branch.is_closed_form(t, kept))
     table = None if closed else BranchTable(branch, t, kept)
-    if problem.resolved.once(has_kinks_or_jumps):
+    if has_kinks_or_jumps(problem.resolved):
         require_no_jumps(problem, t, exact_states(problem, table))
     return table
 
@@ -395,4 +392,4 @@ def _answers(problem: Problem, table: BranchTable | None, t: Array) -> Array:
     jets = problem.reference.jet(t, problem.array.reference_order)
     if table is not None:
         return table.states_at(t, side_by_side(jets))
-    return np.asarray(at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)[0])
+    return np.asarray(at_instants(inversion(problem.array).function, jets=jets, p=problem.p)[0])

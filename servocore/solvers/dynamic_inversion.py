@@ -110,7 +110,7 @@ class DynamicInversion:
         if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
             raise InvalidModel(f"{scene.name} has unstable internal dynamics: solve with BoundaryValue bounds them")
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
-        self._steps: ExplicitSteps = problem.resolved.once(compile_explicit_steps, problem.reference.formula, native)
+        self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
         first, _ = first_state(problem, program_of(problem, *_FORM), 0.0, prescribed_start_of(*_FORM))
         self._start = first[: len(problem.array.states)]
@@ -286,7 +286,7 @@ class DynamicCases:
 
     def _read(self, paths: list[Reference], t: Array, count: int, p: Array, start: Array) -> Array:
         """Return inputs, what must be positive and what is wanted, (cases, columns, N), by so many steps."""
-        steps = self.problem.resolved.once(compile_explicit_steps, paths[0].formula, self.native, self.names)
+        steps = compile_explicit_steps(self.problem.resolved, paths[0].formula, self.native, self.names)
         return steps.runs(steps.run(paths, count, p, start), steps.instants(paths, t))[0]
 
     def _starts(self, paths: list[Reference], p: Array) -> Array:

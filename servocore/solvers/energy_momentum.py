@@ -11,6 +11,7 @@ from servocore.errors import IntegrationFailed, InvalidSetting, require_kind
 from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, chained, mapped
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solvers.fixed_step_loop import CHUNK
 from servocore.solvers.input_functions import Inputs, values_at
@@ -137,15 +138,17 @@ def conserved_motion(
 
 def scheme_of(problem: Problem, method: EnergyMomentum, steps: int = 0) -> ConservingStep:
     """Return the compiled scheme of a problem for as many steps; raises `InvalidModel` if it conserves nothing."""
-    scheme = problem.resolved.once(_scheme, method.update)
-    code = None if method.native is False else problem.resolved.once(_in_machine_code, scheme, method.native)
+    scheme = _scheme(problem.resolved, method.update)
+    code = None if method.native is False else _in_machine_code(problem.resolved, scheme, method.native)
     return scheme if code is None else code.best(steps) or scheme
 
 
+@made_once
 def _scheme(resolved: ResolvedSystem, update: RotationUpdate | None) -> ConservingStep:
     return compile_conserving_step(resolved.system, update)
 
 
+@made_once
 def _in_machine_code(
     resolved: ResolvedSystem, scheme: ConservingStep, native: bool | None
 ) -> JustInTime[ConservingStep]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from servocore.checks.redundant_constraints import require_redundant_constraints
 from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
+from servocore.methods.backward_euler import BackwardEuler
 from servocore.methods.base import Method
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, mapped, side_by_side
@@ -29,17 +31,24 @@ from servocore.solvers.branch_continuation import (
 )
 from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure, step_of
 from servocore.solvers.results import Run, Segment, solution_of
+from servocore.solvers.route import JudgedRoute
 from servocore.solvers.within_limits import require_exact_within_limits
 from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
 from servocore.stepping.program import Program
 from servocore.structure.inversion import inversion
 
+if TYPE_CHECKING:
+    from servocore.checks.better_solutions import BetterSolver
+
+NATIVE_FROM = 500
+"""Instants from which on checks are worth machine code."""
+
 _CHUNK = 2048  # instants that are evaluated at once
 
 
 @dataclass(frozen=True)
-class Pointwise:
+class Pointwise(JudgedRoute):
     """Every instant by itself, on a form without differential states: exact, whatever the distance of the instants.
 
     Parameters
@@ -81,13 +90,20 @@ class Pointwise:
             done, observed = replace(done, states=states), None
         return solution_of(problem, [Segment(program, times, done, observed, self.native)], branch=how)
 
+    def better(self, _: Problem) -> BetterSolver:
+        """Return the exact inversion again, from guesses beside the answers."""
+        from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
+        from servocore.solvers.warm_start import perturbed_inversion  # noqa: PLC0415 - which solves by this route
+
+        return BetterSolver(perturbed_inversion, True, "the exact inversion, solved again,")
+
     def _evaluation(self, problem: Problem) -> ExactEvaluation | None:
         """Return the inversion with what is observed; None if the form has none, or a branch is followed."""
         exact = self.formulation == Reduced() and not problem.follow_branch
-        if not exact or problem.resolved.once(inversion).expression is None:
+        if not exact or inversion(problem.array).expression is None:
             return None
         observe = program_of(problem, self.formulation, self.method).observe
-        evaluation = problem.resolved.once(exact_evaluation, observe, self.native, True)
+        evaluation = exact_evaluation(problem.resolved, observe, self.native, True)
         evaluation.by_expression.prepare(problem.reference)
         return evaluation
 
@@ -276,4 +292,13 @@ def input_evaluation(problem: Problem, native: bool | None) -> ExactEvaluation:
     """Return what exact inversions give of the inputs and, behind them, of the observables that must be positive."""
     system = problem.system
     names = *(channel.name for channel in system.inputs), *(each.name for each in system.observables if each.positive)
-    return problem.resolved.once(exact_quantities, names, native)
+    return exact_quantities(problem.resolved, names, native)
+
+
+def exact_values(problem: Problem) -> BetterSolver:
+    """Return the exact inversion as what other solutions of a problem without internal dynamics are compared with."""
+    from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
+    from servocore.solvers.warm_start import inversion_near  # noqa: PLC0415 - which solves by this route
+
+    beside = None if problem.follow_branch else inversion_near
+    return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", beside)

@@ -11,12 +11,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from servocore.checks.better_solutions import (
+    BetterSolver,
+    changes_with_the_step,
+    inputs_may_be_far,
+    warn_and_state_branch,
+)
+from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
 from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
+from servocore.methods.collocation import RadauIIA
 from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
+from servocore.solvers.boundary_value import BoundaryValue
+from servocore.solvers.exact_inversion import NATIVE_FROM, exact_values, input_evaluation
 from servocore.solvers.fixed_step_loop import (
     Progress,
     advance_chunk,
@@ -27,19 +37,21 @@ from servocore.solvers.fixed_step_loop import (
     step_of,
 )
 from servocore.solvers.results import Segment, solution_of
+from servocore.solvers.route import JudgedRoute
 from servocore.stepping.compilation import compile_restart_of, prescribed_start_of, program_of
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
 
+_BETTER_METHOD = RadauIIA(5)
 _POOR = 0.1  # of the smallest singular value that all candidates together have
 
 States = tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True)
-class FixedStep:
-    """One step of a method from instant to instant.
+class Stepped(JudgedRoute):
+    """Steps of a method, one after the other.
 
     Parameters
     ----------
@@ -53,6 +65,34 @@ class FixedStep:
     method: Method
     native: bool | None = None
 
+    def better(self, problem: Problem) -> BetterSolver:
+        """Return the exact inversion, the bounded one, or a method of high order; see `JudgedRoute`."""
+        if problem.flat:
+            return exact_values(problem)
+        if internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
+            return BetterSolver(BoundaryValue().run, True, "the bounded inversion")
+        form = self.formulation if isinstance(self.formulation, Reduced) else Reduced()
+        run = StateSelection(form, _BETTER_METHOD).run
+        return BetterSolver(run, False, f"{_BETTER_METHOD.name} on the reduced form")
+
+    def branch_statement(self, problem: Problem, solution: Solution) -> str:
+        """Compare a solution with a better one, which takes as long as a solve, where it is doubtful."""
+        if problem.flat:
+            native = self.native if len(solution.t) > NATIVE_FROM else False
+            doubtful = inputs_may_be_far(problem, solution, input_evaluation(problem, native))
+        else:  # of unstable dynamics its user was warned before the run
+            doubtful = internal_dynamics(problem).kind != NON_MINIMUM_PHASE and self.is_doubtful(problem, solution)
+        how = self.formulation, self.method
+        return warn_and_state_branch(problem, self.better(problem), solution, doubtful, how)
+
+    def is_doubtful(self, problem: Problem, solution: Solution) -> bool:
+        """Whether inputs may be far from right, with internal dynamics that do not grow."""
+        return changes_with_the_step(problem, self.formulation, self.method, self.run, solution)
+
+
+class FixedStep(Stepped):
+    """One step of a method from instant to instant."""
+
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
         first = prescribed_start_of(self.formulation, self.method)
@@ -60,23 +100,13 @@ class FixedStep:
         return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, first, progress))])
 
 
-@dataclass(frozen=True)
-class StateSelection:
+class StateSelection(Stepped):
     """Fixed steps of the reduced form, with other states wherever the chosen ones become a bad choice.
 
-    Parameters
-    ----------
-    formulation : Reduced
-        With the states to begin with.
-    method : Method
-        How the internal dynamics are stepped.
-    native : bool, optional
-        Whether as machine code; in the background where there is much to do when not given.
+    The states of its formulation are those to begin with.
     """
 
     formulation: Reduced
-    method: Method
-    native: bool | None = None
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step a reduced form with internal dynamics through the instants; see `Route`.
@@ -119,7 +149,7 @@ class StateSelection:
         """Return the state of a program at a time where all unknowns of the derivative array are known."""
         instants = time + step * np.array(program.start_instants)
         gamma = problem.reference.jet(instants, program.start_order)
-        restart = problem.resolved.once(compile_restart_of, formulation, self.method, program.start_order)
+        restart = compile_restart_of(problem.resolved, formulation, self.method, program.start_order)
         return restart(values, side_by_side(gamma), step, problem.p)[0]
 
 
@@ -166,5 +196,5 @@ def _quality(array: DerivativeArray, J: Array) -> Array:
 def _jacobians(problem: Problem, t: Array, values: Array) -> Array:
     """Return the system Jacobian (N, size, size) for unknowns of the derivative array (unknowns, N) at instants."""
     jets, size = problem.reference.jet(t, problem.array.reference_order), len(problem.array.names)
-    (jacobians,) = at_instants(problem.resolved.once(system_jacobian), values, jets=jets, p=problem.p)
+    (jacobians,) = at_instants(system_jacobian(problem.array), values, jets=jets, p=problem.p)
     return jacobians.reshape(size, len(t), size).transpose(1, 0, 2)

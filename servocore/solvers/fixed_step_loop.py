@@ -144,7 +144,7 @@ def step_failure(problem: Problem, program: Program, state: Array, time: float, 
     return IntegrationFailed(
         f"{program.name}: the step from t = {time:.6g} s to {time + step:.6g} s was not solved;"
         f" the worst equation is the {worst}. Likely causes: {_likely_causes(program)}"
-        + (_STICKS if problem.resolved.once(has_jumps) else "")
+        + (_STICKS if has_jumps(problem.resolved) else "")
     )
 
 

@@ -1,13 +1,20 @@
-"""`Route`: a way from a problem to its solution. `solve` chooses one and runs it."""
+"""`Route`: a way from a problem to its solution. `solve` chooses one, heeding the accuracy wanted, and runs it."""
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from servocore.errors import InvalidSetting, require_real
+from servocore.formulations.base import Formulation
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress
+
+if TYPE_CHECKING:
+    from servocore.checks.better_solutions import BetterSolver
 
 
 @runtime_checkable
@@ -34,3 +41,76 @@ class Route(Protocol):
         ServocoreError
             If it cannot be solved; the sentence says where and why.
         """
+
+
+@dataclass(frozen=True)
+class Adaptive:
+    """The accuracy wanted of every input; the only knob.
+
+    An error e of an input with peak P is accepted when e <= atol + rtol P. Newton's method always goes down to
+    round-off, so it needs no tolerance of its own.
+
+    Parameters
+    ----------
+    rtol : float
+        Relative to the peak of each input over the run.
+    atol : float
+        In the input's own unit.
+    most_steps : int
+        A run that needs more is given up.
+    """
+
+    rtol: float = 1e-6
+    atol: float = 0.0
+    most_steps: int = 1_000_000
+
+    def __post_init__(self) -> None:
+        for name in ("rtol", "atol", "most_steps"):
+            require_real(getattr(self, name), name, "a number", InvalidSetting)
+        if not (0.0 <= self.rtol < 1.0 and 0.0 <= self.atol < float("inf") and self.rtol + self.atol > 0.0):
+            raise InvalidSetting(
+                f"tolerances must be finite and not negative, one of them positive, and rtol below 1;"
+                f" they are rtol = {self.rtol}, atol = {self.atol}"
+            )
+
+    def allowed(self, peaks: Array) -> Array:
+        """Return the error that is accepted of inputs with these peaks.
+
+        Parameters
+        ----------
+        peaks : ndarray, shape (inputs,)
+            Largest magnitude of each input so far, in its unit.
+
+        Returns
+        -------
+        ndarray, shape (inputs,)
+            In the same units.
+        """
+        return self.atol + self.rtol * peaks
+
+
+class JudgedRoute(ABC):
+    """A route of the library: `solve` checks what it gives, and it says itself how good that is.
+
+    Attributes
+    ----------
+    native : bool or None
+        Whether checks may use machine code; see `JustInTime`.
+    """
+
+    native: bool | None = False
+
+    @abstractmethod
+    def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
+        """Solve; see `Route`."""
+
+    @abstractmethod
+    def better(self, problem: Problem) -> BetterSolver:
+        """Return what its solutions are compared with, to estimate the errors of inputs."""
+
+    def branch_statement(self, problem: Problem, solution: Solution) -> str:  # noqa: ARG002 - others judge
+        """Judge the inputs of a solution as closely as it needs, and say in which sense its motion is one."""
+        return solution.statistics.branch
+
+    def require_suits(self, problem: Problem, formulation: Formulation, *, adaptive: bool) -> None:  # noqa: B027 - most do
+        """Raise `InvalidSetting` if it does not go with a problem or a form, or with a tolerance for its steps."""

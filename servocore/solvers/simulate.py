@@ -15,6 +15,7 @@ from servocore.errors import InconsistentStart, InvalidSetting, described, requi
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array, Call, at_instants
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Solution, Statistics
 from servocore.solvers.energy_momentum import BALANCE, EnergyMomentum, conserved_motion, scheme_of
@@ -145,7 +146,7 @@ def _conserved(problem: Problem, inputs: Inputs, t: Array, method: object, step:
 
 def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance) -> tuple[_Motion, int, int]:
     """Return the motion at the instants `t`, with the integrator's steps and evaluations."""
-    move, undisturbed = problem.resolved.once(_free_motion), np.zeros(len(problem.system.outputs))
+    move, undisturbed = _free_motion(problem.resolved), np.zeros(len(problem.system.outputs))
 
     def moved(time: float, state: Array, u: Array) -> tuple[Array, ...]:
         clock = (np.array([time]),) if problem.system.time.numel() else ()
@@ -164,6 +165,7 @@ def _integrated(problem: Problem, inputs: Inputs, t: Array, tolerance: Tolerance
     return _Motion(t, states, np.array(forces).reshape(len(t), -1), u), steps, evaluations
 
 
+@made_once
 def _free_motion(resolved: ResolvedSystem) -> Call:
     """Compile (state, u, d, p) -> (state_dot, lam, u): what moves under given inputs."""
     return Call(forward_rate(resolved.system, held=False))
@@ -186,7 +188,7 @@ def _inverted(problem: Problem, time: float) -> Array:
     """Return (q, v) of the exact inversion at a time."""
     array, system = problem.array, problem.system
     places = [array.position(f"q.{name}", order) for order in (0, 1) for name in system.coordinates.names]
-    invert = problem.resolved.once(inversion).function
+    invert = inversion(problem.array).function
     unknowns, _, residual = invert(problem.reference.jet(time, array.reference_order).T, problem.p)
     state: Array = np.asarray(unknowns).ravel()[places]
     if not np.isfinite(state).all() or not np.isfinite(float(residual)):
@@ -207,7 +209,7 @@ class _Motion:
 def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
     """Raise `IntegrationFailed` if a motion (2 n, N) passes a step of the potential or of the mass: it is no motion."""
     outcome = problem.resolved.outcome
-    if not isinstance(outcome, DerivativeArray) or len(t) < 2 or problem.resolved.once(stepped_quantities) is None:
+    if not isinstance(outcome, DerivativeArray) or len(t) < 2 or stepped_quantities(problem.resolved) is None:
         return
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415 - kept out of the run time of an FMU
 
@@ -224,7 +226,7 @@ def _require_no_steps(problem: Problem, t: Array, states: Array) -> None:
 
 
 def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> Solution:
-    known, function = problem.resolved.once(_observation)
+    known, function = _observation(problem.resolved)
     require_redundant_constraints(problem, motion.t, motion.states[: len(problem.system.coordinates)].T)
     jets = problem.reference.jet(motion.t, 1)
     values, violations, deviations = at_instants(
@@ -253,6 +255,7 @@ def _report(problem: Problem, motion: _Motion, steps: int, evaluations: int) -> 
     return Solution(motion.t, (*known, tracking), table, name, statistics)
 
 
+@made_once
 def _observation(resolved: ResolvedSystem) -> tuple[tuple[Quantity, ...], ca.Function]:
     """Compile (state, lam, u, gamma, p) -> observed values, violations, distances from position and rate of the path.
 

@@ -5,21 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from servocore.analysis import ADVICE
 from servocore.checks.before_run import warn_before_run
-from servocore.checks.better_solutions import (
-    BetterSolver,
-    changes_with_the_step,
-    inputs_may_be_far,
-    warn_and_state_branch,
-)
 from servocore.checks.branches import configurations, require_one_branch
 from servocore.checks.failure_causes import causes_explained
-from servocore.checks.instants import time_grid
-from servocore.checks.internal_stability import NON_MINIMUM_PHASE, internal_dynamics
+from servocore.checks.internal_stability import ADVICE, NON_MINIMUM_PHASE, internal_dynamics
 from servocore.checks.limits import require_feasible
 from servocore.checks.masses import require_positive_mass
 from servocore.checks.redundant_constraints import require_redundant_constraints
@@ -32,14 +25,12 @@ from servocore.methods.collocation import RadauIIA
 from servocore.model.scene import Scene, require_scene
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
+from servocore.references.base import time_grid
 from servocore.solution import ErrorEstimate, Solution
-from servocore.solvers.adaptive import Adaptive, ToTolerance
-from servocore.solvers.boundary_value import BoundaryValue
-from servocore.solvers.exact_inversion import Pointwise, input_evaluation
-from servocore.solvers.fixed_step import FixedStep, StateSelection
-from servocore.solvers.fixed_step_loop import Progress, step_of
-from servocore.solvers.route import Route
-from servocore.solvers.warm_start import inversion_near, perturbed_inversion, unknowns_near
+from servocore.solvers.exact_inversion import NATIVE_FROM, Pointwise, exact_values
+from servocore.solvers.fixed_step_loop import Progress
+from servocore.solvers.route import Adaptive, JudgedRoute, Route
+from servocore.solvers.warm_start import unknowns_near
 from servocore.solvers.within_limits import (
     check_between_instants,
     require_no_impulses,
@@ -47,12 +38,11 @@ from servocore.solvers.within_limits import (
 )
 from servocore.stepping.prescribed_initial_values import require_start
 
+if TYPE_CHECKING:
+    from servocore.checks.better_solutions import BetterSolver
+
 _SURVEY_INSTANTS = 212  # 211 steps, a prime number: none ends in the middle or at a third, where paths are special
-_NATIVE_FROM = 500  # instants from which on checks are worth machine code
 _COARSE_BELOW = 150  # instants: runs with fewer are surveyed on a finer grid, for they hide what happens in between
-_BETTER_METHOD = RadauIIA(5)
-_LOOSE_TOLERANCE = 0.01  # a tolerance above it does not prove by itself that inputs are good
-SteppedRoute = FixedStep | StateSelection | ToTolerance
 
 
 def solve(
@@ -135,7 +125,7 @@ def _run(problem: Problem, run: Callable[[Problem], Solution]) -> Solution:
 
 def _native_checks(route: Route, t: Array) -> bool | None:
     """Whether checks may use machine code; see `Vectorized`."""
-    return route.native if isinstance(route, Pointwise | SteppedRoute) and len(t) > _NATIVE_FROM else False
+    return route.native if isinstance(route, JudgedRoute) and len(t) > NATIVE_FROM else False
 
 
 def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
@@ -148,8 +138,10 @@ def _checked(problem: Problem, route: Route, solution: Solution) -> Solution:
     warned = check_between_instants(problem, solution, unknowns_near, native)
     if not warned and len(solution.t) < _COARSE_BELOW and problem.flat and not problem.follow_branch:
         check_between_instants(problem, _on_survey_grid(problem), unknowns_near)
-    branch = _branch_statement(problem, route, solution) + passed
-    return replace(solution, statistics=replace(solution.statistics, branch=branch))
+    stated = solution.statistics.branch  # what a route of the user's says is its own business
+    if isinstance(route, JudgedRoute):
+        stated = route.branch_statement(problem, solution)
+    return replace(solution, statistics=replace(solution.statistics, branch=stated + passed))
 
 
 def _on_survey_grid(problem: Problem) -> Solution:
@@ -199,13 +191,8 @@ def chosen_route(
         If a bounded inversion is asked for with another form than `Reduced`, with a tolerance for its steps, or with
         a start.
     """
-    if isinstance(method, BoundaryValue):
-        if formulation != Reduced():
-            raise InvalidSetting(f"a bounded inversion works on the reduced form, not on {formulation}")
-        if problem.start:
-            raise InvalidSetting("a bounded inversion finds its own initial values; the start is given in vain")
-        if isinstance(step, Adaptive):
-            raise InvalidSetting("a bounded inversion controls its mesh itself; give its tolerance to BoundaryValue")
+    if isinstance(method, JudgedRoute):
+        method.require_suits(problem, formulation, adaptive=isinstance(step, Adaptive))
     if isinstance(method, Route):
         return method
     if checks:
@@ -213,71 +200,35 @@ def chosen_route(
     if not problem.dae(formulation).x.numel():
         return Pointwise(formulation, method, native)
     if isinstance(step, Adaptive):
-        return ToTolerance(formulation, method, step, native)
-    if isinstance(formulation, Reduced):
-        return StateSelection(formulation, method, native)
-    return FixedStep(formulation, method, native)
+        from servocore.solvers.adaptive import ToTolerance  # noqa: PLC0415 - a flat scene takes no steps
+
+        return ToTolerance(formulation, method, native, step)
+    from servocore.solvers.fixed_step import FixedStep, StateSelection  # noqa: PLC0415 - a flat scene takes no steps
+
+    return (StateSelection if isinstance(formulation, Reduced) else FixedStep)(formulation, method, native)
 
 
 def better_solver_of(problem: Problem, route: Route) -> BetterSolver:
     """Return the better solution that the solutions of a route are compared with, to estimate the errors of inputs."""
-    if isinstance(route, Pointwise):
-        return BetterSolver(perturbed_inversion, True, "the exact inversion, solved again,")
-    if isinstance(route, BoundaryValue):
-        return BetterSolver(partial(_bounded_better, route), True, "a bounded inversion of higher order")
+    from servocore.checks.better_solutions import BetterSolver  # noqa: PLC0415 - few ask
+
+    if isinstance(route, JudgedRoute):
+        return route.better(problem)
     if problem.flat:
-        nearest = None if problem.follow_branch else inversion_near
-        return BetterSolver(Pointwise(Reduced(), BackwardEuler()).run, True, "the exact inversion", nearest)
-    if isinstance(route, SteppedRoute) and internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-        return BetterSolver(BoundaryValue().run, True, "the bounded inversion")
-    if isinstance(route, SteppedRoute):
-        form = route.formulation if isinstance(route.formulation, Reduced) else Reduced()
-        return BetterSolver(
-            StateSelection(form, _BETTER_METHOD).run, False, f"{_BETTER_METHOD.name} on the reduced form"
-        )
+        return exact_values(problem)
     return BetterSolver(None, False, f"nothing is known to solve {problem.system.name} as this route does, but better")
-
-
-def _bounded_better(route: BoundaryValue, problem: Problem, times: Array) -> Solution:
-    """Solve again with more stages, to a smaller tolerance, and over the longer horizon that it needs."""
-    start, end, margin = problem.reference.start_time, problem.reference.end_time, step_of(times) / 2
-    inside = times[(times > start - margin) & (times < end + margin)]
-    tolerance = min(max(route.tolerance / 100.0, 1e-11), 1e-6)
-    again = replace(route, tolerance=tolerance, stages=min(route.stages + 2, 7), pre=None, post=None)
-    return again.run(problem, inside)
 
 
 def _error_estimate(problem: Problem, route: Route, solution: Solution) -> ErrorEstimate:
     return better_solver_of(problem, route).estimate(problem, solution)
 
 
-def _branch_statement(problem: Problem, route: Route, solution: Solution) -> str:
-    """Judge the inputs of a solution, as closely as its route needs, and say in which sense its motion is one.
-
-    Only a doubtful solution is compared with a better one, which takes as long as a solve.
-    """
-    if not isinstance(route, BoundaryValue | SteppedRoute):
-        return solution.statistics.branch  # that of an exact inversion is known, and of another route its own business
-    better = better_solver_of(problem, route)
-    if isinstance(route, BoundaryValue):
-        doubtful = route.tolerance > _LOOSE_TOLERANCE or route.pre is not None or route.post is not None
-        return warn_and_state_branch(problem, better, solution, doubtful, (Reduced(), None))
-    how = (route.formulation, route.method)
-    if problem.flat:
-        inputs = input_evaluation(problem, _native_checks(route, solution.t))
-        doubtful = inputs_may_be_far(
-            problem, solution, lambda t: inputs.by_expression(problem, t)[0], inputs.is_expression
-        )
-    elif internal_dynamics(problem).kind == NON_MINIMUM_PHASE:
-        doubtful = False  # its user was warned before the run
-    elif isinstance(route, ToTolerance):
-        doubtful = not (solution.statistics.error_estimate or np.inf) <= _LOOSE_TOLERANCE
-    else:
-        doubtful = changes_with_the_step(problem, *how, route.run, solution)
-    return warn_and_state_branch(problem, better, solution, doubtful, how)
-
-
-def recommended(problem: Problem) -> tuple[Method | BoundaryValue, str]:
+def recommended(problem: Problem) -> tuple[Method | Route, str]:
     """Return the method that the analysis recommends for the reduced form, and what it says."""
-    kind = internal_dynamics(problem).kind
-    return BoundaryValue() if kind == NON_MINIMUM_PHASE else RadauIIA(3), f"{kind}: {ADVICE[kind]}"
+    kind, method = internal_dynamics(problem).kind, RadauIIA(3)
+    advice = f"{kind}: {ADVICE[kind]}"
+    if kind != NON_MINIMUM_PHASE:
+        return method, advice
+    from servocore.solvers.boundary_value import BoundaryValue  # noqa: PLC0415 - few scenes need it
+
+    return BoundaryValue(), advice

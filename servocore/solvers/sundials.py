@@ -11,8 +11,9 @@ from servocore.errors import IntegrationFailed, InvalidModel, InvalidReference, 
 from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.numerics.compiled_calls import Array, Call, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
-from servocore.references.formula import Formula
+from servocore.references.base import Formula
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
 from servocore.solvers.results import Run, Segment, solution_of
@@ -78,7 +79,7 @@ class Sundials:
         x0, z0 = first[:size], first[size : len(array.unknowns)]
         numbers = np.concatenate([formula.numbers(array.reference_order), problem.p])
         settings = self.rtol, self.atol or self.rtol / 1000.0, tuple(times.tolist())
-        integrate = problem.resolved.once(_integrator, formula, *settings)
+        integrate = _integrator(problem.resolved, formula, *settings)
         try:
             states, _ = integrate(x0, z0, numbers)
         except RuntimeError as error:  # SUNDIALS gives up
@@ -87,7 +88,7 @@ class Sundials:
         guess = np.zeros((len(array.unknowns), count + 1))
         guess[array.places(array.states)] = np.hstack([x0[:, None], states.reshape(size, count, order="F")])
         guess[array.places(array.determined)] = z0[:, None]
-        unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, guess)
+        unknowns = inversion(problem.array).search_at_instants(jets, problem.p, guess)
         if not np.isfinite(unknowns).all():
             k = int(np.isfinite(unknowns).all(axis=0).argmin())
             raise IntegrationFailed(f"{problem.name}: SUNDIALS led to no motion that can be at t = {times[k]:.6g} s")
@@ -100,6 +101,7 @@ class Sundials:
         return solution_of(problem, [done], f"{problem.system.name}, reduced, {self.name}")
 
 
+@made_once
 def _integrator(resolved: ResolvedSystem, formula: Formula, rtol: float, atol: float, times: tuple[float, ...]) -> Call:
     """Compile (x0, z0, [numbers of the path; p]) -> states at the instants after the first, and the last z."""
     dae, order = resolved.dae(Reduced()), resolved.array.reference_order

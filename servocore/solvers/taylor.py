@@ -48,7 +48,7 @@ class Taylor:
     def of(cls, array: DerivativeArray) -> Taylor:
         """Find the places in an array."""
         n, quantities = len(array.system.coordinates), array.system.coordinates.quantities
-        q, rates = (np.array(array.places((k, order) for k in range(n)), dtype=np.intp) for order in (0, 1))
+        q, rates = (np.array(array.places([(k, order) for k in range(n)]), dtype=np.intp) for order in (0, 1))
         wraps = np.array([quantity.wraps for quantity in quantities], dtype=bool)
         positions = tuple((k, 0) for k in range(n))
         return cls(_powers(array, array.unknowns), _powers(array, positions), q, rates, wraps)

@@ -27,7 +27,7 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
     states, array = _exact_states(problem, times), problem.array
     aside = states * (1.0 + _ASIDE * np.sin(1.0 + np.arange(len(states))))[:, None]
     jets = side_by_side(problem.reference.jet(times, array.reference_order))
-    unknowns = problem.resolved.once(inversion).search_at_instants(jets, problem.p, aside)
+    unknowns = inversion(problem.array).search_at_instants(jets, problem.p, aside)
     inputs = problem.system.inputs
     places = [array.position(f"u.{quantity.name}", 0) for quantity in inputs]
     return Solution(times, inputs, unknowns[places].T, "the exact inversion, solved again")
@@ -39,7 +39,7 @@ def _exact_states(problem: Problem, t: Array) -> Array:
         first = prescribed_start_of(Reduced(), BackwardEuler())
         return run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
     jets = problem.reference.jet(t, problem.array.reference_order)
-    states, _, residual = at_instants(problem.resolved.once(inversion).function, jets=jets, p=problem.p)
+    states, _, residual = at_instants(inversion(problem.array).function, jets=jets, p=problem.p)
     return on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))[0]
 
 
@@ -54,7 +54,7 @@ def inversion_near(problem: Problem, solution: Solution) -> Solution | None:
 
 def unknowns_near(problem: Problem, solution: Solution) -> Array:
     """Return all unknowns of the derivative array (size, N) nearest to a run, its internal states as they are there."""
-    array, inverse, t = problem.array, problem.resolved.once(inversion), solution.t
+    array, inverse, t = problem.array, inversion(problem.array), solution.t
     jets = problem.reference.jet(t, array.reference_order)
     guess = at_instants(inverse.guess, jets=jets, p=problem.p)[0].copy()
     for kind, quantities in (("q", problem.system.coordinates.quantities), ("u", problem.system.inputs)):

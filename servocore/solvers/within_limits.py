@@ -23,6 +23,7 @@ from servocore.checks.motion_limits import (
 from servocore.errors import IntegrationFailed
 from servocore.model.limits import Limit, Named
 from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.solution import Margin, Solution
 from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table, system_jacobians
@@ -82,7 +83,7 @@ def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[
 
     Without internal dynamics the exact motion is looked at; with them all that follows from internal states and path.
     """
-    if not (isinstance(problem.resolved.outcome, DerivativeArray) and problem.resolved.once(has_kinks_or_jumps)):
+    if not (isinstance(problem.resolved.outcome, DerivativeArray) and has_kinks_or_jumps(problem.resolved)):
         return
     if problem.flat and not problem.follow_branch:
         try:
@@ -90,7 +91,7 @@ def require_no_impulses(problem: Problem, solution: Solution, beside: Callable[[
         except IntegrationFailed:  # the guess of the model may still do
             require_no_jumps(problem, solution.t, exact_states(problem, None))
         return
-    known, order, inverse = beside(problem, solution), problem.array.reference_order, problem.resolved.once(inversion)
+    known, order, inverse = beside(problem, solution), problem.array.reference_order, inversion(problem.array)
 
     def states(t: Array) -> Array:
         start = np.stack([np.interp(t, solution.t, row) for row in known])
@@ -151,7 +152,7 @@ def check_between_instants(
         return False
     channels = _channels_to_invert(problem, solution, suspected)
     names = tuple(solution.channels[channel].name for channel in channels)
-    watched = problem.resolved.once(_compile_named, names)
+    watched = _compile_named(problem.resolved, names)
 
     def exact(states: States, t: Array) -> Array:
         jets = problem.reference.jet(t, watched.order)
@@ -177,6 +178,7 @@ def _channels_to_invert(problem: Problem, solution: Solution, suspected: list[tu
     return channels + [k for k, channel in enumerate(solution.channels) if channel in coordinates and k not in channels]
 
 
+@made_once
 def _compile_named(resolved: ResolvedSystem, names: tuple[str, ...]) -> Watched:
     return compile_watched(resolved, tuple((Named(name), False) for name in names))
 

@@ -14,15 +14,15 @@ from servocore.methods.base import Discretisation, Method, errs_less_with_smalle
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import compile_solver
 from servocore.problem import Problem, ResolvedSystem
 from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
-from servocore.stepping.limit_margins import compile_margins, limit_texts, limits_order
-from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.observation import compile_margins, compile_observation, limit_texts, limits_order, observed
 from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import Inversion, compile_inversion, inversion
+from servocore.structure.inversion import Inversion, inversion
 
 
 def program_of(
@@ -43,16 +43,18 @@ def program_of(
         How many are to be taken.
     """
     settings = formulation, method, tuple(limit for limit in problem.limits if limit.of_path), problem.follow_branch
-    program = problem.resolved.once(compile_program, *settings)
-    code = None if native is False else problem.resolved.once(_in_machine_code, program, native)
+    program = compile_program(problem.resolved, *settings)
+    code = None if native is False else _in_machine_code(problem.resolved, program, native)
     return program if code is None else code.best(steps) or program
 
 
+@made_once
 def _in_machine_code(_: ResolvedSystem, program: Program, native: bool | None) -> JustInTime[Program]:
     """Return a program with start, step and observation as machine code."""
     return in_machine_code(program, ("start", "step", "observe"), program.name, native)
 
 
+@made_once
 def compile_program(
     resolved: ResolvedSystem,
     formulation: Formulation,
@@ -104,9 +106,9 @@ def _inverse(resolved: ResolvedSystem, formulation: Formulation) -> tuple[Deriva
     array = resolved.array
     if isinstance(formulation, Reduced):
         array = formulation.array(resolved.system)
-    # The usual states share one inversion with everything else that asks for it.
-    inverse = resolved.once(inversion) if array.states == resolved.array.states else compile_inversion(array)
-    return array, inverse, resolved.dae(Reduced(states=array.named_states))
+    if array.states == resolved.array.states:
+        array = resolved.array  # the usual states share one inversion with everything else that asks for it
+    return array, inversion(array), resolved.dae(Reduced(states=array.named_states))
 
 
 def discretized(dae: Dae, method: Method) -> Discretisation:
@@ -114,6 +116,7 @@ def discretized(dae: Dae, method: Method) -> Discretisation:
     return method.discretise(dae) if dae.x.numel() else instantaneous(dae)
 
 
+@made_once
 def compile_restart_of(resolved: ResolvedSystem, formulation: Formulation, method: Method, order: int) -> Call:
     """Compile (unknowns of the array, gamma, h, p) -> the first state of a run of a form."""
     array, inverse, reduced = _inverse(resolved, formulation)

@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, at_instants
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import Reference
 from servocore.stepping.observation import observed
@@ -54,7 +55,7 @@ class ExactEvaluation:
 
         It is compiled when it is needed first: no other function takes longer to compile.
         """
-        return self.resolved.once(_by_newton, self.read, self.whole)
+        return _by_newton(self.resolved, self.read, self.whole)
 
     def __call__(self, problem: Problem, t: Array) -> list[Array]:
         """Return the results at instants (N,), shape (rows, N) each; NaN where they are not solved."""
@@ -92,10 +93,11 @@ class ExactEvaluation:
         return left
 
 
+@made_once
 def exact_evaluation(
     resolved: ResolvedSystem, read: ca.Function, native: bool | None = None, whole: bool = False
 ) -> ExactEvaluation:
-    """Compile what is read from exact inversions; meant for `ResolvedSystem.once`.
+    """Compile what is read from exact inversions.
 
     Parameters
     ----------
@@ -111,11 +113,11 @@ def exact_evaluation(
     InvalidSetting
         If there is no C compiler for `native`.
     """
-    expression = resolved.once(inversion).expression
+    expression = inversion(resolved.array).expression
     if expression is not None:
         function = _composed("sc_by_expression", expression, read, whole, ca.SX)
     else:
-        function = resolved.once(_by_newton, read, whole)
+        function = _by_newton(resolved, read, whole)
         if native:
             from servocore.numerics.machine_code import compiled  # noqa: PLC0415 - few compile
 
@@ -124,8 +126,9 @@ def exact_evaluation(
     return ExactEvaluation(resolved, read, whole, path_function, expression is not None)
 
 
+@made_once
 def exact_quantities(resolved: ResolvedSystem, names: tuple[str, ...], native: bool | None) -> ExactEvaluation:
-    """Compile what exact inversions give of quantities by name; meant for `ResolvedSystem.once`.
+    """Compile what exact inversions give of quantities by name.
 
     Names are those that `solve` reports, and those of `ResolvedSystem.must_be_positive`.
     """
@@ -143,8 +146,9 @@ def reading(resolved: ResolvedSystem, expressions: Sequence[ca.SX]) -> ca.Functi
     return ca.Function("sc_reading", arguments, [ca.densify(values)], {"cse": True})
 
 
+@made_once
 def _by_newton(resolved: ResolvedSystem, read: ca.Function, whole: bool) -> ca.Function:
-    return _composed("sc_by_newton", resolved.once(inversion).search_from_guess, read, whole, ca.MX)
+    return _composed("sc_by_newton", inversion(resolved.array).search_from_guess, read, whole, ca.MX)
 
 
 def _composed(name: str, inverted: ca.Function, read: ca.Function, whole: bool, kind: type[_Symbol]) -> ca.Function:

@@ -15,10 +15,10 @@ import numpy as np
 
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array
+from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_runs import Instants, Run, SteppedRuns
 from servocore.problem import ResolvedSystem
-from servocore.references.base import Reference
-from servocore.references.formula import Formula
+from servocore.references.base import Formula, Reference
 from servocore.stepping.exact_evaluation import reading
 from servocore.stepping.observation import observed
 from servocore.structure.derivative_array import DerivativeArray
@@ -94,17 +94,18 @@ def _of_all(references: Sequence[Reference], t: Array, order: int, count: int) -
     return np.stack(tables) if len(tables) > 1 else np.ascontiguousarray(tables[0])
 
 
+@made_once
 def compile_explicit_steps(
     resolved: ResolvedSystem, formula: Formula | None, native: bool | None, names: tuple[str, ...] = ()
 ) -> ExplicitSteps:
-    """Compile steps and inputs, and quantities of some names; meant for `ResolvedSystem.once`.
+    """Compile steps and inputs, and quantities of some names.
 
     Raises
     ------
     InvalidModel
         If the equations do not give the rates of the states without iterations.
     """
-    explicit, array, system = resolved.once(compile_explicit), resolved.array, resolved.system
+    explicit, array, system = compile_explicit(resolved.array), resolved.array, resolved.system
     if explicit is None:
         raise InvalidModel(f"{system.name}: the rates of its internal dynamics take iterations; sc.solve steps them")
     order, count = array.reference_order, len(array.states)

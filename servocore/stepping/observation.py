@@ -6,9 +6,11 @@ import casadi as ca
 
 from servocore.dae import Dae
 from servocore.methods.base import Discretisation
+from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
-from servocore.numerics.expressions import largest
+from servocore.numerics.expressions import highest_derivative, largest
+from servocore.stepping.program import LimitText
 
 
 def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
@@ -57,3 +59,21 @@ def violations_of(system: MechanicalSystem) -> ca.SX:
         system.constraint_rate,
     )
     return ca.vertcat(*[largest(group) for group in groups])
+
+
+def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
+    """Return what to say of each limit, without its expression."""
+    return tuple(LimitText(limit.quantity, limit.unit, limit.reason, limit.bound) for limit in limits)
+
+
+def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:
+    """Highest derivative of the reference that the limits use."""
+    margins = [limit.on(system) for limit in limits]
+    return highest_derivative(ca.vertcat(ca.SX(0, 1), *margins), system.gamma)
+
+
+def compile_margins(system: MechanicalSystem, limits: tuple[Limit, ...], order: int) -> ca.Function:
+    """Compile (gamma (m, order + 1), p) -> how far each limit is, positive where it is kept."""
+    gamma = system.gamma[:, : order + 1]
+    margins = [limit.on(system) - limit.bound for limit in limits]
+    return ca.Function("sc_margins", [gamma, system.p], [ca.densify(ca.vertcat(ca.SX(0, 1), *margins))])

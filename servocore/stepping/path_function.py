@@ -12,8 +12,7 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import MANY, pays
 from servocore.numerics.vectorized import Vectorized
 from servocore.problem import Problem
-from servocore.references.base import Reference
-from servocore.references.formula import Formula
+from servocore.references.base import Formula, Reference
 
 _FEW = 400  # instants: for so many the interpreter evaluates the path in less time than NumPy
 

@@ -15,9 +15,10 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.numerics.compiled_calls import Array, Call, side_by_side
+from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import compile_inversion
+from servocore.structure.inversion import inversion
 
 Start = Mapping[str, float]
 How = tuple[Callable[..., Call], Formulation, Method]
@@ -52,7 +53,7 @@ def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, orde
     """
     states = _states(problem.array, problem.start, problem.system.name)
     named = tuple((problem.array.names[j], degree) for j, degree in states)
-    search, guess = problem.resolved.once(_search, named)
+    search, guess = _search(problem.resolved, named)
     now = gamma[0, : problem.array.reference_order + 1].T
     values = guess(now, problem.p)[0]
     # Pinned: with these as states the array determines all others from them.
@@ -64,7 +65,7 @@ def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, orde
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
     make, formulation, method = how
-    restart = problem.resolved.once(make, formulation, method, order)
+    restart = make(problem.resolved, formulation, method, order)
     return restart(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
 
 
@@ -73,7 +74,7 @@ def require_start(problem: Problem) -> None:
     array, name = problem.array, problem.system.name
     states = _states(array, problem.start, name)
     try:
-        problem.resolved.once(_search, tuple((array.names[j], order) for j, order in states))
+        _search(problem.resolved, tuple((array.names[j], order) for j, order in states))
     except InvalidModel as error:
         names = ", ".join(_plain(*state) for state in array.named_states)
         raise InvalidSetting(
@@ -81,9 +82,10 @@ def require_start(problem: Problem) -> None:
         ) from error
 
 
+@made_once
 def _search(resolved: ResolvedSystem, states: tuple[tuple[str, int], ...]) -> tuple[Call, Call]:
     """Compile Newton's method with these unknowns pinned, and the guess."""
-    inverse = compile_inversion(Reduced(states=states).array(resolved.system))
+    inverse = inversion(Reduced(states=states).array(resolved.system))
     return Call(inverse.search), Call(inverse.guess)
 
 
@@ -155,7 +157,7 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     if not system.lam.numel():
         return consistent
     n, nominal = len(system.coordinates), np.array(system.coordinates.nominal)
-    rows, rates = problem.resolved.once(_constraint_rows)
+    rows, rates = _constraint_rows(problem.resolved)
     clock = problem.reference.jet(time, 1).T
     for function, part in ((rows, slice(0, n)), (rates, slice(n, 2 * n))):
         # Positions first: the constraints of velocities hold G at the positions.
@@ -179,6 +181,7 @@ def with_initial_values(problem: Problem, time: float, state: Array, start: Star
     return consistent
 
 
+@made_once
 def _constraint_rows(resolved: ResolvedSystem) -> tuple[Call, Call]:
     """Compile (state, gamma, p) -> constraints and their Jacobian by q, and -> their rates and Jacobian by v."""
     system = resolved.system

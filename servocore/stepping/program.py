@@ -6,17 +6,41 @@ the modelling side. The state is one flat float64 vector, history included: copy
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import casadi as ca
 import numpy as np
 
 from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, Call, CompiledWhenUsed
+from servocore.numerics.compiled_calls import Array, Call
 from servocore.numerics.serialization import from_json, to_json
 
 _FORMAT = "servocore program 3"
+
+
+class CompiledWhenUsed:
+    """Descriptor of a dataclass field that holds a CasADi function, or a callable that compiles it at the first access.
+
+    Newton's method for a system takes longer to compile than anything else, and an exact inversion seldom needs it.
+    """
+
+    def __set_name__(self, _: type, name: str) -> None:
+        self._name = name
+
+    def __set__(self, holder: object, function: ca.Function | Callable[[], ca.Function]) -> None:
+        holder.__dict__[self._name] = function
+
+    def __get__(self, holder: object, _: type | None = None) -> ca.Function:
+        if holder is None:
+            raise AttributeError(self._name)  # to a dataclass: a field without a default
+        held: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
+        if isinstance(held, ca.Function):
+            return held
+        compiled: ca.Function = held()
+        holder.__dict__[self._name] = compiled
+        return compiled
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -17,6 +16,7 @@ import numpy as np
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative, time_derivative
+from servocore.numerics.memoization import made_once
 from servocore.numerics.pivoting import pivot_columns
 from servocore.structure.signature import Signature, jacobian_at_probes
 from servocore.structure.structural_analysis import analyse_structure
@@ -84,7 +84,7 @@ class DerivativeArray:
         return self.unknowns.index((self.names.index(variable), order))
 
 
-@lru_cache(maxsize=64)  # a formulation knows the system alone, and asks for its array whenever it makes a Dae
+@made_once  # a formulation knows the system alone, and asks for its array whenever it makes a Dae
 def derivative_array(system: MechanicalSystem) -> DerivativeArray:
     """Differentiate the equations of `system` as often as their offsets ask."""
     structure = analyse_structure(system)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from servocore.errors import InvalidModel
 from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.components import Part, parts_of
+from servocore.numerics.memoization import made_once
 from servocore.numerics.square_systems import SquareSystem, compile_formula, compile_solver, compile_unrolled_solver
 from servocore.structure.derivative_array import DerivativeArray, nominal
 from servocore.structure.signature import condition_numbers, equilibrated
@@ -22,8 +23,6 @@ LARGEST_RESIDUAL = 1e-9
 
 _MOST_OPERATIONS = 2500  # of equations that do not fall apart: beyond, evaluating takes longer than calling
 _REGULARIZATION = 1e-9  # of the normal equations that give a first guess of multipliers and inputs
-
-_Equations = tuple[SquareSystem, list[ca.SX]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,43 +51,21 @@ class Inversion:
     guess: ca.Function
     expression: ca.Function | None
     _array: DerivativeArray
-    _equations: _Equations
-    _made: dict[str, ca.Function] = field(default_factory=dict, repr=False)
 
     @property
     def search(self) -> ca.Function:
-        """See above; compiled at the first use, as the functions made from it: `analyse` seldom needs any."""
-        return self._once("search", lambda: _compile_search(self._array, self._equations))
+        """See above; compiled at the first use, as what is made from it: `analyse` seldom needs any."""
+        return _compile_search(self._array)
 
-    @property
+    @cached_property
     def search_from_guess(self) -> ca.Function:
         """See above."""
-        return self._once("search_from_guess", self._compile_search_from_guess)
-
-    @property
-    def function(self) -> ca.Function:
-        """See above."""
-        return self._once("function", self._compile_function)
-
-    def by_search(self) -> Inversion:
-        """Return the same without the expression, which takes half of the code where speed does not count."""
-        return replace(
-            self, expression=None, _made={"search": self.search, "search_from_guess": self.search_from_guess}
-        )
-
-    def _once(self, name: str, make: Callable[[], ca.Function]) -> ca.Function:
-        if name not in self._made:
-            self._made[name] = make()
-        return self._made[name]
-
-    def _arguments(self) -> list[ca.MX]:
-        return [ca.MX.sym(name, *self.guess.size_in(k)) for k, name in enumerate(("gamma", "p"))]
-
-    def _compile_search_from_guess(self) -> ca.Function:
         gamma, p = self._arguments()
         return ca.Function("sc_search", [gamma, p], list(self.search(gamma, p, self.guess(gamma, p))))
 
-    def _compile_function(self) -> ca.Function:
+    @cached_property
+    def function(self) -> ca.Function:
+        """See above."""
         gamma, p = self._arguments()
         if self.expression is None:
             results = self.search_from_guess(gamma, p)
@@ -101,6 +78,13 @@ class Inversion:
             results = choose(candidate[2] < LARGEST_RESIDUAL, *candidate, gamma, p)
         return ca.Function("sc_inversion", [gamma, p], list(results), ["gamma", "p"], ["y", "counts", "residual"])
 
+    def by_search(self) -> Inversion:
+        """Return the same without the expression, which takes half of the code where speed does not count."""
+        return replace(self, expression=None)
+
+    def _arguments(self) -> list[ca.MX]:
+        return [ca.MX.sym(name, *self.guess.size_in(k)) for k, name in enumerate(("gamma", "p"))]
+
     def search_at_instants(self, gamma: Array, p: Array, guess: Array) -> Array:
         """Return the unknowns (size, N) at N instants by Newton's method from guesses (size, N).
 
@@ -110,43 +94,39 @@ class Inversion:
         return mapped(self.search, count)(gamma, np.tile(p[:, None], count), guess)[0].reshape(size, -1, order="F")
 
 
-class Analysed(Protocol):
-    """Whatever has a derivative array, as `servocore.problem.ResolvedSystem` has."""
-
-    @property
-    def array(self) -> DerivativeArray:
-        """The derivative array."""
-
-
-def inversion(resolved: Analysed) -> Inversion:
-    """Compile the exact inversion of a system; meant for `ResolvedSystem.once`.
+@made_once
+def inversion(array: DerivativeArray) -> Inversion:
+    """Compile the exact inversion of a derivative array.
 
     Raises
     ------
     InvalidModel
         If the equations call a function without the derivatives that are needed.
     """
+    guess = _compile_guess(array)
     try:
-        return compile_inversion(resolved.array)
+        return Inversion(guess, _compile_expression(array, guess), array)
     except RuntimeError as error:
         if "are free" not in str(error):
             raise
         # CasADi takes the slopes of a linear table for constants, and leaves what they depend on in the expression.
         raise InvalidModel(
-            f"{resolved.array.system.name}: its equations call a function that cannot be differentiated as often as the"
+            f"{array.system.name}: its equations call a function that cannot be differentiated as often as the"
             " inputs ask for, such as a table that is interpolated linearly; one of the kind bspline can be"
         ) from None
 
 
-def system_jacobian(resolved: Analysed) -> ca.Function:
-    """Compile (unknowns of the array, gamma, p) -> system Jacobian; meant for `ResolvedSystem.once`."""
-    arguments, J = _system_jacobian(resolved.array)
+@made_once
+def system_jacobian(array: DerivativeArray) -> ca.Function:
+    """Compile (unknowns of the array, gamma, p) -> system Jacobian."""
+    arguments, J = _system_jacobian(array)
     return ca.Function("sc_J", arguments, [ca.densify(J)])
 
 
-def system_jacobian_entries(resolved: Analysed) -> tuple[ca.Function, tuple[Part, ...]]:
+@made_once
+def system_jacobian_entries(array: DerivativeArray) -> tuple[ca.Function, tuple[Part, ...]]:
     """Compile the same -> entries of the system Jacobian, column by column, and find its independent parts."""
-    arguments, J = _system_jacobian(resolved.array)
+    arguments, J = _system_jacobian(array)
     return ca.Function("sc_J_entries", arguments, [J.nz[:]]), parts_of(J.sparsity())
 
 
@@ -185,21 +165,14 @@ def _system_jacobian(array: DerivativeArray) -> tuple[list[ca.SX], ca.SX]:
     return [array.column(array.unknowns), reference, array.system.p], J
 
 
-def compile_inversion(array: DerivativeArray) -> Inversion:
-    """Compile the exact inversion of a derivative array."""
-    equations = _equations(array)
-    guess = _compile_guess(array)
-    return Inversion(guess, _compile_expression(array, equations, guess), array, equations)
-
-
-def _compile_expression(array: DerivativeArray, equations: _Equations, guess: ca.Function) -> ca.Function | None:
+def _compile_expression(array: DerivativeArray, guess: ca.Function) -> ca.Function | None:
     """Compile the inversion as one expression, with NaN where the guess is not exact; None where that does not pay.
 
     Such an expression costs a quarter of calling Newton's method block by block.
     """
     if array.states:
         return None  # they are followed from step to step
-    unrolled = compile_unrolled_solver("sc_array", *equations)
+    unrolled = compile_unrolled_solver("sc_array", *_equations(array))
     if unrolled is None:
         return None
     system = array.system
@@ -209,12 +182,12 @@ def _compile_expression(array: DerivativeArray, equations: _Equations, guess: ca
     return function if _longest(function, array) <= _MOST_OPERATIONS else None
 
 
-def compile_explicit(resolved: Analysed) -> ca.Function | None:
+@made_once
+def compile_explicit(array: DerivativeArray) -> ca.Function | None:
     """Compile (gamma, p, states) -> unknowns of the array, as one expression; None where that needs iterations.
 
-    The states are those of the internal dynamics, in their order; meant for `ResolvedSystem.once`.
+    The states are those of the internal dynamics, in their order.
     """
-    array = resolved.array
     formula = compile_formula("sc_explicit", *_equations(array))
     if formula is None:
         return None
@@ -240,16 +213,18 @@ def _longest(function: ca.Function, array: DerivativeArray) -> int:
     return total * max(entries) // sum(entries)
 
 
-def _compile_search(array: DerivativeArray, equations: _Equations) -> ca.Function:
+@made_once
+def _compile_search(array: DerivativeArray) -> ca.Function:
     """Compile (gamma, p, guess) -> (unknowns of the array, counts, residual); states keep their guess."""
-    solver = compile_solver("sc_array", *equations)
+    solver = compile_solver("sc_array", *_equations(array))
     gamma = ca.MX.sym("gamma", array.system.gamma.size1(), array.reference_order + 1)
     p, guess = ca.MX.sym("p", array.system.p.numel()), ca.MX.sym("guess", len(array.unknowns))
     results = solver(ca.vertcat(ca.vec(gamma), p, guess))
     return ca.Function("sc_array_solver", [gamma, p, guess], list(results))
 
 
-def _equations(array: DerivativeArray) -> _Equations:
+@made_once
+def _equations(array: DerivativeArray) -> tuple[SquareSystem, list[ca.SX]]:
     """Return the equations of the array with givens (gamma, p, guess), and all its unknowns as what is wanted."""
     system = array.system
     guess_symbols = ca.SX.sym("guess", len(array.unknowns))

@@ -16,7 +16,6 @@ import casadi as ca
 
 from servocore.errors import InvalidModel
 from servocore.model.system import MechanicalSystem
-from servocore.structure.linear_combination import convert
 from servocore.structure.signature import (
     Home,
     SecondOrderEquations,
@@ -49,6 +48,8 @@ def analyse_structure(system: MechanicalSystem) -> Signature:
             structure = signature(changed)
             if is_regular(structure):
                 return structure
+    from servocore.structure.linear_combination import convert  # noqa: PLC0415 - few systems need it
+
     return convert(equations)
 
 

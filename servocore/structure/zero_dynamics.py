@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 
 from servocore.numerics.compiled_calls import Array, Call
+from servocore.numerics.memoization import made_once
 from servocore.structure.derivative_array import DerivativeArray
-from servocore.structure.inversion import Analysed, Inversion
+from servocore.structure.inversion import Inversion, inversion
 
 DAMPED = 1e-9
 """Real parts of smaller magnitude, relative to the eigenvalue, count as zero."""
@@ -69,23 +70,23 @@ class Linearization:
         return result
 
 
-def linearization(resolved: Analysed, inverse: Inversion) -> Linearization:
-    """Compile the linearization of internal dynamics; meant for `ResolvedSystem.once`."""
-    array = resolved.array
+@made_once
+def linearization(array: DerivativeArray) -> Linearization:
+    """Compile the linearization of internal dynamics."""
     reference = array.system.gamma[:, : array.reference_order + 1]
     arguments = [array.column(array.unknowns), reference, array.system.p]
     wanted = array.column(array.determined), array.column(array.states)
     matrices = [ca.densify(ca.jacobian(array.residual, unknowns)) for unknowns in wanted]
-    return Linearization(array, inverse, Call(ca.Function("sc_terms", arguments, matrices)))
+    return Linearization(array, inversion(array), Call(ca.Function("sc_terms", arguments, matrices)))
 
 
 def internal_equilibrium(linear: Linearization, p: Array, output: Array) -> Equilibrium:
     """Find the equilibrium of the internal dynamics for an output at rest, by Newton's method from their guess."""
-    array, inversion = linear.array, linear.inversion
+    array, inverse = linear.array, linear.inversion
     gamma = np.zeros((array.system.gamma.size1(), array.reference_order + 1))
     gamma[:, 0] = output
     rates, states = array.places((j, order + 1) for j, order in array.states), array.places(array.states)
-    guess, search = np.asarray(inversion.guess(gamma, p)).ravel(), Call(inversion.search)
+    guess, search = np.asarray(inverse.guess(gamma, p)).ravel(), Call(inverse.search)
     A = np.zeros((len(states), len(states)))
     for _ in range(_EQUILIBRIUM_ITERATIONS):
         values = search(gamma, p, guess)[0]

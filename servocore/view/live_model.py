@@ -17,8 +17,7 @@ from servocore.model.quantity import Quantity
 from servocore.numerics.compiled_calls import Array, at_instants
 from servocore.problem import Problem
 from servocore.solvers.branch_continuation import BranchTable, prepared_table
-from servocore.stepping.limit_margins import limits_order
-from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.observation import compile_observation, limits_order, observed
 from servocore.structure.inversion import inversion
 from servocore.view.javascript import written
 
@@ -96,7 +95,7 @@ def _expression(problem: Problem) -> ca.Function:
         )
     if problem.follow_branch or isinstance(prepared_table(problem), BranchTable):
         raise InvalidModel("its motion is followed from instant to instant")
-    expression = problem.resolved.once(inversion).expression
+    expression = inversion(problem.array).expression
     if expression is None:
         raise InvalidModel("its equations are solved by iteration")
     return expression

@@ -138,7 +138,7 @@ def test_inputs_that_jump_with_friction_of_the_driven_body_are_right() -> None:
 )
 def test_a_smooth_model_is_not_looked_at(make: Callable[[], sc.Scene], has: bool) -> None:
     """Kinks are looked for where the model holds what makes them: others pay nothing."""
-    assert Problem.of(make()).resolved.once(has_kinks_or_jumps) is has
+    assert has_kinks_or_jumps(Problem.of(make()).resolved) is has
 
 
 @pytest.mark.parametrize("how", HOW, ids=str)
