@@ -26,9 +26,9 @@ from rich.console import Console
 from rich.table import Table
 
 import servocore as sc
-from servocore.cli.level_costs import Spread
-from servocore.cli.level_measurement import ROUTES, compiled_run, timed_in_turn
-from servocore.cli.level_tables import machine
+from benchmarks.levels.costs import Spread
+from benchmarks.levels.measurement import ROUTES, compiled_run, timed_in_turn
+from benchmarks.levels.tables import machine
 from servocore.numerics.compiled_calls import Call, side_by_side
 from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 from servocore.structure.derivative_array import DerivativeArray, derivative_array, nominal

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import servocore as sc
 from benchmarks.chart.c_cost import functions_of, in_c
 from benchmarks.conftest import BARE, CLOSED_FORM
-from servocore.cli.level_measurement import compiled_run
+from benchmarks.levels.measurement import compiled_run
 from servocore.numerics.compiled_calls import Call
 from servocore.numerics.square_systems import MAX_ITERATIONS, NEWTON_TOLERANCE
 

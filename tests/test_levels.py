@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
+import sys
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from present import present
 
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
 import servocore as sc
-from servocore.cli.level_costs import Cost, Level, Spread
-from servocore.cli.level_measurement import compiled_run, measure_levels, timed_in_turn
-from servocore.cli.level_tables import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
+from benchmarks.levels.__main__ import main
+from benchmarks.levels.costs import Cost, Level, Spread
+from benchmarks.levels.measurement import compiled_run, measure_levels, timed_in_turn
+from benchmarks.levels.tables import COLUMNS, HEADINGS, csv_text, markdown_page, remarks, rows
 
 INSTANTS = 50
 
@@ -141,10 +146,10 @@ def test_csv_has_one_line_a_model_and_route_in_full_precision() -> None:
 
 def test_the_page_has_a_table_for_every_scene_and_says_how_it_came_about() -> None:
     found = [*levels("rotary_crane"), *levels("mass_on_car")]
-    text = markdown_page(found, command="servocore levels --all", instants=INSTANTS, repeats=2)
+    text = markdown_page(found, instants=INSTANTS, repeats=2)
     assert "## `rotary_crane`" in text
     assert "## `mass_on_car`" in text
-    assert "    servocore levels --all\n" in text
+    assert "    make levels\n" in text
     assert "rotary_crane needs no more than the model points" in text
     table = [line for line in text.splitlines() if line.startswith("|")]
     assert len(table) == 2 * 2 + 2 * len(found)
@@ -161,3 +166,25 @@ def test_the_ratio_is_that_of_the_medians() -> None:
     assert first == ("points", "2", "5", "0", "exact", "9", "3", "2 to 4", "2", "1.0e-15")
     assert second == ("", "", "", "", "projected", "5", "1.5", "1 to 2", "1", "1.0e-02")
     np.testing.assert_equal(len(first), len(HEADINGS))
+
+
+def test_the_command_prints_a_table_and_writes_the_same_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, page = tmp_path / "levels.csv", tmp_path / "levels.md"
+    main(["cars", "--instants", "20", "--csv", str(file), "--page", str(page)])
+    printed = capsys.readouterr().out
+    assert "cars has one model, points." in printed
+    lines = list(csv.DictReader(file.read_text(encoding="utf-8").splitlines()))
+    assert [(each["route"], each["unknowns"]) for each in lines] == [
+        ("exact", "9"),
+        ("projected", lines[1]["unknowns"]),
+    ]
+    assert f"{float(lines[0]['microseconds']):.3g}" in printed
+    assert "## `cars`" in page.read_text(encoding="utf-8")
+
+
+def test_a_scene_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["train"])
+    assert "no scene is called train" in capsys.readouterr().err

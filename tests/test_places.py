@@ -56,8 +56,6 @@ CASES = [
     Case("crane-fmu demo --output @", "/", "fmu"),
     Case("servocore scenes"),
     Case("servocore analyse cars"),
-    Case("servocore levels cars --instants 2 --csv @", ".csv"),
-    Case("servocore levels cars --instants 2 --markdown @", ".md"),
     Case("servocore feedforward cars --output @", ".csv"),
     Case(f"servocore plan overhead_crane {SHIFT} --output @", ".csv"),
     Case(f"servocore plan overhead_crane {SHIFT} --path @", ".csv"),

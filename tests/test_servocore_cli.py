@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import re
 import shlex
@@ -136,63 +135,11 @@ def test_a_present_folder_that_is_gone_is_told(tmp_path: Path, monkeypatch: pyte
     assert_refused(run("analyse", "mine:scene"), "the present folder is gone: change into one that is there")
 
 
-class TestLevels:
-    def test_it_prints_a_table_and_writes_the_same_figures_for_machines(self) -> None:
-        result = run("levels", "cars", "--instants", 20, "--csv", "levels.csv", "--markdown", "levels.md")
-        assert result.exit_code == 0
-        assert re.fullmatch(r"servocore: note: .* u is off by \d+ % of its peak.*\n", result.stderr)
-        assert "cars has one model, points." in result.stdout
-        lines = list(csv.DictReader(Path("levels.csv").read_text(encoding="utf-8").splitlines()))
-        assert [each["route"] for each in lines] == ["exact", "projected"]
-        assert lines[0]["unknowns"] == "9"
-        assert f"{float(lines[0]['microseconds']):.3g}" in result.stdout
-        page = Path("levels.md").read_text(encoding="utf-8")
-        assert "    servocore levels cars --instants 20 --markdown levels.md\n" in page
-        assert sorted(os.listdir()) == ["levels.csv", "levels.md"]
-
-    def test_parameters_from_a_file_count(self) -> None:
-        write("flat.toml", "inclination = 0.0\ndamping = 0.0")
-        result = run("levels", "mass_on_car", "--instants", 20, "--parameters", "flat.toml", "--csv", "levels.csv")
-        assert result.exit_code == 0
-        lines = list(csv.DictReader(Path("levels.csv").read_text(encoding="utf-8").splitlines()))
-        assert {(each["index"], each["internal_degrees_of_freedom"]) for each in lines} == {("5", "0")}
-
-    def test_all_scenes_can_be_asked_for(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        names = ("cars", "mass_on_car")
-        monkeypatch.setattr(commands, "REGISTRY", {name: sc.scenes.REGISTRY[name] for name in names})
-        result = run("levels", "--all", "--instants", 10)
-        assert result.exit_code == 0
-        assert all(name in result.stdout for name in names)
-
-    def test_a_singular_path_is_refused_with_the_time_and_nothing_is_written(self) -> None:
-        write("moon.toml", "gravity = 0.1")
-        result = run("levels", "overhead_crane", "--parameters", "moon.toml", "--csv", "levels.csv")
-        assert_refused(result, "at t = ", "the rope goes slack")
-        assert os.listdir() == ["moon.toml"]
-
-    def test_requests_that_cannot_be_met_are_refused(self) -> None:
-        write("data.toml", "mass_1 = 2.0")
-        assert_refused(run("levels"), "name one scene, or use --all")
-        assert_refused(run("levels", "cars", "--all"), "name one scene, or use --all")
-        assert_refused(run("levels", "train"), "no scene is called train")
-        assert_refused(run("levels", "--all", "--parameters", "data.toml"), "belongs to one scene")
-        assert_refused(run("levels", "cars", "--instants", 0), "at least one instant")
-        assert_refused(run("levels", "cars", "--instants", "many"), "instants")
-
-    def test_places_that_cannot_be_written_are_refused_before_the_work(self) -> None:
-        write("data.toml", "mass_1 = 2.0")
-        assert_refused(run("levels", "cars", "--csv", "none/levels.csv"), "there is no folder none")
-        assert_refused(run("levels", "cars", "--csv", "."), "it is a folder")
-        assert_refused(run("levels", "cars", "--csv", "a", "--markdown", "a"), "both name a")
-        assert_refused(run("levels", "cars", "--parameters", "data.toml", "--csv", "data.toml"), "it is read as well")
-        assert Path("data.toml").read_text(encoding="utf-8") == "mass_1 = 2.0"
-
-
 def test_an_unknown_command_is_refused_with_a_pointer_to_the_help() -> None:
     assert_refused(run("solve"), "no such command 'solve'; see servocore --help")
 
 
-@pytest.mark.parametrize("command", ["scenes", "analyse", "levels"])
+@pytest.mark.parametrize("command", ["scenes", "analyse"])
 def test_every_command_has_a_help_that_says_more_than_its_name(command: str) -> None:
     result = run(command, "--help")
     assert result.exit_code == 0

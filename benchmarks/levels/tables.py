@@ -13,7 +13,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from servocore.cli.level_costs import Level
+from benchmarks.levels.costs import Level
 
 COLUMNS = (
     "scene", "model", "needed", "coordinates", "index", "internal_degrees_of_freedom", "route", "unknowns",
@@ -55,9 +55,9 @@ where an estimate is not reliable: [effects/](effects/index.md) compares the two
 [decision 80](decisions/0080-effects.md) explains the method.
 
 """
-"""Opens the page of all scenes; its picture is from `make effects`."""
+"""Opens the page; its picture is from `make effects`."""
 
-_PAGE = """{introduction}{level} What the models of a scene cost
+_PAGE = """## What the models of a scene cost
 
 A scene offers models of different size of the same system. All give the same inputs, so a user needs only the first,
 which is the default of every command. The others serve for comparison, and for quantities that only they have.
@@ -75,7 +75,7 @@ error of any input over the whole path, as a fraction of that input's largest va
 
 This page is written by
 
-    {command}
+    make levels
 
 and comes from one run on {machine}.
 Other processes may have used the machine at the same time: the ratios are more reliable than the times.
@@ -90,7 +90,7 @@ Other processes may have used the machine at the same time: the ratios are more 
 * Fewer coordinates do not mean less work: generalized coordinates fill the mass matrix with sines, and their equations
   do not fall apart into blocks ([decision 3](decisions/0003-block-triangular-newton.md)).
 * A route that a model does not offer says why below its table.
-* `servocore levels SCENE --csv FILE.csv` writes the figures for machines, `--parameters FILE.toml` takes other data.
+* `python -m benchmarks.levels SCENE --csv FILE.csv` writes the figures for machines.
 """
 
 
@@ -153,25 +153,16 @@ def remarks(levels: Sequence[Level]) -> list[str]:
     return found
 
 
-def markdown_page(
-    levels: Sequence[Level], *, command: str, instants: int, repeats: int, introduced: bool = False
-) -> str:
-    """Return a page for the models of any number of scenes; *introduced*, it is docs/model-levels.md."""
+def markdown_page(levels: Sequence[Level], *, instants: int, repeats: int) -> str:
+    """Return the page docs/model-levels.md for the models of any number of scenes."""
     tables = []
     for name, group in groupby(levels, key=lambda level: level.scene):
         listed = list(group)
         table = [HEADINGS, ("---",) * len(HEADINGS), *(row for level in listed for row in rows(level))]
         lines = [f"## `{name}`", "", *("| " + " | ".join(row) + " |" for row in table), "", *remarks(listed), ""]
         tables.append("\n".join(lines))
-    return _PAGE.format(
-        introduction=_EFFECTS if introduced else "",
-        level="##" if introduced else "#",
-        repeats=repeats,
-        instants=instants,
-        command=command,
-        machine=machine(),
-        tables="\n".join(tables),
-    )
+    figures = _PAGE.format(repeats=repeats, instants=instants, machine=machine(), tables="\n".join(tables))
+    return _EFFECTS + figures
 
 
 def machine() -> str:

@@ -14,9 +14,9 @@ from typing import TypeVar
 
 import numpy as np
 
+from benchmarks.levels.costs import Cost, Level, Spread
 from servocore.analysis import analyse
 from servocore.checks.internal_stability import NON_MINIMUM_PHASE
-from servocore.cli.level_costs import Cost, Level, Spread
 from servocore.errors import InvalidModel, InvalidReference, InvalidSetting, ServocoreError
 from servocore.formulations.base import Formulation
 from servocore.formulations.projected import Projected
