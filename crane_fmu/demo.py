@@ -12,13 +12,13 @@ import numpy as np
 import servocore as sc
 from crane_fmu.build import STEP, build_ssp
 from crane_fmu.catalogue import ROTARY_CRANE
-from crane_fmu.feedforward import table
 from crane_fmu.files import filled_folder, put
 from crane_fmu.report import contents
 from crane_fmu.report.page import Illustration, Part, Table, page
 from crane_fmu.report.study import STEPS, Announce, Cycle, LoadRun, Study, study, working_cycle
 from crane_fmu.run import run_fmu, run_ssp
 from crane_fmu.slave.interface import components
+from servocore.cli.run_summary import COLUMNS, table_pieces
 
 REPORT, INPUTS_FILE, FIGURES, SYSTEM = "report.html", "inputs.csv", "figures", "system"
 
@@ -92,7 +92,7 @@ def demo(target: Path, announce: Announce = lambda _: None, steps: Sequence[floa
         loop = closed_loops(scene, system, announce)
         announce("working cycle")
         cycle = example_cycle(scene, examples_folder())
-        put(draft, {INPUTS_FILE: table(found.base)})
+        put(draft, {INPUTS_FILE: "".join(table_pieces(found.base, COLUMNS["rotary_crane"]))})
         announce("drawing figures")
         write_report(draft, found, contents.sections(found, outputs, loop, cycle))
         files = tuple(sorted(file.relative_to(draft).as_posix() for file in draft.rglob("*") if file.is_file()))

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import fmpy
 import numpy as np
 
 import servocore as sc
-from crane_fmu import feedforward as ff
 from crane_fmu.run import Array, nothing_left
 from crane_fmu.slave.interface import components
 from servocore.files import csv_text
+from servocore.planning.durations import shortest_duration_told
 
 GIVEN, SEEN = ("M_b", "F", "M_w"), ("x", "y", "z")
 """What the plant is given, and what has to be seen of it: the load's position."""
@@ -157,12 +156,10 @@ def settings(pairs: Sequence[str]) -> dict[str, float]:
 
 def drive(
     plant: Path,
-    path: Callable[[], sc.Reference],
+    crane: sc.Scene,
     names: Mapping[str, str],
-    parameters: Mapping[str, float],
     starts: Mapping[str, float],
     step: float | None = None,
-    limits: Mapping[str, Any] | None = None,
 ) -> Driven:
     """Drive a plant along a path by the inputs of the exact inversion.
 
@@ -170,18 +167,14 @@ def drive(
     ----------
     plant : Path
         An FMU that takes M_b, F, M_w and tells the load's position.
-    path : callable
-        Makes the path.
+    crane : Scene
+        With its path, parameters and limits.
     names : mapping of str to str
-        Its variables by our names; what is not mapped has our name, or that in CranePlant.fmu.
-    parameters : mapping of str to float
-        The crane's, where they differ from the defaults.
+        The plant's variables by our names; what is not mapped has our name, or that in CranePlant.fmu.
     starts : mapping of str to float
         The plant's start values.
     step : float, optional
         Communication step in s; must divide the duration.
-    limits : mapping, optional
-        What the motion must keep, as `servocore.Scene.with_limits` takes it.
 
     Returns
     -------
@@ -200,9 +193,10 @@ def drive(
     for name in starts:
         if name not in known:
             raise sc.InvalidSetting(f"{plant.name} has no variable {name!r} to set")
-    reference = path()
+    reference = crane.reference
     step = reference.duration / np.ceil(reference.duration / STEP) if step is None else step
-    inputs = ff.feedforward(lambda: reference, parameters, ff.Route(step=step), limits=limits)
+    with shortest_duration_told(crane):
+        inputs = sc.solve(crane, step=step)
     rows = np.rec.fromarrays(
         [inputs.t, *(inputs[name] for name in GIVEN)],
         dtype=[("time", float), *((theirs[name], float) for name in GIVEN)],

@@ -22,8 +22,13 @@ ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PACKAGES = ("servocore", "crane_fmu")
 SHARED_MODULES = {
+    "servocore.cli",
+    "servocore.cli.choices",
+    "servocore.cli.command",
     "servocore.cli.console",
     "servocore.cli.interruption",
+    "servocore.cli.kinds",
+    "servocore.cli.options",
     "servocore.cli.run_summary",
     "servocore.files",
     "servocore.planning.durations",

@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from typer import Typer
-from typer.testing import CliRunner
+from click import Group
+from click.testing import CliRunner
 
 
 class CommandLine:
     """A command line as a caller in an empty folder sees it."""
 
-    def __init__(self, app: Typer, name: str) -> None:
+    def __init__(self, app: Group, name: str) -> None:
         self.app, self.name = app, name
 
     def __call__(self, *arguments: object) -> Any:

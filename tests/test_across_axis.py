@@ -65,7 +65,7 @@ COMMANDS = [
     ["crane-fmu", "feedforward", "-o", "result.csv"],
     ["servocore", "feedforward", "SCENE", "-o", "result.csv"],
     ["servocore", "sensitivities", "SCENE"],
-    ["servocore", "sweep", "SCENE", "--vary", "load_mass=50:100:2", "-o", "result.zarr"],
+    ["servocore", "sweep", "SCENE", "--vary", "load_mass=50..100:2", "-o", "result.zarr"],
     ["servocore", "view", "SCENE", "-o", "result.html"],
     ["servocore", "export", "SCENE", "--trajectory", "--targets", "host", "-o", "result.fmu"],
 ]

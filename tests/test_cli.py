@@ -18,7 +18,7 @@ from present import present
 import servocore as sc
 from crane_fmu.catalogue import FORMULATIONS, METHODS, MODELS, PROFILES
 from crane_fmu.cli.commands import app
-from crane_fmu.feedforward import line
+from servocore.cli import feedforward
 from servocore.numerics.compiled_calls import Array
 
 pytestmark = pytest.mark.usefixtures("empty_folder")
@@ -108,6 +108,9 @@ class TestFeedforward:
         if not method.startswith("gauss"):  # between its nodes a collocation polynomial that damps nothing may stray
             np.testing.assert_allclose(values[:, 5], sc.scenes.rotary_crane().exact(values[:, 0])["s"], atol=1e-6)
 
+    def test_without_a_path_the_load_goes_the_way_of_the_scene(self) -> None:
+        assert run("feedforward").stdout == run("feedforward", *LINE).stdout
+
     def test_by_default_the_inputs_are_exact(self) -> None:
         _, values = table(run("feedforward", *LINE).stdout)
         exact = sc.scenes.rotary_crane().exact(values[:, 0])
@@ -135,7 +138,7 @@ class TestFeedforward:
             return solve(*arguments, **options)
 
         solve = sc.solve
-        monkeypatch.setattr(sc, "solve", warn)
+        monkeypatch.setattr(feedforward, "solve", warn)
         result = run("feedforward", *LINE)
         assert result.exit_code == 0
         assert "crane-fmu: note: mind the gap" in result.stderr.splitlines()
@@ -322,7 +325,6 @@ REFUSED_PATHS = {
     "load above the girder": (["--from", 5, 0, -5, "--to", 3, 0, 1, "--duration", 20], "girder"),
     "slack rope": (["--from", 5, 0, -50, "--to", 5, 0, -1, "--duration", 4], "slack"),
     "trolley over the axis": (["--from", 5, 0, -5, "--to", -5, 0, -5, "--duration", 20], "slewing axis"),
-    "no path": ([], "--reference"),
     "two paths": (["--reference", "path.csv", *LINE], "either"),
     "half a line": (["--from", 5, 0, -5], "--to"),
     "no start": (["--to", 5, 0, -5, "--duration", 5], "--from"),
@@ -332,7 +334,7 @@ REFUSED_PATHS = {
     "negative duration": ([*LINE[:-1], "-3"], "duration"),
     "duration without end": ([*LINE[:-1], "inf"], "duration"),
     "start that is no number": (["--from", "nan", 0, -5, *LINE[4:]], "start"),
-    "point with two numbers": (["--from", 5, 0, *LINE[4:]], "--help"),
+    "point with two numbers": (["--from", 5, 0, *LINE[4:]], "--from X Y Z"),
     "point with letters": (["--from", "a", 0, -5, *LINE[4:]], "--from"),
     "ramp of another profile": ([*LINE, "--ramp", 3], "ramp"),
     "ramp too long": ([*LINE, "--profile", "three-phase", "--ramp", 11], "20"),
@@ -384,7 +386,7 @@ CONTENTS = {
     "wrong header": (lambda: write("path.csv", "t,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "header"),
     "no rows": (lambda: write("path.csv", "time,x,y,z\n"), "path.csv"),
     "empty": (lambda: write("path.csv", ""), "path.csv"),
-    "too few rows": (lambda: write("path.csv", "time,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "path.csv"),
+    "too few rows": (lambda: write("path.csv", "time,x,y,z\n0,1,2,-3\n"), "path.csv"),
     "row too short": (lambda: write("path.csv", "time,x,y,z\n0,1,2\n"), "line 2"),
     "letters": (lambda: write("path.csv", "time,x,y,z\n0,1,2,deep\n"), "column z"),
 }
@@ -444,10 +446,6 @@ def test_the_file_that_is_read_is_never_overwritten() -> None:
     assert Path(path).read_bytes() == before
 
 
-def test_a_line_is_of_use_without_the_command_line() -> None:
-    assert line((5, 0, -5), (-2, 2, -2), 20.0).duration == 20.0
-
-
 def test_no_command_and_an_unknown_one_are_refused() -> None:
     assert_refused(run(), "--help")
     assert_refused(run("fly"), "fly")
@@ -467,7 +465,7 @@ def test_the_module_runs_as_a_program() -> None:
     )  # fmt: skip
     assert result.returncode == 2
     assert result.stdout == ""
-    assert result.stderr == "crane-fmu: the step must be positive and finite, not -1.0 s\n"
+    assert result.stderr == "crane-fmu: --step: the step must be a positive time, not -1 s: write it as in --step 0.1\n"
 
 
 PAGE = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from browser import Page, require_browser
+from click.testing import CliRunner
 from fmu_host import fmu_file
 from present import present
-from typer.testing import CliRunner
 
 import crane_fmu.demo
 import servocore as sc

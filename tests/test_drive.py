@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner, Result
 from fmu_host import fmu_file, scratch
 from pythonfmu.builder import FmuBuilder
-from typer.testing import CliRunner, Result
 
 from crane_fmu.cli.commands import app
 

@@ -451,7 +451,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CommandLine:
 def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> None:
     write("crane.toml", "load_mass = 80.0\nhook_mass = 2.0\n")
     result = run(
-        "effects", "overhead_crane", "--tolerance", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
+        "effects", "overhead_crane", "--deviation", "2cm", "--parameters", "crane.toml", "--markdown", "page.md"
     )
     assert result.exit_code == 0, result.output
     assert "the load keeps 20 mm with" in " ".join(result.stdout.split())
@@ -463,9 +463,12 @@ def test_the_command_prints_the_table_and_writes_the_page(run: CommandLine) -> N
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("overhead_crane", "--tolerance", "5kg"), ("the tolerance is given in kg",)),
-        (("overhead_crane", "--tolerance", "0mm"), ("the tolerance must be positive",)),
-        (("overhead_crane", "--tolerance", "5"), ("the tolerance is given as '5' without its unit",)),
+        (("overhead_crane", "--deviation", "5kg"), ("--deviation is given in kg",)),
+        (("overhead_crane", "--deviation", "0mm"), ("the tolerance must be positive",)),
+        (
+            ("overhead_crane", "--deviation", "5"),
+            ("--deviation 5 is without its unit: write it as in --deviation 5mm",),
+        ),
         (("overhead_crane", "--bandwidth", "-1"), ("the bandwidth of drives must be positive",)),
         (("overhead_crane", "--open-loop", "--bandwidth", "3"), ("no drives whose bandwidth",)),
         (("overhead_crane", "--open-loop", "--bandwidth", "6"), ("no drives whose bandwidth",)),

@@ -77,7 +77,7 @@ def test_other_imports_that_fail_are_no_refusals() -> None:
 
 
 @pytest.mark.parametrize("module", [CRANE, LIBRARY])
-@pytest.mark.parametrize("option", ["--version", "-v"])
+@pytest.mark.parametrize("option", ["--version", "-V"])
 def test_command_lines_tell_their_version(module: str, option: str, tmp_path: Path) -> None:
     run = without_extras(f"{module}; main()", option, folder=tmp_path)
     assert (run.returncode, run.stdout) == (0, f"servocore {servocore.__version__}\n")

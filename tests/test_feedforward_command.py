@@ -8,14 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import typer
+from click import Group
 from command_lines import CommandLine
 
 import servocore as sc
 from crane_fmu.cli.commands import app as crane_app
 from servocore.cli import export, view
-from servocore.cli.chosen_scene import GivenPath
 from servocore.cli.commands import NAME, app
+from servocore.cli.options import GivenPath
 from servocore.cli.run_summary import summary
 from servocore.scenes import REGISTRY
 
@@ -121,11 +121,9 @@ def test_other_commands_too_read_a_path_as_smooth_as_the_scene_needs(tmp_path: P
 
 
 @pytest.mark.parametrize("commands", [app, crane_app], ids=["servocore", "crane-fmu"])
-def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: typer.Typer) -> None:
+def test_what_reads_a_path_of_samples_reads_waypoints_too(commands: Group) -> None:
     """Sentences about files name --waypoints, whatever command reads them."""
-    group = typer.main.get_command(commands)
-    assert isinstance(group, typer.core.TyperGroup)
-    options = {name: {each for option in one.params for each in option.opts} for name, one in group.commands.items()}
+    options = {name: {each for option in one.params for each in option.opts} for name, one in commands.commands.items()}
     reading = [name for name, known in options.items() if "--reference" in known]
     assert len(reading) >= 4
     assert [name for name in reading if not {"--waypoints", "--tolerance"} <= options[name]] == []

@@ -13,13 +13,13 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-import typer
+from click.testing import CliRunner, Result
 from thinned import thinned
-from typer.testing import CliRunner, Result
 
 from crane_fmu.run import nothing_left
 from servocore.cli import interruption
-from servocore.cli.console import SETTINGS, PatientProgress, SentenceGroup
+from servocore.cli.command import Command
+from servocore.cli.console import CommandLine, PatientProgress
 from servocore.errors import IntegrationFailed
 
 
@@ -110,11 +110,8 @@ def test_what_an_fmu_unpacked_is_gone_after_a_run_that_breaks_off(
     assert tempfile.tempdir == str(tmp_path)
 
 
-def _command(run: Callable[[], object]) -> Result:
-    app = typer.Typer(name="tool", cls=SentenceGroup, **SETTINGS)
-    app.command("run")(run)
-    app.command("other")(lambda: None)
-    return CliRunner().invoke(app, ["run"])
+def _command(run: Callable[[], None]) -> Result:
+    return CliRunner().invoke(CommandLine("tool", "", [Command("run", run)]), ["run"])
 
 
 def test_an_error_that_a_library_makes_of_ctrl_c_is_told_as_ctrl_c() -> None:

@@ -12,8 +12,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from present import present
-from typer.testing import CliRunner
 
 import servocore as sc
 from servocore.checks.between_instants import suspected_poles

@@ -14,23 +14,19 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple, get_type_hints
+from typing import NamedTuple
 
 import pytest
-import typer
 from command_lines import CommandLine
-from present import present
 from test_extras import CRANE, LIBRARY, without_extras
 from thinned import thinned
 
 import crane_fmu.cli.commands
 import servocore.cli.commands
+from servocore.cli.kinds import FOLDER, FileWritten
 
 LINES = {"crane-fmu": crane_fmu.cli.commands.app, "servocore": servocore.cli.commands.app}
 CODE = {"crane-fmu": CRANE, "servocore": LIBRARY}
-READ = {"reference", "waypoints", "parameters", "limits", "plant"}
-"""Parameters of commands that are files which are read."""
-
 LINE = "--from 5 0 -5 --to -2 2 -2 --duration 20"
 WAY = "--from 5 0 -5 --to -2 2 -2 --limit F=60"
 SHIFT = "--from 0 -4 --to 5 -4 --limit F=200"
@@ -50,6 +46,7 @@ CASES = [
     Case(f"crane-fmu plan {WAY} --output @", ".csv"),
     Case(f"crane-fmu plan {WAY} --path @", ".csv"),
     Case(f"crane-fmu plan {WAY} --plot @", ".svg", "report"),
+    Case("crane-fmu view --output @", ".html", "report"),
     Case("crane-fmu build --output @", "/", "fmu"),
     Case("crane-fmu ssp --output @", "/", "fmu"),
     Case(f"crane-fmu drive plant.fmu {LINE} --output @", ".csv", "fmu"),
@@ -57,12 +54,13 @@ CASES = [
     Case("servocore scenes"),
     Case("servocore analyse cars"),
     Case("servocore feedforward cars --output @", ".csv"),
+    Case("servocore feedforward cars --plot @", ".png", "report"),
     Case(f"servocore plan overhead_crane {SHIFT} --output @", ".csv"),
     Case(f"servocore plan overhead_crane {SHIFT} --path @", ".csv"),
     Case(f"servocore plan overhead_crane {SHIFT} --plot @", ".pdf", "report"),
     Case("servocore sensitivities cars --output @", ".csv"),
     Case("servocore sensitivities cars --plot @", ".png", "report"),
-    Case("servocore sweep cars --vary duration=5:9:3 --output @", "/", "sweep"),
+    Case("servocore sweep cars --vary duration=5..9:3 --output @", "/", "sweep"),
     Case("servocore effects overhead_crane --markdown @", ".md"),
     Case("servocore view cars --output @", ".html", "report"),
     Case("servocore export cars --targets host --output @", ".fmu", "fmu"),
@@ -77,13 +75,11 @@ EXTRAS = {"fmu": ("fmpy", "jinja2"), "report": ("jinja2", "matplotlib"), "sweep"
 def results() -> Iterator[tuple[str, list[list[str]]]]:
     """Every command of both command lines, by the names that one types, and what its options for results are called."""
     for name, app in LINES.items():
-        functions = {
-            str(each.name or present(each.callback).__name__): each.callback for each in app.registered_commands
-        }
-        for command, found in typer.main.get_group(app).commands.items():
-            kinds = get_type_hints(functions[command])
-            files = {each for each, kind in kinds.items() if kind in (Path, Path | None)} - READ
-            yield f"{name} {command}", [each.opts for each in found.params if each.name in files]
+        for command, found in app.commands.items():
+            yield (
+                f"{name} {command}",
+                [each.opts for each in found.params if isinstance(each.type, FileWritten) or each.type is FOLDER],
+            )
 
 
 def refused(case: Case, place: str, *words: str) -> None:

@@ -159,7 +159,7 @@ def test_what_the_short_form_cannot_plan_is_refused(options: list[str], sentence
         ([*LEVEL, "--limit", "F=200", "--free", "--parts", "load"], "--parts belongs to --keep-out"),
         ([*LEVEL, "--by", 2, -3, "--limit", "F=200", "--limit", "M_w=-120..-80", "--free"], "runs from one point to"),
         ([*LEVEL, "--limit", "F=1e-9"], "keeps them in no 1e+06 s are not planned"),
-        ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step must be a positive time, not nan s"),
+        ([*LEVEL, "--limit", "F=200", "--step", "nan"], "--step: the time is given as 'nan'"),
         (["--from", 0, -4, "--to", 0, -4, "--limit", "F=200"], "the path does not move there"),
         ([*LEVEL, "--limit", "F=200", "--robust", "load_mass=1.1..0.9"], "must be a smallest and a largest factor"),
         (

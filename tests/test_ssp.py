@@ -15,12 +15,12 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from budgets import shared_by_all_files
+from click.testing import CliRunner
 from command_lines import CommandLine
 from fmpy import read_csv
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd
 from fmu_host import Host, fmu_file, in_a_process, only_one, scratch
-from typer.testing import CliRunner
 
 import servocore as sc
 from crane_fmu.build import Wishes, build_ssp

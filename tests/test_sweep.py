@@ -425,7 +425,7 @@ def test_the_command_fills_a_store_draws_a_page_and_resumes(tmp_path: Path, monk
     xarray = pytest.importorskip("xarray")
     monkeypatch.chdir(tmp_path)
     line = CommandLine(app, "servocore")
-    words = ["sweep", "rotary_crane", "--vary", "load_mass=50:150:7", "--vary", "duration=10:20:3", "--limit", "F=60"]
+    words = ["sweep", "rotary_crane", "--vary", "load_mass=50..150:7", "--vary", "duration=10..20:3", "--limit", "F=60"]
     run = line(*words, "-o", "study")
     assert run.exit_code == 0
     assert "21 of 21 cases" in run.stderr
@@ -454,7 +454,7 @@ def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypat
             raise KeyboardInterrupt
         put(self, number, block, found)
 
-    words = ["sweep", "rotary_crane", "--vary", "load_mass=50:150:100", "--vary", "duration=10:20:101", "-o", "study"]
+    words = ["sweep", "rotary_crane", "--vary", "load_mass=50..150:100", "--vary", "duration=10..20:101", "-o", "study"]
     with monkeypatch.context() as interrupted:
         interrupted.setattr(Zarr, "put", stop)
         run = line(*words)
@@ -471,7 +471,7 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
 ) -> None:
     xarray = pytest.importorskip("xarray")
     monkeypatch.chdir(tmp_path)
-    words = ["sweep", "rotary_crane", "--vary", "winch_radius=0.1:0.2", "--vary", "load_mass=50:150", "--sample", "9"]
+    words = ["sweep", "rotary_crane", "--vary", "winch_radius=0.1..0.2", "--vary", "load_mass=50..150", "--sample", "9"]
     run = CommandLine(app, "servocore")(*words, "-o", "study")
     assert run.exit_code == 0, run.stderr
     page = (tmp_path / "study" / "index.html").read_text(encoding="utf-8")
@@ -489,12 +489,12 @@ def test_the_command_draws_cases_whose_table_is_drawn_and_opened_as_it_was_asked
     ("words", "said"),
     [
         ("rotary_crane -o study", "nothing varies: use --vary"),
-        ("rotary_crane --vary load_mass=50:150 -o study", "is not NAME=LOW:HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=a:150:3 -o study", "is not NAME=LOW:HIGH:COUNT"),
-        ("rotary_crane --vary load_mass=50:150:3 --vary load_mass=1:2:2 -o study", "names something twice"),
-        ("rotary_crane --vary weight=1:2:2 -o study", "has no parameter weight"),
-        ("rotary_crane --vary load_mass=50:150 --sample 0 -o study", "--sample must be at least 1"),
-        ("rotary_crane --vary load_mass=50:150:3 --sample 5 -o study", "beside --sample, which says how many"),
+        ("rotary_crane --vary load_mass=50..150 -o study", "is not NAME=LOW..HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=a..150:3 -o study", "is not NAME=LOW..HIGH:COUNT"),
+        ("rotary_crane --vary load_mass=50..150:3 --vary load_mass=1..2:2 -o study", "names something twice"),
+        ("rotary_crane --vary weight=1..2:2 -o study", "has no parameter weight"),
+        ("rotary_crane --vary load_mass=50..150 --sample 0 -o study", "--sample 0 is no whole number of 1 or more"),
+        ("rotary_crane --vary load_mass=50..150:3 --sample 5 -o study", "beside --sample, which says how many"),
     ],
 )
 def test_the_command_refuses_in_one_sentence(
@@ -513,6 +513,6 @@ def test_a_missing_package_is_told_before_the_work(tmp_path: Path, monkeypatch: 
         with monkeypatch.context() as without:
             without.setitem(sys.modules, package, None)
             without.delitem(sys.modules, "servocore.cli.sweep_figure", raising=False)
-            run = line("sweep", "rotary_crane", "--vary", "load_mass=50:150:3", "-o", "study")
+            run = line("sweep", "rotary_crane", "--vary", "load_mass=50..150:3", "-o", "study")
         line.assert_refused(run, f"servocore[{extra}]")
         assert list(tmp_path.iterdir()) == []

@@ -38,7 +38,7 @@ a load of 2 t. For a tolerance of 1, 10 or 100 mm (dashed) a model needs every e
 
 For a scene of your own, its path and your drives:
 
-    servocore effects rotary_crane --tolerance 5mm --bandwidth 6
+    servocore effects rotary_crane --deviation 5mm --bandwidth 6
 
 ```python
 import servocore as sc

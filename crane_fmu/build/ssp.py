@@ -72,6 +72,8 @@ class Wishes:
         Whether the FMUs shall be in C, without Python.
     targets : str, optional
         Platforms of native FMUs, as of `sc.export_fmu`.
+    line : Reference, optional
+        A path that is no table's.
     """
 
     path: Path | None = None
@@ -81,6 +83,7 @@ class Wishes:
     parameters: Mapping[str, float] = field(default_factory=dict)
     native: bool = False
     targets: str | None = None
+    line: sc.Reference | None = None
 
     def reference(self) -> sc.Reference | None:
         """Return the path in a table, or None without one; raises `InvalidSetting` for wishes that exclude others.
@@ -94,7 +97,7 @@ class Wishes:
             chosen(PROFILES, self.profile, "profile")
         others = [] if self.profile is None else ["--profile"]
         read = path_in_file(self.path, self.waypoints, self.tolerance, others)
-        return None if read is None else read()
+        return self.line if read is None else read()
 
 
 def build_ssp(

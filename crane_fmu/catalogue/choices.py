@@ -6,23 +6,9 @@ from collections.abc import Mapping
 from typing import TypeVar
 
 import servocore as sc
+from servocore.cli.choices import FORMULATIONS, METHODS
 
-FORMULATIONS: Mapping[str, sc.Formulation] = {
-    "reduced": sc.Reduced(),
-    "projected": sc.Projected(),
-    "original": sc.Original(),
-}
-"""Formulations; the first is the default."""
-
-METHODS: Mapping[str, sc.Method] = {
-    "backward-euler": sc.BackwardEuler(),
-    **{f"bdf{order}": sc.BDF(order) for order in range(1, 7)},
-    **{f"radau{stages}": sc.RadauIIA(stages) for stages in range(1, 6)},
-    "trapezoidal": sc.Trapezoidal(),
-    **{f"gauss{stages}": sc.Gauss(stages) for stages in range(1, 6)},
-    "generalized-alpha": sc.GeneralizedAlpha(),
-}
-"""Methods, BDF by order, Radau and Gauss by stages; the first is the default."""
+__all__ = ["FORMULATIONS", "METHODS", "MODELS", "chosen"]
 
 MODELS = tuple(sc.scenes.rotary_crane().models)
 """Models of the crane; the first, and smallest, is the default."""

@@ -2,40 +2,41 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import dataclass
 
-import typer
-
+from servocore.cli.command import option
 from servocore.cli.console import table_console
+from servocore.cli.kinds import TEXT
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import FOLDER, MOST_BYTES, CodeCache
 
-EXAMPLES = """[bold]Examples[/bold]
-
-[cyan]servocore cache[/cyan]
-
-[cyan]servocore cache clear[/cyan]
-"""
-
-_What = Annotated[
-    str, typer.Argument(metavar="[clear]", help="Clear the cache; without this word it is only described.")
-]
+EXAMPLES = ("", "clear")
 
 
-def show_cache(what: _What = "") -> None:
+@dataclass(frozen=True)
+class Order:
+    """What is to be done with the cache."""
+
+    title = "Cache"
+
+    what: str = option(
+        kind=TEXT, metavar="[clear]", default="", help="Clear the cache; without this word it is only described."
+    )
+
+
+def show_cache(order: Order) -> None:
     """Say where compiled machine code is kept and how much there is, or remove it all.
 
-    Whatever is removed is compiled again when it is needed. The folder is the
-    user's own for caches, or the one that the environment variable
-    SERVOCORE_CACHE names.
+    Whatever is removed is compiled again when it is needed. The folder is the user's own for caches, or the one that
+    the environment variable SERVOCORE_CACHE names.
     """
-    if what not in ("", "clear"):
-        raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {what}")
+    if order.what not in ("", "clear"):
+        raise InvalidSetting(f"servocore cache is followed by clear or by nothing, not by {order.what}")
     kept, console = CodeCache.of_user(), table_console()
     refusal = kept.refusal()
     if refusal:
         raise InvalidSetting(f"no machine code is kept: {refusal}; {FOLDER} may name another folder")
-    if what:
+    if order.what:
         count, size = kept.clear()
         console.print(f"{_libraries(count)} with {_megabytes(size)} removed from {kept.folder}", soft_wrap=True)
         return

@@ -11,17 +11,18 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
-import typer
+import click
+from click.exceptions import Exit
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from typer.core import TyperGroup
 
+from servocore.cli.command import HELP_FLAGS
 from servocore.cli.interruption import INTERRUPTED, heeded_interruption, stop_if_asked, was_asked
 from servocore.errors import InvalidSetting, ServocoreError, ServocoreWarning, missing_package
 from servocore.files import FULL, MORE_SPACE, write_together
@@ -34,38 +35,55 @@ _STAGES_APART = 5.0  # seconds between lines that say what goes on, where no ter
 WIDE = 120
 """Columns of text for tables that do not go to a terminal."""
 
-UsageError: Any = typer.BadParameter.__mro__[1]
-"""What the command line's own complaints have in common; Typer gives it no public name."""
 
-SETTINGS: dict[str, Any] = {
-    "add_completion": False,
-    "pretty_exceptions_enable": False,
-    "rich_markup_mode": "rich",
-    "context_settings": {"help_option_names": ["-h", "--help"]},
-    "epilog": "Exit code 0: done. Exit code 1: done, but the result is of no use, as one sentence on the error stream"
-    " says. Exit code 2: refused, with one sentence on the error stream and no file. Exit code 130: stopped by Ctrl-C.",
-}
-"""How every command line of this project is set up, beside its name, help and `SentenceGroup`."""
-
-
-def _show_version(wanted: bool) -> None:
+def _show_version(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:  # noqa: ARG001
     if wanted:
         print(f"servocore {metadata.version('servocore')}", flush=True)
-        raise typer.Exit
+        raise Exit
 
 
-Version = Annotated[
-    bool,
-    typer.Option("--version", "-v", help="Print the version and end.", callback=_show_version, is_eager=True),
-]
-"""An option of the command lines themselves, before any command."""
+_WIDEST_HELP = 160
+_CODES = (
+    "Exit code 0: done. Exit code 1: done, but the result is of no use, as one sentence on the error stream says. Exit"
+    " code 2: refused, with one sentence on the error stream and no file. Exit code 130: stopped by Ctrl-C."
+)
 
 
-class SentenceGroup(TyperGroup):
-    """A command group that ends refusals with one plain sentence, which its name opens, and exit code 2."""
+class CommandLine(click.Group):
+    """A group of commands that ends refusals with one plain sentence, which its name opens, and exit code 2.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    help : str
+        What it is for.
+    commands : sequence of click.Command
+        In the order of the help.
+    former : mapping of str to str, optional
+        What to say of commands and options that there once were.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        help: str,  # noqa: A002
+        commands: Sequence[click.Command],
+        former: Mapping[str, str] | None = None,
+    ) -> None:
+        version = click.Option(
+            ["--version", "-V"], is_flag=True, expose_value=False, is_eager=True, callback=_show_version,
+            help="Print the version and end.",
+        )  # fmt: skip
+        settings = {"help_option_names": list(HELP_FLAGS), "max_content_width": _WIDEST_HELP}
+        super().__init__(
+            name, list(commands), help=help, params=[version], epilog=_CODES, no_args_is_help=False,
+            context_settings=settings,
+        )  # fmt: skip
+        self.former = dict(former or {})
 
     def main(self, *args: Any, **options: Any) -> Any:
-        """Run the command line and end the process; the arguments are Typer's own."""
+        """Run the command line and end the process; the arguments are those of `click.Command.main`."""
         if sys.stderr is None:  # closed: print takes no stream for the standard output stream, and tables go there
             sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - open as long as the process
         try:
@@ -83,18 +101,31 @@ class SentenceGroup(TyperGroup):
             if hindered is None:
                 raise
             self._refuse(hindered)
-        except UsageError as error:
-            message = error.format_message().rstrip(".")
-            asked = error.ctx.command_path if error.ctx else self.name
-            self._refuse(f"{message[:1].lower()}{message[1:]}; see {asked} --help")
+        except click.UsageError as error:
+            self._refuse(self._misused(error))
         sys.exit(code if isinstance(code, int) else 0)
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command, with a help whose paragraphs are as wide as the terminal, not as the source."""
-        command = super().get_command(ctx, cmd_name)
-        if command is not None and command.help:
-            command.help = "\n\n".join(" ".join(each.split()) for each in command.help.split("\n\n"))
-        return command
+    def _misused(self, error: click.UsageError) -> str:
+        """Return what to say of a command line that Click does not take."""
+        message = error.message.rstrip(".")
+        for name, now in self.former.items():
+            if error.ctx is not None and error.ctx.command is self and f"'{name}'" in message:
+                return now
+        near = [each for each in getattr(error, "possibilities", None) or () if each != "--help"]
+        meant = f"; did you mean {' or '.join(near)}" if near else ""
+        asked = error.ctx.command_path if error.ctx else self.name
+        return f"{message[:1].lower()}{message[1:]}{meant}; see {asked} --help"
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002
+        """Write what every command does, in a whole sentence."""
+        with formatter.section("Commands"):
+            formatter.write_dl(
+                [(name, " ".join((each.help or "").split("\n\n")[0].split())) for name, each in self.commands.items()]
+            )
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002
+        """Return the names of the commands, in their order."""
+        return list(self.commands)
 
     def make_context(self, *args: Any, **options: Any) -> Any:
         """Read the command line; Ctrl-C ends it as it ends a command."""
@@ -121,7 +152,7 @@ class SentenceGroup(TyperGroup):
                 raise
             sentence = "stopped"
         print(f"{self.name}: {sentence}", file=sys.stderr)
-        raise typer.Exit(INTERRUPTED)
+        raise Exit(INTERRUPTED)
 
     @contextmanager
     def _notes_on_the_error_stream(self) -> Iterator[None]:
@@ -151,7 +182,7 @@ def _quiet_where_nobody_reads() -> Iterator[None]:
         yield
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
-        raise typer.Exit(UNREAD) from None
+        raise Exit(UNREAD) from None
 
 
 def _hindered(error: OSError) -> str | None:
@@ -180,10 +211,10 @@ def held_notes() -> Iterator[list[warnings.WarningMessage]]:
             warnings.warn_explicit(note.message, note.category, note.filename, note.lineno)
 
 
-def end_as_of_no_use(name: str, sentence: str) -> NoReturn:
-    """End the command called `name`, whose results are written but of no use, with a sentence that says so."""
-    print(f"{name}: {sentence}", file=sys.stderr)
-    raise typer.Exit(OF_NO_USE)
+def end_as_of_no_use(sentence: str) -> NoReturn:
+    """End the present command, whose results are written but of no use, with a sentence that says so."""
+    print(f"{click.get_current_context().find_root().command.name}: {sentence}", file=sys.stderr)
+    raise Exit(OF_NO_USE)
 
 
 class PatientProgress(AbstractContextManager["PatientProgress"]):
@@ -237,7 +268,7 @@ class PatientProgress(AbstractContextManager["PatientProgress"]):
 
 
 class _PipeConsole(Console):
-    """A console that leaves a pipe which nobody reads to `SentenceGroup`; Rich's own ends the process with 1."""
+    """A console that leaves a pipe which nobody reads to `CommandLine`; Rich's own ends the process with 1."""
 
     def on_broken_pipe(self) -> None:
         """Raise what Rich has caught."""

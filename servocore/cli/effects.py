@@ -2,95 +2,97 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import rich.box
 import rich.table
-import typer
 
-from servocore.cli.chosen_scene import GivenPath, chosen
+from servocore.cli.chosen_scene import chosen_scene
+from servocore.cli.command import option
 from servocore.cli.console import PatientProgress, table_console
-from servocore.cli.options import Parameters, ReferenceFile, SceneName, Waypoints
+from servocore.cli.kinds import FILE, NUMBER, TEXT, quantity
+from servocore.cli.options import GivenPath, Subject
 from servocore.effects.drives import Drives
 from servocore.effects.report import HEADINGS, EffectsReport
 from servocore.effects.study import effects
 from servocore.errors import InvalidSetting
-from servocore.files import require_places, write_together
+from servocore.files import write_together
 from servocore.model.parameter_files import read_parameters
-from servocore.model.units import in_unit
 
-EXAMPLES = """[bold]Examples[/bold]
-
-[cyan]servocore effects rotary_crane[/cyan]
-
-[cyan]servocore effects overhead_crane --tolerance 20mm --bandwidth 3 --parameters crane.toml[/cyan]
-
-[cyan]servocore effects gantry_crane --open-loop --simulate --markdown effects.md[/cyan]
-"""
+EXAMPLES = (
+    "rotary_crane",
+    "overhead_crane --deviation 20mm --bandwidth 3 --parameters crane.toml",
+    "gantry_crane --open-loop --simulate --markdown effects.md",
+)
 _LEFT = 1  # columns of text before those of numbers
 
-Tolerance = Annotated[
-    str, typer.Option("--tolerance", metavar="LENGTH", help="How far the load may be off its path, with its unit.")
-]
-Bandwidth = Annotated[
-    float | None,
-    typer.Option("--bandwidth", metavar="W", help="Bandwidth of the drives' position loops (rad/s).", show_default="6"),
-]
-OpenLoop = Annotated[bool, typer.Option("--open-loop", help="Inputs alone drive the plant, without position loops.")]
-Simulate = Annotated[bool, typer.Option("--simulate", help="Simulate every plant, instead of those hard to estimate.")]
-Markdown = Annotated[Path | None, typer.Option("--markdown", metavar="FILE.md", help="Write the table as a page too.")]
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of effects."""
+
+    title = "Effects"
+
+    deviation: str = option(
+        "--deviation", kind=TEXT, metavar="LENGTH", default="5mm",
+        help="How far the load may be off its path, with its unit. Default: 5mm.",
+    )  # fmt: skip
+    bandwidth: float | None = option(
+        "--bandwidth", kind=NUMBER, metavar="W", help="Bandwidth of the drives' position loops (rad/s). Default: 6."
+    )
+    open_loop: bool = option("--open-loop", help="Inputs alone drive the plant, without position loops.")
+    simulate: bool = option("--simulate", help="Simulate every plant, instead of those hard to estimate.")
+    markdown: Path | None = option("--markdown", kind=FILE, metavar="FILE.md", help="Write the table as a page too.")
+
+    def drives(self) -> Drives | None:
+        """Return the drives of the plant, None without any; raises `InvalidSetting` if options exclude each other."""
+        if self.open_loop and self.bandwidth is not None:
+            raise InvalidSetting("--open-loop has no drives whose --bandwidth could be chosen")
+        if self.open_loop:
+            return None
+        return Drives() if self.bandwidth is None else Drives(self.bandwidth)
+
+    def allowed(self, unit: str) -> float:
+        """Return the deviation in a unit; a bare number is refused, since few who write 5 mean metres."""
+        try:
+            float(self.deviation)
+        except ValueError:
+            return quantity("--deviation", self.deviation, unit, "5mm")
+        raise InvalidSetting(f"--deviation {self.deviation} is without its unit: write it as in --deviation 5mm")
 
 
-def show_effects(
-    scene: SceneName,
-    tolerance: Tolerance = "5mm",
-    bandwidth: Bandwidth = None,
-    open_loop: OpenLoop = False,
-    simulate: Simulate = False,
-    parameters: Parameters = None,
-    reference: ReferenceFile = None,
-    waypoints: Waypoints = None,
-    markdown: Markdown = None,
-) -> None:
+def show_effects(subject: Subject, path: GivenPath, question: Question) -> None:
     """Say which physical effects a scene may leave out, and what that costs.
 
-    Each row is an effect that the scene lacks, or has and may do without: how
-    far off its path the load goes where the inputs of the model without it drive
-    a plant with it. Errors are estimated from the inputs of both models, or
-    simulated where that is weak. The file of parameters may hold those of
-    effects too.
+    Each row is an effect that the scene lacks, or has and may do without: how far off its path the load goes where the
+    inputs of the model without it drive a plant with it. Errors are estimated from the inputs of both models, or
+    simulated where that is weak. The file of parameters may hold those of effects too.
     """
-    subject = chosen(scene, None)
-    require_places({"--markdown": markdown}, [parameters, reference, waypoints])
-    declared = subject.effects.parameters
-    given = {} if parameters is None else read_parameters(parameters, subject, declared.values())
-    own = subject.model().parameters.names
-    subject = subject.with_parameters(**{name: each for name, each in given.items() if name in own})
-    subject = GivenPath(reference, waypoints).along(subject)
-    allowed = _allowed(tolerance, subject.model().outputs[0].unit)
-    if open_loop and bandwidth is not None:
-        raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")
+    if path.tolerance is not None and path.reference is None:
+        raise InvalidSetting(
+            "--tolerance belongs to --reference; how far the load may be off its path is --deviation, as in"
+            f" --deviation {path.tolerance}"
+        )
+    scene, drives = chosen_scene(subject.scene), question.drives()
+    declared = scene.effects.parameters
+    file = subject.parameters
+    given = {} if file is None else read_parameters(file, scene, declared.values())
+    own = scene.model().parameters.names
+    scene = scene.with_parameters(**{name: value for name, value in given.items() if name in own})
+    moved = path.along(scene)
+    allowed = question.allowed(moved.model().outputs[0].unit)
     with PatientProgress("estimating"):
         found = effects(
-            subject,
-            drives=None if open_loop else Drives() if bandwidth is None else Drives(bandwidth),
+            moved,
+            drives=drives,
             tolerance=allowed,
-            parameters={name: each for name, each in given.items() if name not in own},
-            simulate=simulate,
+            parameters={name: value for name, value in given.items() if name not in own},
+            simulate=question.simulate,
         )
-    if markdown is not None:
-        write_together({markdown: f"# What {subject.name} may leave out\n\n{found.markdown()}"})
+    if question.markdown is not None:
+        write_together({question.markdown: f"# What {moved.name} may leave out\n\n{found.markdown()}"})
     table_console().print(_table(found), *found.remarks, sep="\n", soft_wrap=False)
-
-
-def _allowed(text: str, unit: str) -> float:
-    """Return a tolerance in a unit; a bare number is refused, since few who write 5 mean metres."""
-    try:
-        float(text)
-    except ValueError:
-        return in_unit(text, unit, "the tolerance")
-    raise InvalidSetting(f"the tolerance is given as {text!r} without its unit, such as '5mm'")
 
 
 def _table(report: EffectsReport) -> rich.table.Table:

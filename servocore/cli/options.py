@@ -1,97 +1,311 @@
-"""Options that several commands of ``servocore`` share, and what reads them."""
+"""Groups of options that commands share, each option declared once, and what follows from them."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any, ClassVar
 
-import typer
-from typer.core import TyperCommand
+import numpy as np
 
-from servocore.errors import InvalidSetting
+from servocore.cli.choices import FORMULATIONS, METHODS
+from servocore.cli.chosen_scene import chosen_scene
+from servocore.cli.command import option
+from servocore.cli.kinds import FILE, FILE_READ, NUMBER, PICTURE, POINT, TEXT, TIME, Kind, choice, quantity
+from servocore.errors import InvalidReference, InvalidSetting, ServocoreWarning
+from servocore.export.targets import HOST, TARGETS
+from servocore.files import PICTURES
+from servocore.formulations.base import Formulation
+from servocore.methods.base import Method
+from servocore.model.limit_files import limits_given
+from servocore.model.limits import Bounds
+from servocore.model.parameter_files import read_parameters
+from servocore.model.scene import Scene
+from servocore.problem import Problem
+from servocore.references.base import Reference
+from servocore.references.csv_file import samples_or_waypoints, waypoints_from_csv
+from servocore.references.profiles import (
+    DEGREE9,
+    DEGREE13,
+    TIME_LAWS,
+    Profile,
+    ThreePhaseProfile,
+    polynomial,
+    three_phase,
+)
+from servocore.references.rest_to_rest import rest_to_rest
+from servocore.references.splines import fewest_samples
+from servocore.solvers.adaptive import Adaptive
 
-SceneName = Annotated[
-    str,
-    typer.Argument(metavar="SCENE", help="A scene of the library, or module:function of your own.", show_default=False),
-]
-Model = Annotated[
-    str | None, typer.Option("--model", metavar="NAME", help="Model of the scene. Default: its smallest.")
-]
-Parameters = Annotated[
-    Path | None,
-    typer.Option(
-        "--parameters", metavar="FILE.toml",
+NO_POINTS_BETWEEN: dict[str, object] = {"by": ()}
+"""Points between the ends of a line belong to plans: other commands do not offer them."""
+
+MOST_ROWS = 1e7
+"""A table with more rows is taken for a mistake: it would fill the memory first."""
+
+_LONGEST_DURATION = 1e9  # s; beyond it the derivatives of a path vanish in rounding
+
+
+def output(metavar: str, help: str, kind: Kind = FILE, default: Any = None) -> Any:  # noqa: A002
+    """Declare where the result of a command goes."""
+    return option("-o", "--output", kind=kind, metavar=metavar, help=help, default=default)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The system that a command looks at."""
+
+    title: ClassVar[str] = "System"
+
+    scene: str = option(kind=TEXT, metavar="SCENE", default=..., help="A scene of the library, as servocore scenes"
+                        " lists them, or module:function of your own.")  # fmt: skip
+    parameters: Path | None = option(
+        "--parameters", kind=FILE_READ, metavar="FILE.toml",
         help="Other data in SI units, one line each, such as load_mass = 80.0; what is left out keeps its default.",
-    ),
-]  # fmt: skip
-ReferenceFile = Annotated[
-    Path | None,
-    typer.Option("--reference", metavar="FILE.csv", help="Another path, sampled: its header is time and the outputs'"
-                 " names, optionally followed by their derivatives, as vx,vy,vz."),
-]  # fmt: skip
-Tolerance = Annotated[
-    float | None,
-    typer.Option("--tolerance", metavar="METRES", help="How far the path may stay away from rounded or noisy samples."),
-]
-Waypoints = Annotated[
-    Path | None,
-    typer.Option("--waypoints", metavar="FILE.csv", help="Points with times, which a smooth path joins from rest to"
-                 " rest."),
-]  # fmt: skip
-Step = Annotated[
-    float | None,
-    typer.Option("--step", metavar="H", help="Time between rows (s); divides the duration. Default: duration/200."),
-]
-LimitsFile = Annotated[Path | None, typer.Option("--limits", metavar="FILE.toml", help="More limits, one line each.")]
-Start = Annotated[
-    str | None, typer.Option("--from", metavar="X Y ...", help="Start: as many numbers as the scene has outputs.")
-]
-End = Annotated[
-    str | None, typer.Option("--to", metavar="X Y ...", help="End: as many numbers as the scene has outputs.")
-]
-LimitTexts = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--limit",
-        metavar="NAME=VALUE",
-        help="Keep a limit: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2; may be repeated.",
-    ),
-]
-Output = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="FILE.csv", help="Where the table goes. Default: the standard output."),
-]
+    )  # fmt: skip
+    model: str | None = option(
+        "--model", kind=TEXT, metavar="NAME", help="Model of the scene. Default: its first, the smallest."
+    )
 
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?,?|[-+]?(?:nan|inf)")
-_POINTS = ("--from", "--to", "--by")
+    def chosen(self) -> Scene:
+        """Return the scene with its parameters; raises `InvalidSetting` or `InvalidModel` if there is no such scene."""
+        scene = chosen_scene(self.scene)
+        return scene.with_parameters(**self.changes(scene))
+
+    def changes(self, scene: Scene) -> dict[str, float]:
+        """Return the values in the file of parameters, empty without one."""
+        return {} if self.parameters is None else read_parameters(self.parameters, scene)
 
 
-class PointsCommand(TyperCommand):
-    """A command whose points have as many numbers as stand there: ``--from 5 0 -5``."""
+@dataclass(frozen=True)
+class GivenPath:
+    """The path that the outputs of a scene follow: of a file, or a straight line; the scene's own without options."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put the numbers of a point together before they are read."""
-        joined: list[str] = []
-        for each in args:
-            last = joined[-1] if joined else ""
-            if _NUMBER.fullmatch(each) and last in _POINTS:
-                joined[-1] = f"{last}={each}"
-            elif _NUMBER.fullmatch(each) and last.partition("=")[0] in _POINTS:
-                joined[-1] = f"{last} {each}"
-            else:
-                joined.append(each)
-        found: list[str] = super().parse_args(ctx, joined)
-        return found
+    title: ClassVar[str] = "Path"
+
+    reference: Path | None = option(
+        "--reference", kind=FILE_READ, metavar="FILE.csv",
+        help="A sampled path: its header is time and the outputs' names, optionally followed by their derivatives, as"
+        " vx,vy,vz. Few rows are taken as waypoints. A plan takes the curve alone.",
+    )  # fmt: skip
+    tolerance: str | None = option(
+        "--tolerance", kind=TEXT, metavar="LENGTH",
+        help="How far the path may stay away from rounded or noisy samples: 1mm, or a number of metres.",
+    )  # fmt: skip
+    waypoints: Path | None = option(
+        "--waypoints", kind=FILE_READ, metavar="FILE.csv",
+        help="Points with times, joined from rest to rest; velocities and a column stop are optional.",
+    )  # fmt: skip
+    start: tuple[float, ...] | None = option(
+        "--from", kind=POINT, metavar="X Y ...", help="Start of a line: as many numbers as the scene has outputs."
+    )
+    end: tuple[float, ...] | None = option("--to", kind=POINT, metavar="X Y ...", help="End of the line.")
+    by: tuple[tuple[float, ...], ...] = option(
+        "--by", kind=POINT, metavar="X Y ...", default=(), help="Lead a plan through this point."
+    )
+    duration: float | None = option("--duration", kind=TIME, metavar="T", help="Time of the motion on the line (s).")
+    profile: Profile | None = option(
+        "--profile", kind=choice("profile", TIME_LAWS), metavar="NAME",
+        help=f"Time law on the line: {', '.join(TIME_LAWS)}. Default: the first that is smooth enough for the scene.",
+    )  # fmt: skip
+    ramp: float | None = option(
+        "--ramp", kind=TIME, metavar="TAU0", help="Time to accelerate (s), of three-phase. Default: duration/4."
+    )
+
+    def options(self) -> list[str]:
+        """Return the options that describe a path.
+
+        Raises
+        ------
+        InvalidSetting
+            If they exclude each other.
+        """
+        line = {"--from": self.start, "--to": self.end, "--by": self.by or None, "--duration": self.duration,
+                "--profile": self.profile, "--ramp": self.ramp}  # fmt: skip
+        files = {"--reference": self.reference, "--waypoints": self.waypoints}
+        given = [name for name, value in {**files, **line}.items() if value is not None]
+        if given and given[0] in files and len(given) > 1:
+            raise InvalidSetting(f"a path is given either by {given[0]} or by {given[1]}, not by both")
+        if self.tolerance is not None and self.reference is None:
+            raise InvalidSetting("--tolerance belongs to --reference: it is how far the path may stay from its samples")
+        return given
+
+    def path(self, scene: Scene, model: str | None = None) -> Reference | None:
+        """Return the path, as smooth as the inputs of a scene need it; None without options."""
+        given = self.options()
+        if not given:
+            return None
+        rest_order = Problem.of(scene, model).array.reference_order
+        outputs = scene.model(model).outputs
+        names, units = [each.name for each in outputs], [each.unit for each in outputs]
+        if self.waypoints is not None:
+            return waypoints_from_csv(self.waypoints, names, rest_order=rest_order, units=units)
+        if self.reference is None:
+            missing = [each for each in ("--from", "--to", "--duration") if each not in given]
+            if missing:
+                raise InvalidSetting(f"a straight line also needs {' and '.join(missing)}")
+            first, *_, last = self.points(scene, model)
+            return self._line(first, last, rest_order)
+        tolerance = None if self.tolerance is None else quantity("--tolerance", self.tolerance, units[0], "1mm")
+        path, rows = samples_or_waypoints(self.reference, names, tolerance, rest_order, units)
+        if rows is not None:
+            warnings.warn(
+                f"{self.reference}: its {rows} rows are taken as waypoints, for samples of a path are"
+                f" {fewest_samples(rest_order)} or more",
+                ServocoreWarning,
+                stacklevel=2,
+            )
+        return path
+
+    def points(self, scene: Scene, model: str | None = None) -> list[tuple[float, ...]]:
+        """Return start, points on the way and end; raises `InvalidSetting` unless all have the scene's dimension."""
+        names = [output.name for output in scene.model(model).outputs]
+        found = [("--from", self.start or ()), *(("--by", point) for point in self.by), ("--to", self.end or ())]
+        for name, point in found:
+            if len(point) != len(names):
+                shown = "".join(f" {each:g}" for each in point)
+                raise InvalidSetting(
+                    f"{name}{shown}: it needs {len(names)} numbers, {', '.join(names)}: write it as {name}"
+                    f" {' '.join(each.upper() for each in names)}"
+                )
+        return [point for _, point in found]
+
+    def along(self, scene: Scene, model: str | None = None) -> Scene:
+        """Return the scene with this path, or as it is without one."""
+        path = self.path(scene, model)
+        return scene if path is None else scene.with_reference(path)
+
+    def _line(self, first: tuple[float, ...], last: tuple[float, ...], rest_order: int) -> Reference:
+        duration, law = self.duration, self.profile
+        assert duration is not None
+        if duration > _LONGEST_DURATION:
+            raise InvalidReference(
+                f"the duration of {duration:g} s is longer than {_LONGEST_DURATION:g} s: nothing would move"
+            )
+        if law is None:
+            smooth: list[Profile] = [each for each in (DEGREE9, DEGREE13) if each.smoothness >= rest_order]
+            law = smooth[0] if smooth else polynomial(2 * rest_order + 1)
+        if self.ramp is not None:
+            if not isinstance(law, ThreePhaseProfile):
+                raise InvalidSetting("--ramp belongs to --profile three-phase")
+            law = three_phase(self.ramp)
+        return rest_to_rest(first, last, duration, profile=law)
 
 
-def point(option: str, text: str, names: Sequence[str]) -> list[float]:
-    """Return the numbers of a point; raises `InvalidSetting` unless there is one for every name."""
-    try:
-        coordinates = [float(name) for name in text.replace(",", " ").split()]
-    except ValueError:
-        coordinates = []
-    if len(coordinates) != len(names):
-        raise InvalidSetting(f"{option} {text}: it needs {len(names)} numbers, {', '.join(names)}")
-    return coordinates
+@dataclass(frozen=True)
+class GivenLimits:
+    """Limits of what moves."""
+
+    title: ClassVar[str] = "Limits"
+
+    limit: tuple[str, ...] = option(
+        "--limit", kind=TEXT, metavar="NAME=VALUE", default=(),
+        help="A limit of an input, of what is reported, or of its rate: F=60, M_w=-104..-92, swing=5deg, s.rate=1.2.",
+    )  # fmt: skip
+    limits: Path | None = option(
+        "--limits", kind=FILE_READ, metavar="FILE.toml",
+        help='More of them: F = 60, M_w = [-104, -92], swing = "5 deg"; --limit replaces those of the same names.',
+    )  # fmt: skip
+
+    def bounds(self) -> Mapping[str, Bounds]:
+        """Return them as `Scene.with_limits` takes them; raises `InvalidSetting` or `InvalidModel` if one is none."""
+        return limits_given(self.limit, self.limits)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """How far the rows of a result are apart."""
+
+    title: ClassVar[str] = "Computation"
+
+    step: float | None = option(
+        "--step", kind=TIME, metavar="H",
+        help="Time between rows (s). It divides the duration; a plan takes the next smaller one that does. Default:"
+        " duration/200.",
+    )  # fmt: skip
+
+    def require(self, duration: float = 0.0) -> None:
+        """Raise `InvalidSetting` unless the step is positive, and gives no more than `MOST_ROWS` in a duration."""
+        _require_rows("--step", self.step, duration)
+
+
+def _require_rows(name: str, step: float | None, duration: float) -> None:
+    if step is None:
+        return
+    if not (np.isfinite(step) and step > 0.0):
+        raise InvalidSetting(f"{name}: the step must be a positive time, not {step:g} s: write it as in {name} 0.1")
+    if duration / step > MOST_ROWS:
+        raise InvalidSetting(f"a step of {step:g} s makes more than {MOST_ROWS:g} rows: take a larger step")
+
+
+@dataclass(frozen=True)
+class Computation(Rows):
+    """How inputs are computed: by what the analysis recommends without options."""
+
+    formulation: Formulation | None = option(
+        "--formulation", kind=choice("formulation", FORMULATIONS), metavar="NAME",
+        help=f"One of {', '.join(FORMULATIONS)}. Default: what the analysis recommends.",
+    )  # fmt: skip
+    method: Method | None = option(
+        "--method", kind=choice("method", METHODS), metavar="NAME",
+        help=f"One of {', '.join(METHODS)}. Default: what the analysis recommends, {next(iter(METHODS))} with"
+        " --formulation.",
+    )  # fmt: skip
+    rtol: float | None = option(
+        "--rtol", kind=NUMBER, metavar="R", help="In place of a step: error of the inputs relative to their peaks."
+    )
+    atol: float | None = option(
+        "--atol", kind=NUMBER, metavar="A", help="In place of a step: error of the inputs in their own units."
+    )
+    output_step: float | None = option(
+        "--output-step", kind=TIME, metavar="H",
+        help="With --rtol or --atol: time between rows (s); divides the duration. Default: duration/200.",
+    )  # fmt: skip
+
+    def accuracy(self) -> float | Adaptive | None:
+        """Return what `solve` takes as its step; raises `InvalidSetting` if options contradict each other."""
+        if self.rtol is None and self.atol is None:
+            if self.output_step is not None:
+                raise InvalidSetting("--output-step belongs to --rtol or --atol; without them every step is a row")
+            return self.step
+        if self.step is not None:
+            raise InvalidSetting("accuracy is given either by --step or by --rtol and --atol, not by both")
+        return Adaptive(self.rtol or 0.0, self.atol or 0.0)
+
+    def require(self, duration: float = 0.0) -> None:
+        """Raise `InvalidSetting` as `Rows.require`, for --output-step too."""
+        super().require(duration)
+        _require_rows("--output-step", self.output_step, duration)
+
+
+@dataclass(frozen=True)
+class Table:
+    """The table of a result, and what goes beside it."""
+
+    title: ClassVar[str] = "Results"
+
+    output: Path | None = output("FILE.csv", "Where the table goes. Default: the standard output stream.")
+    columns: str | None = option(
+        "--columns", kind=TEXT, metavar="NAMES",
+        help="What the table holds after the time, divided by commas: inputs, observables such as swing, outputs,"
+        " coordinates.",
+    )  # fmt: skip
+    plot: Path | None = option(
+        "--plot", kind=PICTURE, metavar="FILE.png", help=f"Draw a picture; {', '.join(PICTURES)} are known."
+    )
+    verbose: bool = option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
+
+
+@dataclass(frozen=True)
+class Platforms:
+    """For which machines is compiled."""
+
+    title: ClassVar[str] = "Platforms"
+
+    targets: str | None = option(
+        "--targets", kind=TEXT, metavar="LIST",
+        help=f"all, {HOST}, or some of {', '.join(TARGETS)}, with commas. Default: all with the package ziglang, else"
+        f" {HOST}.",
+    )  # fmt: skip

@@ -9,12 +9,12 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import metadata
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from servocore.errors import InvalidSetting
+from servocore.files import csv_pieces
+from servocore.model.scene import Scene
 from servocore.model.system import MechanicalSystem
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -24,14 +24,8 @@ _REST = 1e-6  # of the largest speed, acceleration, ...: what is smaller is roun
 _MANY = 100_000  # rows; to solve a million again takes gigabytes
 _RATES = {0: "speed", 1: "acceleration", 2: "jerk"}
 
-Columns = Annotated[
-    str | None,
-    typer.Option("--columns", metavar="NAMES", help="What the table holds after the time, divided by commas: inputs,"
-                 " observables such as swing, outputs, coordinates."),
-]  # fmt: skip
-Verbose = Annotated[
-    bool, typer.Option("-v", "--verbose", help="Tell the counts of the run, its time, and all versions as well.")
-]
+COLUMNS = {"rotary_crane": ("M_b", "F", "M_w", "phi", "s", "l", "x", "y", "z", "tension")}
+"""Columns after the time, by scene, where tables have others than `column_names`."""
 
 
 def column_names(system: MechanicalSystem) -> list[str]:
@@ -39,18 +33,41 @@ def column_names(system: MechanicalSystem) -> list[str]:
     return list(dict.fromkeys(quantity.name for quantity in [*system.inputs, *system.observables, *system.outputs]))
 
 
-def chosen_columns(wanted: str | None, system: MechanicalSystem, default: Sequence[str]) -> list[str]:
-    """Return the names that a user chose, or the default; raises `InvalidSetting` for one that there is not."""
+def chosen_columns(wanted: str | None, scene: Scene, model: str | None, more: bool = False) -> list[str]:
+    """Return the names that a user chose, or those of the scene.
+
+    Parameters
+    ----------
+    wanted : str or None
+        Names with commas between.
+    scene, model : Scene, str or None
+        Whose they are.
+    more : bool
+        Whether all that the model reports goes behind what a table of the scene has.
+
+    Raises
+    ------
+    InvalidSetting
+        If there is no such name, or one is given twice.
+    """
+    system = scene.model(model)
+    own = column_names(system)
     if wanted is None:
-        return list(default)
-    known = list(dict.fromkeys([*column_names(system), *system.coordinates.names]))
+        first = list(COLUMNS.get(scene.name, own))
+        return list(dict.fromkeys([*first, *own])) if more else first
+    known = list(dict.fromkeys([*own, *system.coordinates.names]))
     names = [name.strip() for name in wanted.split(",")]
     for name in names:
         if name not in known:
             raise InvalidSetting(f"--columns: there is no {name!r}; there are {', '.join(known)}")
         if names.count(name) > 1:
-            raise InvalidSetting(f"--columns names {name} twice")
+            raise InvalidSetting(f"--columns names {name} twice: write it once, as in --columns {','.join(known[:2])}")
     return names
+
+
+def table_pieces(solution: Solution, names: Sequence[str]) -> Iterator[str]:
+    """Return time and columns of a solution as the text of a CSV file, piece by piece."""
+    return csv_pieces(["time", *names], [solution.t, *[solution[name] for name in names]])
 
 
 def tell(lines: Sequence[str]) -> None:

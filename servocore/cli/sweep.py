@@ -3,145 +3,118 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from servocore.cli.chosen_scene import GivenPath, chosen
+from servocore.cli.command import option
 from servocore.cli.interruption import stop_if_asked
-from servocore.cli.options import LimitsFile, Model, Parameters, ReferenceFile, SceneName, Tolerance, Waypoints
+from servocore.cli.kinds import COUNT, FOLDER, SEED, TEXT
+from servocore.cli.options import GivenLimits, GivenPath, Subject, output
 from servocore.errors import InvalidSetting, refused_if_missing
 from servocore.files import require_writable, write_together
-from servocore.model.limit_files import limits_given
 from servocore.planning.sweep_grid import drawn
 from servocore.planning.sweep_store import the_xarray
 
-EXAMPLES = """[bold]Examples[/bold]
+EXAMPLES = (
+    "rotary_crane --vary load_mass=50..150:100 --vary duration=10..30:50 --limit F=60 --output study",
+    "rotary_crane --vary load_mass=50..150 --vary bridge_inertia=400..600 --sample 100000 --seed 1 --output drawn"
+    " --resume",
+)
 
-[cyan]servocore sweep rotary_crane --vary load_mass=50:150:100 --vary duration=10:30:50
---limit F=60 --output study[/cyan]
-
-[cyan]servocore sweep rotary_crane --vary load_mass=50:150 --vary bridge_inertia=400:600
---sample 100000 --seed 1 --output drawn --resume[/cyan]
-"""
-
-_RANGE = re.compile(r"([^=]+)=([^:]+):([^:]+)(?::([^:]+))?")
+_RANGE = re.compile(r"([^=]+)=(.+?)\.\.([^:]+?)(?::([^:]+))?")
 _STORE, _TABLES, _PAGE, _FIGURE = "sweep.zarr", "sweep.parquet", "index.html", "sweep.png"
 
-Varied = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--vary", metavar="NAME=LOW:HIGH:COUNT",
-        help="Vary a parameter, or the duration, from LOW to HIGH; if repeated, all"
-             " combinations. With --sample: NAME=LOW:HIGH.",
-    ),
-]  # fmt: skip
-Sample = Annotated[
-    int | None, typer.Option("--sample", metavar="COUNT", help="Draw so many cases from the ranges instead.")
-]
-Seed = Annotated[int, typer.Option("--seed", metavar="N", help="Seed of --sample; the same seed draws the same cases.")]
-Folder = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help=f"Where {_STORE} and the page go.")]
-Scheduler = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Compute on the workers of the Dask scheduler at this address."
-    ),
-]
-Resume = Annotated[bool, typer.Option("--resume", help="Complete a store that an earlier run left.")]
-LimitTexts = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--limit", metavar="NAME=VALUE", help="Report the margin to a limit: F=60, swing=5deg, ...; may be repeated."
-    ),
-]
-Instants = Annotated[int, typer.Option("--instants", metavar="N", help="Evaluate each case at so many instants.")]
-Tables = Annotated[bool, typer.Option("--parquet", help=f"Write a folder of tables, {_TABLES}, instead.")]
-Inputs = Annotated[bool, typer.Option("--inputs", help="Store the inputs over time, too.")]
+
+@dataclass(frozen=True)
+class Cases:
+    """What varies, and what is computed of it."""
+
+    title = "Sweep"
+
+    output: Path = output("DIR", f"Where {_STORE} and the page go.", FOLDER, ...)
+    vary: tuple[str, ...] = option(
+        "--vary", kind=TEXT, metavar="NAME=LOW..HIGH:COUNT", default=(),
+        help="Vary a parameter, or the duration, from LOW to HIGH; of several, all combinations. With --sample without"
+        " :COUNT.",
+    )  # fmt: skip
+    sample: int | None = option(
+        "--sample", kind=COUNT, metavar="COUNT", help="Draw so many cases from the ranges instead."
+    )
+    seed: int = option(
+        "--seed", kind=SEED, metavar="N", default=0, help="Of --sample; the same seed draws the same cases. Default: 0."
+    )
+    instants: int = option(
+        "--instants", kind=COUNT, metavar="N", default=201, help="Evaluate each case at so many. Default: 201."
+    )
+    inputs: bool = option("--inputs", help="Store the inputs over time, too.")
+    scheduler: str | None = option(
+        "--scheduler", kind=TEXT, metavar="ADDRESS", help="Compute on the workers of this Dask scheduler."
+    )
+    resume: bool = option("--resume", help="Complete a store that an earlier run left.")
+    parquet: bool = option("--parquet", help=f"Write a folder of tables, {_TABLES}, instead.")
+
+    def varied(self) -> Any:
+        """Return rows of values by name, or the drawn table; raises `InvalidSetting` where nothing varies."""
+        if not self.vary:
+            raise InvalidSetting("nothing varies: use --vary NAME=LOW..HIGH:COUNT, as in load_mass=50..150:100")
+        ranges = dict(_range(text, self.sample is None) for text in self.vary)
+        if len(ranges) < len(self.vary):
+            raise InvalidSetting("--vary names something twice")
+        if self.sample is not None:
+            return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, self.sample, self.seed)
+        return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
 
 
 def sweep_command(sweep: Callable[..., Any]) -> Callable[..., None]:
     """Return the command around `servocore.sweep`, which whoever assembles the commands hands over."""
 
-    def sweep_scene(
-        scene: SceneName,
-        output: Folder,
-        vary: Varied = None,
-        sample: Sample = None,
-        seed: Seed = 0,
-        limit: LimitTexts = None,
-        limits: LimitsFile = None,
-        reference: ReferenceFile = None,
-        tolerance: Tolerance = None,
-        waypoints: Waypoints = None,
-        parameters: Parameters = None,
-        model: Model = None,
-        instants: Instants = 201,
-        inputs: Inputs = False,
-        scheduler: Scheduler = None,
-        resume: Resume = False,
-        parquet: Tables = False,
-    ) -> None:
+    def sweep_scene(subject: Subject, path: GivenPath, limits: GivenLimits, cases: Cases) -> None:
         """Compute peaks, margins and swing of many cases of a scene.
 
-        The results stream into DIR/sweep.zarr, which xarray opens. A run that was
-        interrupted goes on with --resume where it stopped; other settings are
-        refused. A case that fails is a row with its sentence. DIR/index.html shows
-        the peak of the first input over what varies.
+        The results stream into DIR/sweep.zarr, which xarray opens. A run that was interrupted goes on with --resume
+        where it stopped; other settings are refused. A case that fails is a row with its sentence. DIR/index.html
+        shows the peak of the first input over what varies.
         """
         the_xarray()  # what may be missing is told before the work
         from servocore.cli.sweep_figure import sweep_page  # noqa: PLC0415 - slow
 
-        subject = GivenPath(reference, waypoints, tolerance).along(chosen(scene, parameters), model)
-        bounds = limits_given(limit, limits)
-        varied = _varied(vary or (), sample, seed)
-        require_writable(output, output)
-        store = output / (_TABLES if parquet else _STORE)
-        with _client(scheduler) as client, _SweepProgress() as progress:
+        moved = path.along(subject.chosen(), subject.model)
+        bounds, varied = limits.bounds(), cases.varied()
+        require_writable(cases.output, cases.output)
+        store = cases.output / (_TABLES if cases.parquet else _STORE)
+        with _client(cases.scheduler) as client, _SweepProgress() as progress:
             try:
                 found = sweep(
-                    subject, varied, limits=bounds, store=store, resume=resume, instants=instants, inputs=inputs,
-                    model=model, distributed=client, progress=progress,
+                    moved, varied, limits=bounds, store=store, resume=cases.resume, instants=cases.instants,
+                    inputs=cases.inputs, model=subject.model, distributed=client, progress=progress,
                 )  # fmt: skip
             except KeyboardInterrupt:
                 raise KeyboardInterrupt(f"stopped; --resume goes on after what is in {store}") from None
-        page, figure = sweep_page(found, subject.name, store.name)
-        write_together({output / _PAGE: page, output / _FIGURE: figure})
+        page, figure = sweep_page(found, moved.name, store.name)
+        write_together({cases.output / _PAGE: page, cases.output / _FIGURE: figure})
         failed = int((found.failure.to_numpy() != "").sum())
-        print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {output / _PAGE}")
+        print(f"{store}: {found.failure.size} cases, {failed} of them not solved; see {cases.output / _PAGE}")
 
     return sweep_scene
 
 
-def _varied(texts: Sequence[str], sample: int | None, seed: int) -> Any:
-    """Return rows of values by name, or the drawn table."""
-    if not texts:
-        raise InvalidSetting("nothing varies: use --vary NAME=LOW:HIGH:COUNT")
-    if sample is not None and sample < 1:
-        raise InvalidSetting(f"--sample must be at least 1, not {sample}")
-    ranges = dict(_range(text, sample is None) for text in texts)
-    if len(ranges) < len(texts):
-        raise InvalidSetting("--vary names something twice")
-    if sample is not None:
-        return drawn({name: (low, high) for name, (low, high, _) in ranges.items()}, sample, seed)
-    return {name: np.linspace(low, high, count) for name, (low, high, count) in ranges.items()}
-
-
 def _range(text: str, counted: bool) -> tuple[str, tuple[float, float, int]]:
     found = _RANGE.fullmatch(text)
-    wanted = "NAME=LOW:HIGH:COUNT" if counted else "NAME=LOW:HIGH"
+    wanted = "NAME=LOW..HIGH:COUNT" if counted else "NAME=LOW..HIGH"
     try:
         if found is None or (found[4] is None) is counted:
             raise ValueError
         low, high, count = float(found[2]), float(found[3]), int(found[4] or 1)
     except ValueError:
         beside = "" if counted else " beside --sample, which says how many"
-        example = f"as in load_mass=50:150{':100' * counted}"
+        example = f"as in load_mass=50..150{':100' * counted}"
         raise InvalidSetting(f"--vary {text} is not {wanted}{beside}, {example}") from None
     if not (np.isfinite([low, high]).all() and count >= 1):
         raise InvalidSetting(f"--vary {text}: the range must be finite, and its count at least 1")

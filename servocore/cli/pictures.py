@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,6 +15,7 @@ from servocore.model.limits import Limit
 from servocore.model.scene import Scene
 from servocore.numerics.compiled_calls import Array
 from servocore.planning.report import PlanReport
+from servocore.planning.sensitivities import Sensitivities
 from servocore.planning.time_laws import polynomial_path
 from servocore.problem import Problem
 from servocore.references.base import Reference
@@ -24,7 +26,7 @@ _INSTANTS = 1001
 _PLAN, _OTHER, _ACTIVE, _BOUND = "#0072b2", "#999999", "#d55e00", "#000000"
 
 
-def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) -> bytes:
+def plan_figure(scene: Scene, path: Reference, report: PlanReport) -> Figure:
     """Return a picture of the limited quantities of a plan, active limits coloured, beside the polynomial law.
 
     Parameters
@@ -33,8 +35,6 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) ->
         With the limits.
     path, report
         What `fastest` returned.
-    kind : str
-        ``png``, ``svg`` or ``pdf``.
     """
     problem = Problem.of(scene.with_reference(path))
     limits, t, values = _limited(problem)
@@ -61,7 +61,7 @@ def plan_figure(scene: Scene, path: Reference, report: PlanReport, kind: str) ->
         axes.set_xlabel("time (s)")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False)
-    return saved_figure(figure, kind)
+    return figure
 
 
 def _limited(problem: Problem) -> tuple[tuple[Limit, ...], Array, Array]:
@@ -84,9 +84,37 @@ def _mark(axes: Axes, limit: Limit, report: PlanReport, t: Array, values: Array,
             label = "_more"
 
 
-def saved_figure(figure: Figure, kind: str) -> bytes:
-    """Return a figure as a PNG, SVG or PDF file, alike from run to run."""
-    stream = io.BytesIO()
+def sensitivities_figure(result: Sensitivities) -> Figure:
+    """Return a picture of the effects of one per cent more of each parameter, one panel a quantity."""
+    rows = -(-len(result.quantities) // 2)
+    figure = Figure(figsize=(11.0, 0.8 + 1.9 * rows), layout="constrained", dpi=120)
+    panels = figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()
+    for axes, quantity in zip(panels, result.quantities, strict=False):
+        for k, (name, size) in enumerate(zip(result.parameters, result.sizes, strict=True)):
+            look = ("-", "--", "-.", ":")[k % 4]
+            axes.plot(
+                result.t,
+                result[quantity.name, name] * size / 100.0,
+                linewidth=1.5,
+                linestyle=look,
+                label=name,
+            )
+        axes.set_title(f"{quantity.name} ({quantity.unit})", fontsize="medium", loc="left")
+        axes.margins(x=0.01)
+    for axes in panels[len(result.quantities) :]:
+        axes.set_visible(False)
+    for axes in panels[max(len(result.quantities) - 2, 0) : len(result.quantities)]:
+        axes.tick_params(labelbottom=True)
+        axes.set_xlabel("time (s)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    title = "effect of one per cent more of"
+    figure.legend(handles, labels, loc="outside upper center", ncols=6, frameon=False, title=title)
+    return figure
+
+
+def saved_figure(figure: Figure, file: Path) -> bytes:
+    """Return a figure as the content of a PNG, SVG or PDF file, alike from run to run."""
+    stream, kind = io.BytesIO(), file.suffix[1:].lower()
     metadata = {"png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}[kind]
     figure.savefig(stream, format=kind, metadata=metadata)
     return stream.getvalue()

@@ -1,0 +1,196 @@
+"""Commands from declared options: every option stands once, in a group that is a frozen dataclass.
+
+A command is a function whose arguments are such groups; `Command` reads its options from them. An option may be fixed
+for a command, which then does not offer it: so the commands of ``crane-fmu`` are those of ``servocore``.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, Field, field, fields
+from typing import Any, get_type_hints
+
+import click
+
+from servocore.cli.kinds import PICTURE, FileRead, FileWritten, Kind, Point, flag_of
+from servocore.errors import InvalidSetting
+from servocore.files import require_picture, require_places
+
+_NUMBER = re.compile(r"[+-]?(\d|\.\d)[\d.eE+,;-]*|[+-]?(nan|inf),?", re.IGNORECASE)
+_OPTION_BEGINS = re.compile(r" (?=--?[a-z])")
+HELP_FLAGS = ("-h", "--help")
+_EXAMPLE_WIDTH = 76
+
+
+def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str = "", default: Any = None) -> Any:  # noqa: A002
+    """Declare an option as a field of a group.
+
+    Parameters
+    ----------
+    *flags : str
+        What it is called; none for the argument of a command.
+    kind : Kind, optional
+        What its value is; without it the option has none and is true where it is given.
+    metavar, help : str
+        What the help says of it.
+    default : object
+        A tuple for options that may be repeated; ``...`` where one must be given.
+    """
+    about = {"flags": flags, "kind": kind, "metavar": metavar, "help": help}
+    if default is ...:
+        return field(metadata=about)
+    return field(default=False if kind is None else default, metadata=about)
+
+
+class Argument(click.Argument):
+    """What a command is given without a flag, with a help of its own."""
+
+    def __init__(self, name: str, about: Mapping[str, Any], default: Any) -> None:
+        required = default is MISSING
+        super().__init__(
+            [name], type=about["kind"], metavar=about["metavar"], required=required,
+            default=None if required else default,
+        )  # fmt: skip
+        self.row = (about["metavar"], about["help"])
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str]:  # noqa: ARG002
+        """Return its row in the help."""
+        return self.row
+
+
+class Command(click.Command):
+    """A command whose options are the fields of the groups that its function takes.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    function : callable
+        Its arguments are annotated with groups of options, dataclasses with a ``title``.
+    examples : sequence of str
+        What may follow the name, for the help.
+    fixed : mapping of str to object, optional
+        Values of options that the command does not offer, by the names of fields.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        function: Callable[..., None],
+        examples: Sequence[str] = (),
+        fixed: Mapping[str, object] | None = None,
+    ) -> None:
+        hints = get_type_hints(function)
+        self.groups: dict[str, Any] = {each: hints[each] for each in inspect.signature(function).parameters}
+        self.fixed, self.examples, self.function = dict(fixed or {}), tuple(examples), function
+        self.sections: dict[str, list[click.Parameter]] = {}
+        for group in self.groups.values():
+            offered = [_parameter(each) for each in fields(group) if each.name not in self.fixed]
+            self.sections.setdefault(group.title, []).extend(offered)
+        params = [each for section in self.sections.values() for each in section]
+        settings = {"help_option_names": list(HELP_FLAGS)}
+        super().__init__(
+            name, callback=self._run, params=params, help=inspect.getdoc(function), context_settings=settings
+        )
+
+    def _run(self, **values: Any) -> None:
+        """Call the function with its groups, once the places of all results can be written."""
+        written = {flag_of(each): values[str(each.name)] for each in self.params if isinstance(each.type, FileWritten)}
+        read = [values[str(each.name)] for each in self.params if isinstance(each.type, FileRead)]
+        require_places(written, read)
+        for each in self.params:
+            if each.type is PICTURE:
+                require_picture(values[str(each.name)])
+        values |= self.fixed
+        self.function(
+            **{
+                name: group(**{each.name: values[each.name] for each in fields(group) if each.name in values})
+                for name, group in self.groups.items()
+            }
+        )
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the words of a command line."""
+        return super().parse_args(ctx, list(self._gathered(args)))
+
+    def _gathered(self, words: list[str]) -> Iterator[str]:
+        """Give the words of a command line with those of a value together.
+
+        Raises
+        ------
+        InvalidSetting
+            If an option lacks its value.
+        """
+        known = {flag: each for each in self.params for flag in each.opts if isinstance(each, click.Option)}
+        k = 0
+        while k < len(words):
+            word = words[k]
+            k += 1
+            if word == "--":
+                yield from words[k - 1 :]
+                return
+            flag, equals, value = word.partition("=")
+            param = known.get(flag)
+            if param is None or not isinstance(param.type, Kind):
+                yield word
+                continue
+            name = flag_of(param)
+            if not equals:
+                if k == len(words) or words[k].partition("=")[0] in {*known, *HELP_FLAGS}:
+                    raise InvalidSetting(f"{name} needs a value: write it as in {name} {param.type.example}")
+                value = words[k]
+                k += 1
+            while isinstance(param.type, Point) and k < len(words) and _NUMBER.fullmatch(words[k]):
+                value = f"{value} {words[k]}"
+                k += 1
+            yield f"{name}={value}"
+
+    def format_arguments(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write nothing: an argument stands among the options of its group."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, a section for each group."""
+        helps = self.get_help_option(ctx)
+        sections: dict[str, list[click.Parameter]] = {**self.sections, "Help": [helps] if helps else []}
+        for title, params in sections.items():
+            rows = [row for each in params if (row := each.get_help_record(ctx))]
+            if rows:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the examples as one may type them: long ones go on behind a backslash."""
+        if self.examples:
+            with formatter.section("Examples"):
+                for example in self.examples:
+                    formatter.write(_continued(f"{ctx.command_path} {example}".rstrip()))
+
+
+def _continued(line: str) -> str:
+    """Return a command line in indented lines that a shell takes as one, broken before options."""
+    lines = ["  "]
+    for part in _OPTION_BEGINS.split(line):
+        if len(lines[-1]) + len(part) > _EXAMPLE_WIDTH:
+            lines += ["     "]
+        lines[-1] += f" {part}" if lines[-1].strip() or len(lines) > 1 else part
+    return " \\\n".join(lines) + "\n"
+
+
+def _parameter(declared: Field[Any]) -> click.Parameter:
+    """Return the parameter of a field that `option` has declared."""
+    about, name = declared.metadata, declared.name
+    if not about["flags"]:
+        return Argument(name, about, declared.default)
+    required = declared.default is MISSING
+    default = None if required else declared.default
+    words = [name, *about["flags"]]
+    if about["kind"] is None:
+        return click.Option(words, is_flag=True, default=False, help=about["help"])
+    repeated = isinstance(default, tuple)
+    again = " May be repeated." if repeated else ""
+    return click.Option(
+        words, type=about["kind"], metavar=about["metavar"], required=required, multiple=repeated,
+        default=None if repeated else default, help=f"{about['help']}{again}",
+    )  # fmt: skip

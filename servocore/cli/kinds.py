@@ -1,0 +1,149 @@
+"""Kinds of values on command lines: how a word is read, and what the right form looks like."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from servocore.errors import InvalidSetting
+from servocore.model.units import in_unit
+
+if TYPE_CHECKING:
+    ParamType = click.ParamType[Any]
+else:
+    ParamType = click.ParamType
+
+_BETWEEN_NUMBERS = re.compile(r"[\s,;]+")
+
+
+class Kind(ParamType):
+    """A kind of value.
+
+    Parameters
+    ----------
+    what : str
+        What refusals call it: ``time``.
+    example : str
+        A word that is one.
+    read : callable
+        From the word to the value; raises `ValueError`, or `InvalidSetting` where it knows more to say.
+    """
+
+    name = "value"
+
+    def __init__(self, what: str, example: str, read: Callable[[str], Any]) -> None:
+        self.what, self.example, self.read = what, example, read
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:  # noqa: ARG002
+        """Read a word, or refuse it with the right form."""
+        if not isinstance(value, str):
+            return value
+        option = flag_of(param)
+        right = f"write it as in {option} {self.example}".strip()
+        try:
+            return self.read(value)
+        except InvalidSetting as error:
+            raise InvalidSetting(f"{option}: {error}; {right}") from None
+        except ValueError:
+            raise InvalidSetting(f"{option} {value} is no {self.what}: {right}") from None
+
+
+class FileRead(Kind):
+    """A file that a command reads."""
+
+
+class FileWritten(Kind):
+    """A file that a command writes."""
+
+
+class Point(Kind):
+    """Numbers one after another, as many as follow the option."""
+
+
+def flag_of(param: click.Parameter | None) -> str:
+    """Return what an option is called on the command line, empty for an argument."""
+    return max(param.opts, key=len) if isinstance(param, click.Option) else ""
+
+
+def choice(kind: str, table: Mapping[str, Any]) -> Kind:
+    """Return the kind of the names in a table; capitals and hyphens do not matter.
+
+    Parameters
+    ----------
+    kind : str
+        What the names are of: ``profile``.
+    table : mapping
+        Values by name.
+    """
+    plain = {_plain(name): value for name, value in table.items()}
+
+    def read(name: str) -> Any:
+        if _plain(name) not in plain:
+            raise InvalidSetting(f"there is no {kind} {name!r}; there are {', '.join(table)}")
+        return plain[_plain(name)]
+
+    return Kind(kind, next(iter(table)), read)
+
+
+def quantity(option: str, text: str, unit: str, example: str) -> float:
+    """Return a text such as ``5mm`` as a number in the unit that a scene has; raises `InvalidSetting` as `Kind`."""
+    try:
+        return in_unit(text, unit, option)
+    except InvalidSetting as error:
+        raise InvalidSetting(f"{error}: write it as in {option} {example}") from None
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[-_\s]", "", name).lower()
+
+
+def _file(text: str) -> Path:
+    if not text:
+        raise ValueError
+    return Path(text)
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if math.isnan(number):
+        raise ValueError
+    return number
+
+
+def _count(text: str) -> int:
+    count = int(text)
+    if count < 1:
+        raise ValueError
+    return count
+
+
+def _seed(text: str) -> int:
+    seed = int(text)
+    if seed < 0:
+        raise ValueError
+    return seed
+
+
+def _time(text: str) -> float:
+    return in_unit(text, "s", "the time")
+
+
+def _point(text: str) -> tuple[float, ...]:
+    return tuple(float(word) for word in _BETWEEN_NUMBERS.split(text.strip(" ,;")))
+
+
+TEXT = Kind("text", "NAME", str)
+NUMBER = Kind("number", "1e-3", _number)
+COUNT = Kind("whole number of 1 or more", "100", _count)
+SEED = Kind("whole number of 0 or more", "1", _seed)
+TIME = Kind("time", "20", _time)
+POINT = Point("point", "5 0 -5", _point)
+FILE_READ = FileRead("file name", "FILE", _file)
+FILE = FileWritten("file name", "FILE", _file)
+PICTURE = FileWritten("file name", "FILE.png", _file)
+FOLDER = Kind("folder name", "DIR", _file)
