@@ -181,13 +181,13 @@ class TestFeedforward:
         ("limit", "sentence"),
         [
             ("F=17", "rotary_crane: at t = 5.51236 s F goes beyond its lower limit of -17 N; it reaches -17.5746 N"),
-            ("M_w=:-98", "at t = 10.309 s M_w goes beyond its upper limit of -98 N.m; it reaches -97.3419 N.m"),
+            ("M_w=..-98", "at t = 10.309 s M_w goes beyond its upper limit of -98 N.m; it reaches -97.3419 N.m"),
             (
                 "swing = 1 deg",
-                "at t = 13.5794 s swing goes beyond its upper limit of 0.0174533 rad; it reaches 0.0175113",
+                "at t = 13.5794 s swing goes beyond its upper limit of 1 deg; it reaches 1.00332 deg",
             ),
             ("F", "--limit 'F' is not NAME=NUMBER or NAME=LOW..HIGH"),
-            ("F=1:2:3", "the limit of F is given in :3, which is no unit known here"),
+            ("M_w=-104:-92", "a range is written M_w=-104..-92"),
             ("torque=3", "reports nothing called torque that could have a limit"),
             ("F=3 m", "the limit of F is given in m, but its unit is N"),
         ],
@@ -383,7 +383,7 @@ def test_refusals_are_one_sentence_and_leave_no_file(options: Sequence[str], wor
 CONTENTS = {
     "not a number": (lambda: reference_csv(change=_not_a_number), "line 5, column y"),
     "time that stands still": (lambda: reference_csv(change=_back_in_time), "line 5, column time"),
-    "wrong header": (lambda: write("path.csv", "t,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "header"),
+    "wrong header": (lambda: write("path.csv", "seconds,x,y,z\n0,1,2,-3\n1,1,2,-3\n"), "header"),
     "no rows": (lambda: write("path.csv", "time,x,y,z\n"), "path.csv"),
     "empty": (lambda: write("path.csv", ""), "path.csv"),
     "too few rows": (lambda: write("path.csv", "time,x,y,z\n0,1,2,-3\n"), "path.csv"),

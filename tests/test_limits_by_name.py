@@ -475,3 +475,9 @@ class TestWhatIsLeft:
             said = present(refusal(scene))
             assert (said["side"], said["bound"]) == ("lower", "0")
             assert float(said["time"]) == pytest.approx(11.1865, abs=1e-4)
+
+
+@pytest.mark.parametrize(("given", "told"), [("1 deg", "limit of 1 deg; it reaches 1.003"), (0.0174533, "rad; it")])
+def test_a_limit_is_told_in_the_unit_in_which_it_was_given(given: float | str, told: str) -> None:
+    with pytest.raises(sc.InvalidReference, match=told):
+        sc.ExactInversion(sc.scenes.rotary_crane().with_limits(swing=given))

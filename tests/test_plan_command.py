@@ -180,7 +180,7 @@ def test_what_cannot_be_planned_is_refused_and_nothing_is_written(options: Seque
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        ([], "height zero, nor a bridge: plan with parts=('load',) (--parts load)"),
+        ([], "height zero, nor a bridge: plan with --parts load"),
         (["--parts", "load"], "at rest at (5, 0, 1) a point of load is 0.5 m inside"),
     ],
 )

@@ -182,7 +182,7 @@ def test_a_rough_file_is_refused_with_its_name_and_the_time(tmp_path: Path) -> N
     [
         ("", "line 1: the file is empty, but a header time,x,y,z was expected"),
         ("\n \n", "the file is empty"),
-        ("t,x,y,z\n0,1,2,3\n", "line 1: the header time,x,y,z, .* was expected, but 't,x,y,z' was found"),
+        ("seconds,x,y,z\n0,1,2,3\n", "line 1: the header time,x,y,z, .* was expected, but 'seconds,x,y,z' was found"),
         ("time,x,y,z,ax,ay,az\n", "optionally followed by vx,vy,vz, then ax,ay,az.* was expected"),
         ("time,x,y,z\n", "line 1: there is a header but no rows"),
         ("time,x,y,z\n0,1,2,3\n1,1,2\n", "line 3: 3 cells were found, but the header has 4 columns"),
@@ -261,3 +261,13 @@ def test_the_working_cycle_is_gentle_and_stays_where_the_default_crane_can_go() 
     trolley = np.linalg.norm(position[:, :2] + lever[:, None] * acceleration[:, :2], axis=1)
     assert trolley.min() > 3.8
     assert trolley.max() < 6.1
+
+
+def test_a_header_t_is_the_time(tmp_path: Path) -> None:
+    text = sc.csv_of(sc.scenes.rotary_crane().reference)
+    (tmp_path / "time.csv").write_text(text, encoding="utf-8")
+    (tmp_path / "t.csv").write_text(text.replace("time,", "t,", 1), encoding="utf-8")
+    with pytest.warns(sc.ServocoreWarning, match="as time,x,y,z"):
+        read = sc.from_csv(tmp_path / "t.csv")
+    t = np.linspace(0.0, read.duration, 11)
+    np.testing.assert_array_equal(read.jet(t, 4), sc.from_csv(tmp_path / "time.csv").jet(t, 4))

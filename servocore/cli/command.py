@@ -47,12 +47,8 @@ def option(*flags: str, kind: Kind | None = None, metavar: str = "", help: str =
 class Argument(click.Argument):
     """What a command is given without a flag, with a help of its own."""
 
-    def __init__(self, name: str, about: Mapping[str, Any], default: Any) -> None:
-        required = default is MISSING
-        super().__init__(
-            [name], type=about["kind"], metavar=about["metavar"], required=required,
-            default=None if required else default,
-        )  # fmt: skip
+    def __init__(self, name: str, about: Mapping[str, Any], **more: Any) -> None:
+        super().__init__([name], type=about["kind"], metavar=about["metavar"], **more)
         self.row = (about["metavar"], about["help"])
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str]:  # noqa: ARG002
@@ -180,17 +176,14 @@ def _continued(line: str) -> str:
 
 def _parameter(declared: Field[Any]) -> click.Parameter:
     """Return the parameter of a field that `option` has declared."""
-    about, name = declared.metadata, declared.name
+    about, name, default = declared.metadata, declared.name, declared.default
+    given: dict[str, Any] = {"required": True} if default is MISSING else {"default": default}
     if not about["flags"]:
-        return Argument(name, about, declared.default)
-    required = declared.default is MISSING
-    default = None if required else declared.default
+        return Argument(name, about, **{"required": False, **given})
     words = [name, *about["flags"]]
     if about["kind"] is None:
         return click.Option(words, is_flag=True, default=False, help=about["help"])
-    repeated = isinstance(default, tuple)
-    again = " May be repeated." if repeated else ""
-    return click.Option(
-        words, type=about["kind"], metavar=about["metavar"], required=required, multiple=repeated,
-        default=None if repeated else default, help=f"{about['help']}{again}",
-    )  # fmt: skip
+    again = ""
+    if isinstance(default, tuple):
+        given, again = {"multiple": True}, " May be repeated."
+    return click.Option(words, type=about["kind"], metavar=about["metavar"], help=f"{about['help']}{again}", **given)

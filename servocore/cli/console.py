@@ -42,6 +42,15 @@ def _show_version(ctx: click.Context, param: click.Parameter, wanted: bool) -> N
         raise Exit
 
 
+ON_THE_COMMAND_LINE = {
+    "plan with parts=('load',)": "plan with --parts load",
+    "waypoints, which waypoints_from_csv reads": "waypoints, which --waypoints reads",
+    "the default route, solve without a form and a method,": "the default, without --formulation and --method,",
+    "the method BoundaryValue finds the bounded solution": "without --formulation and --method the bounded solution is"
+    " found",
+}
+"""What sentences of the library advise in Python, and what the same is here."""
+
 _WIDEST_HELP = 160
 _CODES = (
     "Exit code 0: done. Exit code 1: done, but the result is of no use, as one sentence on the error stream says. Exit"
@@ -107,7 +116,7 @@ class CommandLine(click.Group):
 
     def _misused(self, error: click.UsageError) -> str:
         """Return what to say of a command line that Click does not take."""
-        message = error.message.rstrip(".")
+        message = (error.message or error.format_message()).rstrip(".")
         for name, now in self.former.items():
             if error.ctx is not None and error.ctx.command is self and f"'{name}'" in message:
                 return now
@@ -162,7 +171,7 @@ class CommandLine(click.Group):
 
             def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
                 if issubclass(category, ServocoreWarning):
-                    print(f"{self.name}: note: {message}", file=sys.stderr)
+                    print(f"{self.name}: note: {_advised_here(str(message))}", file=sys.stderr)
                 else:
                     others(message, category, *place, **more)
 
@@ -171,7 +180,7 @@ class CommandLine(click.Group):
             yield
 
     def _refuse(self, sentence: str) -> NoReturn:
-        print(f"{self.name}: {' '.join(sentence.split())}", file=sys.stderr)
+        print(f"{self.name}: {_advised_here(' '.join(sentence.split()))}", file=sys.stderr)
         sys.exit(REFUSED)
 
 
@@ -183,6 +192,13 @@ def _quiet_where_nobody_reads() -> Iterator[None]:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what the interpreter still flushes
         raise Exit(UNREAD) from None
+
+
+def _advised_here(sentence: str) -> str:
+    """Return a sentence of the library with its advice for the command line."""
+    for python, here in ON_THE_COMMAND_LINE.items():
+        sentence = sentence.replace(python, here)
+    return sentence
 
 
 def _hindered(error: OSError) -> str | None:

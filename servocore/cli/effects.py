@@ -48,7 +48,7 @@ class Question:
     def drives(self) -> Drives | None:
         """Return the drives of the plant, None without any; raises `InvalidSetting` if options exclude each other."""
         if self.open_loop and self.bandwidth is not None:
-            raise InvalidSetting("--open-loop has no drives whose --bandwidth could be chosen")
+            raise InvalidSetting("--open-loop has no drives whose bandwidth could be chosen")
         if self.open_loop:
             return None
         return Drives() if self.bandwidth is None else Drives(self.bandwidth)

@@ -16,7 +16,7 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     Parameters
     ----------
     texts : iterable of str
-        One a limit; ``LOW:HIGH`` is understood as well.
+        One a limit.
 
     Raises
     ------
@@ -26,7 +26,7 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
     by_name: dict[str, Bounds] = {}
     for text in texts:
         name, equals, bounds = (part.strip() for part in text.partition("="))
-        lower, pair, upper = (side.strip() for side in bounds.partition(".." if ".." in bounds else ":"))
+        lower, pair, upper = (side.strip() for side in bounds.partition(".."))
         if name in by_name:
             raise InvalidSetting(f"--limit gives {name} twice, the second time as {text!r}")
         if not (name and equals and bounds):
@@ -34,6 +34,8 @@ def limits_of_texts(texts: Iterable[str]) -> dict[str, Bounds]:
                 f"--limit {text!r} is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60, M_w=-104..-92, swing=5deg or"
                 f" s.rate=1.2"
             )
+        if ":" in bounds:
+            raise InvalidSetting(f"--limit {text!r}: a range is written {name}={bounds.replace(':', '..', 1)}")
         by_name[name] = (lower or None, upper or None) if pair else lower
     return by_name
 

@@ -15,7 +15,7 @@ from servocore.errors import InvalidModel, InvalidSetting
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameters
 from servocore.model.system import MechanicalSystem
-from servocore.model.units import in_unit
+from servocore.model.units import in_unit, unit_of
 from servocore.numerics.expressions import as_expression
 
 RATE = ".rate"
@@ -52,6 +52,8 @@ class Limit:
         The quantity must not be larger than this.
     rate : bool
         Whether the limit is one of the expression's rate of change; `unit` is then that of the rate.
+    given_in : str
+        The unit in which sentences tell values, such as ``deg``; `unit` when empty.
     """
 
     quantity: str
@@ -62,6 +64,7 @@ class Limit:
     at_instants_only: bool = False
     upper: float = math.inf
     rate: bool = False
+    given_in: str = ""
 
     def __post_init__(self) -> None:
         if not callable(self.expression):
@@ -78,6 +81,17 @@ class Limit:
     def of_path(self) -> bool:
         """Whether it is a lower bound of an expression of the path alone: such limits are checked before anything."""
         return _arguments(self.expression) == 2 and self.upper == math.inf and not self.rate
+
+    def told(self, value: float) -> str:
+        """Return a value of the quantity with its unit, that in which the limit was given.
+
+        Parameters
+        ----------
+        value : float
+            In `unit`.
+        """
+        size = in_unit(f"1 {self.given_in}", self.unit, self.quantity) if self.given_in else 1.0
+        return f"{value / size:.6g} {self.given_in or self.unit}"
 
     def on(self, system: MechanicalSystem) -> ca.SX:
         """Return the expression for a system.
@@ -177,7 +191,9 @@ def limit_named(system: MechanicalSystem, name: str, bounds: Bounds) -> Limit:
                 f" a lower and an upper one"
             )
         lower, upper = -math.inf if quantity.never_negative and not rate else -largest, largest
-    return Limit(name, unit, lower, "", Named(of), upper=upper, rate=rate)
+    texts = [each for each in (bounds if isinstance(bounds, tuple | list) else [bounds]) if isinstance(each, str)]
+    given_in = next(filter(None, map(unit_of, texts)), "")
+    return Limit(name, unit, lower, "", Named(of), upper=upper, rate=rate, given_in=given_in)
 
 
 def _require_likely_angle(angle: Quantity | None, bound: object, value: float | None, what: str) -> None:

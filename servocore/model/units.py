@@ -70,6 +70,12 @@ def in_unit(text: str, unit: str, what: str) -> float:
     return number * factor / own_factor
 
 
+def unit_of(text: str) -> str:
+    """Return the unit that a text such as ``5 deg`` has; empty if it has none."""
+    match = _QUANTITY.fullmatch(text)
+    return "" if match is None else (match[2] or "").strip()
+
+
 def _dimension(unit: str, what: str) -> tuple[float, dict[str, int]]:
     """Return how many SI units it is, and of which."""
     factor, powers = 1.0, Counter[str]()

@@ -129,8 +129,8 @@ def require_at_rest(rows: Rows, problem: Problem, places: Array, room: float = 0
         below = at_rest - limit.bound < limit.upper - at_rest
         side, bound = ("lower", limit.bound) if below else ("upper", limit.upper)
         raise LimitBroken(
-            f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is {at_rest:.6g}"
-            f" {limit.unit}, and its {side} limit is {bound:.6g} {limit.unit}"
+            f"{problem.name}: no law keeps the limit of {limit.quantity}: even at rest at ({place}) it is"
+            f" {limit.told(at_rest)}, and its {side} limit is {limit.told(bound)}"
         )
 
 

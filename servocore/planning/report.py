@@ -15,6 +15,7 @@ class Active:
     unit: str
     begin: float
     end: float
+    told: str = ""
 
 
 @dataclass(frozen=True)
@@ -101,18 +102,31 @@ class PlanReport:
             f"three-phase     {_taken(self.three_phase)}",
             f"violation       {self.violation:.1e} of half a range at {self.certificate.instants} instants",
             f"grid            {_gained(self.grid_error)}",
-            f"solver          {self.status}, {self.iterations} iterations, from {self.start}",
+            f"solver          {in_words(self.status)}, {self.iterations} iterations, from {self.start}",
         ]
         if self.deviation:
             lines.append(f"curve           followed to {self.deviation:.2g} m")
         if math.isfinite(self.clearance):
             lines.append(f"clearance       {self.clearance:.3g} m")
         lines += [
-            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at {spell.bound:g}"
-            f" {spell.unit}"
+            f"active          {spell.begin:.3f} s to {spell.end:.3f} s: {spell.quantity} at"
+            f" {spell.told or f'{spell.bound:g} {spell.unit}'}"
             for spell in self.active
         ]
         return "\n".join(lines)
+
+
+_WORDS = {
+    "Solve_Succeeded": "solved",
+    "Infeasible_Problem_Detected": "no law that keeps all limits near the start",
+    "Maximum_Iterations_Exceeded": "not settled in as many iterations as are allowed",
+    "Restoration_Failed": "stuck where no small change keeps the limits better",
+}
+
+
+def in_words(status: str) -> str:
+    """Return what a status of the solver means."""
+    return _WORDS.get(status, "not settled" if "_" in status else status)
 
 
 def _taken(duration: float) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from servocore.errors import PlanningFailed
 from servocore.planning.integrator_chains import Law
+from servocore.planning.report import in_words
 from servocore.planning.transcription import Outcome, Task, Transcription
 
 EXCESS = 1e-4
@@ -58,7 +59,7 @@ def planned(
     Raises
     ------
     PlanningFailed
-        If no start leads to one, with the solver's words.
+        If no start leads to one, with what the solver met from each.
     """
     half, whole = (Transcription.of(task, count, _CHECKS, scale) for count in (intervals // 2, intervals))
     free = np.zeros((len(task.upper), half.intervals * _CHECKS))
@@ -66,19 +67,17 @@ def planned(
     for name, start in begun:
         coarse = half.solve(start, free, progress)
         if not coarse.solved:
-            failures.append(f"{coarse.status} from the {name}")
+            failures.append(f"{in_words(coarse.status)}, from the {name}")
             continue
         outcome, iterations, rounds = _refined(whole, coarse.law.refined(), progress)
         if outcome.solved:
             return SearchResult(outcome, coarse.law.duration, coarse.iterations + iterations, rounds, name)
-        failures.append(f"{outcome.status} from the {name}")
+        failures.append(f"{in_words(outcome.status)}, from the {name}")
     for name, start in begun:  # half as many intervals may be too few
         outcome, iterations, rounds = _refined(whole, start.refined(), progress)
         if outcome.solved:
             return SearchResult(outcome, np.nan, iterations, rounds, name)
-    raise PlanningFailed(
-        f"no law was found, which does not say that there is none; the solver's words: {'; '.join(failures)}"
-    )
+    raise PlanningFailed(f"no law was found, which does not say that there is none: {'; '.join(failures)}")
 
 
 def _refined(whole: Transcription, start: Law, progress: Callable[[str], None] | None) -> tuple[Outcome, int, int]:

@@ -88,7 +88,7 @@ class Space:
         if self.keep_out and not hangs and set(self.parts) - {"load"}:
             raise InvalidSetting(
                 f"{system.name} has no rope that is known to hang from a trolley at height zero, nor a bridge: plan"
-                " with parts=('load',) (--parts load)"
+                " with parts=('load',)"
             )
 
     def thickened(self, size: float) -> Space:

@@ -265,7 +265,7 @@ def _path_of(table: Table, tolerance: float | None, rest_order: int) -> Piecewis
 
 
 def _sampled_path(table: Table, tolerance: float | None, rest_order: int) -> PiecewisePolynomial:
-    held, why = table.derivatives.shape[1] - 1, ", for fewer are waypoints (--waypoints, waypoints_from_csv)"
+    held, why = table.derivatives.shape[1] - 1, ", for fewer are waypoints, which waypoints_from_csv reads"
     if held > 1 and tolerance is None:
         why = f", for its columns hold {held} of the {rest_order} derivatives with which fewer would do"
     _need_rows(table, fewest_samples(rest_order), why)

@@ -197,7 +197,8 @@ def _layout(
     cells = [cell.strip() for cell in next(csv.reader([header], delimiter=delimiter))]
     with_units = [_WITH_UNIT.fullmatch(cell) for cell in cells]
     written = [unit[1] if unit else cell for unit, cell in zip(with_units, cells, strict=True)]
-    names = _without_capitals(written, [*wanted[-1], *([STOP] if waypoints else [])])
+    usual = ["time", *written[1:]] if written[0] == "t" and "t" not in components else written
+    names = _without_capitals(usual, [*wanted[-1], *([STOP] if waypoints else [])])
     units = {name: unit[2].replace("\u03bc", "µ") for name, unit in zip(names, with_units, strict=True) if unit}
     stops = waypoints and names[-1] == STOP
     if (names[:-1] if stops else names) not in wanted:

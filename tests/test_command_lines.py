@@ -1,0 +1,344 @@
+"""All options of all commands in one table, and wrong command lines: one sentence each, with the right form."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import click
+import pytest
+from command_lines import CommandLine
+
+import crane_fmu.cli.commands
+import servocore.cli.commands
+from servocore.cli.command import Command
+from servocore.cli.console import ON_THE_COMMAND_LINE
+from servocore.cli.kinds import Kind
+
+pytestmark = pytest.mark.usefixtures("empty_folder")
+
+PROGRAMS = {"servocore": servocore.cli.commands.app, "crane-fmu": crane_fmu.cli.commands.app}
+ROOT = Path(__file__).resolve().parents[1]
+
+SUBJECT = {"analyse", "feedforward", "plan", "sensitivities", "sweep", "effects", "view", "export"}
+ALONG = SUBJECT - {"analyse"}
+BOUNDED = {"feedforward", "plan", "sweep", "view"}
+FMUS = {"crane-fmu build", "crane-fmu ssp", "crane-fmu drive"}
+BOUND = {"crane-fmu feedforward", "crane-fmu plan", "crane-fmu view"}
+DRIVEN = {"crane-fmu ssp", "crane-fmu drive"}
+
+
+def of_servocore(names: set[str]) -> set[str]:
+    return {f"servocore {name}" for name in names}
+
+
+def of_both(names: set[str]) -> set[str]:
+    """Commands of servocore, and those of crane-fmu that are the same."""
+    return of_servocore(names) | {name for name in BOUND if name.split()[1] in names}
+
+
+class Option(NamedTuple):
+    """Where an option is known, a right value, and what it then is."""
+
+    commands: set[str]
+    right: str
+    value: object = ...
+
+
+LINES = of_both(ALONG - {"plan"}) | DRIVEN
+OPTIONS = {
+    "--parameters": Option(of_both(SUBJECT) | FMUS, "crane.toml", Path("crane.toml")),
+    "--model": Option(of_both(SUBJECT - {"effects"}), "points", "points"),
+    "--reference": Option(of_both(ALONG) | DRIVEN, "path.csv", Path("path.csv")),
+    "--tolerance": Option(of_both(ALONG) | DRIVEN, "1mm", "1mm"),
+    "--waypoints": Option(of_both(ALONG) | DRIVEN, "way.csv", Path("way.csv")),
+    "--from": Option(of_both(ALONG) | DRIVEN, "5 0 -5", (5.0, 0.0, -5.0)),
+    "--to": Option(of_both(ALONG) | DRIVEN, "5,0,-5", (5.0, 0.0, -5.0)),
+    "--by": Option(of_both({"plan"}), "1 -2e-1 -.5", ((1.0, -0.2, -0.5),)),
+    "--duration": Option(LINES, "20s", 20.0),
+    "--profile": Option(LINES, "degree-9"),
+    "--ramp": Option(LINES, "500ms", 0.5),
+    "--limit": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "swing=5deg", ("swing=5deg",)),
+    "--limits": Option(of_both(BOUNDED) | {"crane-fmu drive"}, "limits.toml", Path("limits.toml")),
+    "--step": Option(
+        of_both({"feedforward", "plan", "sensitivities", "view"}) | {"crane-fmu drive"}, "0.1", 0.1
+    ),
+    "--formulation": Option(of_both({"feedforward"}), "Projected"),
+    "--method": Option(of_both({"feedforward"}), "backwardeuler"),
+    "--rtol": Option(of_both({"feedforward"}), "1e-3", 1e-3),
+    "--atol": Option(of_both({"feedforward"}), "1e-3", 1e-3),
+    "--output-step": Option(of_both({"feedforward"}), "0.1", 0.1),
+    "--columns": Option(of_both({"feedforward", "plan"}), "F,swing", "F,swing"),
+    "--plot": Option(of_both({"feedforward", "plan", "sensitivities"}), "p.png", Path("p.png")),
+    "--verbose": Option(of_both({"feedforward"}), "", True),
+    "--output": Option(
+        of_both({"feedforward", "plan", "sensitivities", "sweep", "view", "export"}) | FMUS | {"crane-fmu demo"},
+        "result", Path("result"),
+    ),
+    "--robust": Option(of_both({"plan"}), "load_mass=0.9..1.1", ("load_mass=0.9..1.1",)),
+    "--free": Option(of_both({"plan"}), "", True),
+    "--keep-out": Option(of_both({"plan"}), "'sphere 1 2 -3 1'", ("sphere 1 2 -3 1",)),
+    "--parts": Option(of_both({"plan"}), "load,rope", "load,rope"),
+    "--path": Option(of_both({"plan"}), "way.csv", Path("way.csv")),
+    "--wrt": Option(of_servocore({"sensitivities"}), "load_mass", ("load_mass",)),
+    "--vary": Option(of_servocore({"sweep"}), "load_mass=50..150:3", ("load_mass=50..150:3",)),
+    "--sample": Option(of_servocore({"sweep"}), "9", 9),
+    "--seed": Option(of_servocore({"sweep"}), "0", 0),
+    "--instants": Option(of_servocore({"sweep"}), "11", 11),
+    "--inputs": Option(of_servocore({"sweep"}), "", True),
+    "--scheduler": Option(of_servocore({"sweep"}), "tcp://here:1", "tcp://here:1"),
+    "--resume": Option(of_servocore({"sweep"}), "", True),
+    "--parquet": Option(of_servocore({"sweep"}), "", True),
+    "--deviation": Option(of_servocore({"effects"}), "5mm", "5mm"),
+    "--bandwidth": Option(of_servocore({"effects"}), "3", 3.0),
+    "--open-loop": Option(of_servocore({"effects"}), "", True),
+    "--simulate": Option(of_servocore({"effects"}), "", True),
+    "--markdown": Option(of_servocore({"effects"}), "e.md", Path("e.md")),
+    "--fmi": Option(of_servocore({"export"}), "2", 2),
+    "--targets": Option({"servocore export", "crane-fmu ssp"}, "host", "host"),
+    "--cross-check": Option(of_servocore({"export"}), "", True),
+    "--c": Option(of_servocore({"export"}), "source", Path("source")),
+    "--wasm": Option(of_servocore({"export"}), "crane.wasm", Path("crane.wasm")),
+    "--plant": Option(of_servocore({"export"}), "", True),
+    "--trajectory": Option(of_servocore({"export"}), "", True),
+    "--native": Option({"crane-fmu ssp"}, "", True),
+    "--map": Option({"crane-fmu drive"}, "F=trolley.force", ("F=trolley.force",)),
+    "--set": Option({"crane-fmu drive"}, "start.position[1]=5.1", ("start.position[1]=5.1",)),
+}  # fmt: skip
+
+
+def commands() -> Iterator[tuple[str, Command]]:
+    for program, app in PROGRAMS.items():
+        for name, command in app.commands.items():
+            assert isinstance(command, Command)
+            yield f"{program} {name}", command
+
+
+COMMANDS = dict(commands())
+
+
+def argument_of(command: Command) -> list[str]:
+    """Return what a command must be given without a flag."""
+    kinds = [each for each in command.params if isinstance(each, click.Argument) and each.required]
+    return ["rotary_crane" if each.name == "scene" else "plant.fmu" for each in kinds]
+
+
+def run(line: str) -> tuple[CommandLine, object]:
+    program, *words = shlex.split(line)
+    command_line = CommandLine(PROGRAMS[program], program)
+    return command_line, command_line(*words)
+
+
+def test_the_table_names_all_options_of_all_commands() -> None:
+    found = {
+        (name, max(each.opts, key=len))
+        for name, command in COMMANDS.items()
+        for each in command.params
+        if isinstance(each, click.Option)
+    }
+    assert found == {(name, option) for option, row in OPTIONS.items() for name in row.commands}
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_option_means_the_same_in_every_command(option: str) -> None:
+    row = OPTIONS[option]
+    declared = set()
+    for name in row.commands:
+        command = COMMANDS[name]
+        (param,) = [each for each in command.params if option in each.opts]
+        words = [*argument_of(command), option, *shlex.split(row.right)]
+        if name == "servocore sweep" and option != "--output":
+            words += ["--output", "study"]
+        value = command.make_context(name, words).params[str(param.name)]
+        assert row.value is ... or value == row.value
+        kind = None if option == "--output" else type(param.type)  # of a file, or a folder
+        declared.add((str(param.name), kind, tuple(sorted(param.opts)), param.multiple))
+    assert len(declared) == 1
+
+
+def test_commands_of_the_crane_are_those_of_servocore_with_the_scene_fixed() -> None:
+    for name in BOUND:
+        crane, general = COMMANDS[name], COMMANDS[f"servocore {name.split()[1]}"]
+        assert crane.function is general.function
+        assert [each.opts for each in crane.params] == [each.opts for each in general.params if each.name != "scene"]
+
+
+@pytest.mark.parametrize("name", ["crane-fmu feedforward", "crane-fmu plan"])
+def test_their_tables_are_the_same(name: str) -> None:
+    command = name.split()[1]
+    more = "--duration 20" if command == "feedforward" else "--limit F=60 --limit M_b=1000"
+    line = f"--from 5 0 -5 --to -2 2 -2 {more}"
+    (_, crane), (_, general) = run(f"{name} {line}"), run(f"servocore {command} rotary_crane {line}")
+    assert crane.stdout == general.stdout  # type: ignore[attr-defined]  # a result of Click
+    assert crane.stdout.startswith("time,M_b,F,M_w,phi,s,l,x,y,z,tension")  # type: ignore[attr-defined]
+
+
+WITH_VALUES = [(name, option) for option, row in OPTIONS.items() if row.right for name in sorted(row.commands)]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_value_that_is_missing_is_refused_with_an_example(name: str) -> None:
+    command = COMMANDS[name]
+    program, word = name.split()
+    line = CommandLine(PROGRAMS[program], program)
+    for param in command.params:
+        if isinstance(param, click.Option) and isinstance(param.type, Kind):
+            option = max(param.opts, key=len)
+            for behind in ([], ["--help"], [option]):
+                result = line(word, *argument_of(command), *param.opts[:1], *behind)
+                line.assert_refused(result, f"{option} needs a value: write it as in {option} {param.type.example}")
+
+
+FF, CRANE = "crane-fmu feedforward", "--from 5 0 -5 --to -2 2 -2"
+WRONG = [
+    # times
+    *[(f"{command} {option} {value}", f"write it as in {option} 20")
+      for command, option in (
+          (FF, "--duration"), (FF, "--step"), (FF, "--ramp"), (FF, "--output-step"),
+          ("crane-fmu plan", "--step"), ("servocore view cars", "--step"),
+          ("servocore sensitivities cars", "--step"), ("servocore sweep cars -o s", "--duration"),
+          ("crane-fmu ssp", "--ramp"), ("crane-fmu drive p.fmu", "--step"), ("servocore effects cars", "--duration"),
+          ("servocore export cars", "--duration"))
+      for value in ("long", "nan", "5m", "5kg", "''")],
+    *[(f"{FF} {option} {value}", f"must be a positive time, not {value} s: write it as in {option} 0.1")
+      for option in ("--step", "--output-step") for value in ("0", "-1")],
+    (f"{FF} --step 1e-9", "a step of 1e-09 s makes more than 1e+07 rows: take a larger step"),
+    (f"{FF} --step 0.3", "does not divide the duration of 20 s; the nearest that do are"),
+    # numbers
+    *[(f"{FF} {option} {value}", f"write it as in {option} 1e-3")
+      for option in ("--rtol", "--atol") for value in ("small", "nan", "1mm", "1,5")],
+    *[(f"servocore sweep cars -o s {option} {value}", f"write it as in {option}")
+      for option in ("--sample", "--instants") for value in ("0", "-1", "many", "1.5", "1e3")],
+    *[(f"servocore sweep cars -o s --seed {value}", "write it as in --seed 1") for value in ("-1", "x", "0.5")],
+    *[(f"servocore effects cars --bandwidth {value}", "write it as in --bandwidth 1e-3") for value in ("fast", "3rad")],
+    # points
+    *[(f"{FF} --from {value} --to 5 0 -5 --duration 20", "it needs 3 numbers, x, y, z: write it as --from X Y Z")
+      for value in ("5", "5 0", "5,0", "5 0 -5 1", "5,0,-5,1")],
+    *[(f"crane-fmu {command} --from 5 0 -5 --to 5 0 {more}", "write it as --to X Y Z")
+      for command, more in (("feedforward", "--duration 9"), ("plan", "--limit F=60"), ("view", "--duration 9"),
+                            ("ssp", "--duration 9"), ("drive p.fmu", "--duration 9"))],
+    *[(f"servocore {command} overhead_crane --from 0 --to 5 -4 --duration 9 {more}", "write it as --from X Z")
+      for command, more in (("feedforward", ""), ("view", ""), ("effects", ""), ("sensitivities", ""),
+                            ("sweep", "--vary load_mass=50..60:2 -o s"), ("export", "--trajectory -o t.fmu"))],
+    (f"crane-fmu plan {CRANE} --by 1 2 --limit F=60", "--by 1 2: it needs 3 numbers, x, y, z: write it as --by X Y Z"),
+    *[(f"{FF} --from {value} --to 5 0 -5 --duration 20", "--from 5 0 -5") for value in ("a", "a,b,c", "''", "5m")],
+    (f"{FF} {CRANE} --duration 20 7", "got unexpected extra argument"),
+    # half a line, two paths, what belongs to something else
+    (f"{FF} --from 5 0 -5", "a straight line also needs --to and --duration"),
+    (f"{FF} --to 5 0 -5 --duration 5", "a straight line also needs --from"),
+    (f"{FF} --profile degree9", "a straight line also needs --from and --to and --duration"),
+    ("servocore effects rotary_crane --from 5 0 -5", "a straight line also needs --to and --duration"),
+    ("crane-fmu drive p.fmu --ramp 3", "a straight line also needs --from and --to and --duration"),
+    (f"crane-fmu plan {CRANE[:13]} --limit F=60", "no way is given: use --from and --to, --reference, or --waypoints"),
+    ("crane-fmu plan --limit F=60", "no way is given: use --from and --to, --reference, or --waypoints"),
+    *[(f"crane-fmu {command} --reference a.csv {other}", "a path is given either by --reference or by")
+      for command in ("feedforward", "view", "ssp", "drive p.fmu")
+      for other in ("--waypoints b.csv", "--from 5 0 -5", "--duration 3", "--profile degree9")],
+    *[(f"crane-fmu {command} --tolerance 1mm {CRANE} {more}", "--tolerance belongs to --reference")
+      for command, more in (("feedforward", "--duration 20"), ("plan", "--limit F=60"), ("view", "--duration 20"))],
+    ("servocore effects rotary_crane --tolerance 5mm", "how far the load may be off its path is --deviation, as in"),
+    (f"{FF} {CRANE} --duration 20 --ramp 3", "--ramp belongs to --profile three-phase"),
+    (f"{FF} {CRANE} --duration 20 --profile three-phase --ramp 11", "at least 22.0 s, but its duration is 20.0 s"),
+    (f"{FF} --output-step 0.1", "--output-step belongs to --rtol or --atol"),
+    (f"{FF} --step 0.1 --rtol 1e-3", "either by --step or by --rtol and --atol, not by both"),
+    (f"crane-fmu plan {CRANE} --keep-out 'sphere 1 2 -3 1' --limit F=60", "--keep-out belongs to --free"),
+    (f"crane-fmu plan {CRANE} --free --parts load --limit F=60", "--parts belongs to --keep-out"),
+    ("crane-fmu ssp --targets host", "--targets belongs to --native"),
+    ("servocore export cars --plant --trajectory -o x.fmu", "ask for one at a time"),
+    ("servocore export cars --from 0 --to 1 --duration 2 -o x.fmu", "--from belongs to --trajectory"),
+    ("servocore export cars", "name the file to write with -o FILE.fmu"),
+    ("servocore export cars --c d --targets host", "name it with -o FILE.fmu"),
+    ("servocore effects cars --open-loop --bandwidth 3", "--open-loop has no drives whose bandwidth"),
+    # tolerances and deviations
+    ("crane-fmu feedforward --reference path.csv --tolerance 1kg", "write it as in --tolerance 1mm"),
+    ("crane-fmu feedforward --reference path.csv --tolerance wide", "write it as in --tolerance 1mm"),
+    ("servocore view rotary_crane --reference path.csv --tolerance 1deg", "write it as in --tolerance 1mm"),
+    *[(f"servocore effects overhead_crane --deviation {value}", "write it as in --deviation 5mm")
+      for value in ("5", "5kg", "far", "5deg")],
+    # names
+    (f"{FF} --profile degree8", "there is no profile 'degree8'; there are degree9, degree13, three-phase"),
+    (f"{FF} --formulation index9", "there is no formulation 'index9'; there are reduced, projected, original"),
+    (f"{FF} --method euler", "there is no method 'euler'; there are backward-euler"),
+    (f"{FF} --model large", "it has points, generalized, bodies"),
+    ("servocore feedforward train", "no scene is called train; there are rotary_crane"),
+    (f"{FF} --columns F,sway", "--columns: there is no 'sway'; there are M_b, F, M_w"),
+    (f"{FF} --columns F,F", "--columns names F twice: write it once, as in --columns"),
+    ("crane-fmu plan --columns sway --from 5 0 -5 --to 4 0 -5 --limit F=60", "there is no 'sway'"),
+    ("servocore export cars -o x.fmu --fmi 1", "there are 2 and 3"),
+    ("servocore export cars -o x.fmu --fmi two", "--fmi two is no version of FMI: write it as in --fmi 3"),
+    ("servocore export cars -o x.fmu --targets amiga", "no platform 'amiga'"),
+    ("servocore cache empty", "followed by clear or by nothing, not by empty"),
+    # ranges
+    (f"{FF} --limit F", "is not NAME=NUMBER or NAME=LOW..HIGH, such as F=60"),
+    (f"{FF} --limit M_w=-104:-92", "a range is written M_w=-104..-92"),
+    (f"{FF} --limit F=60 --limit F=61", "--limit gives F twice"),
+    (f"{FF} --limit F=5deg", "the limit of F is given in deg, but its unit is N"),
+    (f"{FF} --limit swing=5", "write '5 deg'"),
+    (f"{FF} --limit thrust=5", "reports nothing called thrust that could have a limit; there are"),
+    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9", "such as load_mass=0.9..1.1"),
+    (f"crane-fmu plan {CRANE} --limit F=60 --robust load_mass=0.9:1.1", "such as load_mass=0.9..1.1"),
+    *[(f"servocore sweep rotary_crane -o s --vary {value}", "is not NAME=LOW..HIGH:COUNT, as in load_mass=50..150:100")
+      for value in ("load_mass", "load_mass=50:150:100", "load_mass=50..150", "load_mass=a..150:3")],
+    ("servocore sweep rotary_crane -o s --vary load_mass=50..150:3 --sample 5", "as in load_mass=50..150"),
+    ("servocore sweep rotary_crane -o s", "nothing varies: use --vary NAME=LOW..HIGH:COUNT"),
+    # files
+    *[(f"{FF} {option} ''", f"write it as in {option} FILE") for option in ("--output", "--reference", "--limits")],
+    (f"{FF} --plot p.gif", "cannot draw p.gif: the name must end in .png, .svg, .pdf"),
+    (f"{FF} -o -", "cannot write -: name a file"),
+    (f"{FF} -o no/x.csv", "there is no folder no; make it first"),
+    (f"{FF} -o p.png --plot p.png", "both name p.png"),
+    (f"{FF} --reference a.csv -o a.csv", "it is read as well"),
+    (f"{FF} --reference none.csv", "none.csv cannot be read"),
+    (f"{FF} --parameters none.toml", "none.toml cannot be read"),
+    ("servocore view cars -o cars.pdf", "the name of a page ends with .html"),
+    ("crane-fmu drive none.fmu", "cannot read none.fmu"),
+    ("crane-fmu drive p.fmu --map F", "--map F: it must be OURS=THEIRS"),
+    ("crane-fmu drive p.fmu --set a", "--set a: it must be NAME=NUMBER"),
+    # words that there are not, and those that there were
+    (f"{FF} --spep 3", "no such option '--spep'; did you mean --step; see crane-fmu feedforward --help"),
+    (f"{FF} --free", "see crane-fmu feedforward --help"),
+    (f"{FF} --verbose=1", "option '--verbose' does not take a value; see crane-fmu --help"),
+    (f"{FF} more", "got unexpected extra argument (more); see crane-fmu feedforward --help"),
+    ("servocore plan", "see servocore plan --help"),
+    ("crane-fmu drive", "see crane-fmu drive --help"),
+    ("servocore sweep cars --vary duration=5..9:3", "see servocore sweep --help"),
+    ("servocore solve", "no such command 'solve'; see servocore --help"),
+    ("crane-fmu", "see crane-fmu --help"),
+    ("servocore levels cars", "levels is a benchmark: python -m benchmarks.levels SCENE"),
+    ("servocore -v", "the version is told by --version or -V"),
+    ("crane-fmu -v", "the version is told by --version or -V"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("line", "form"), WRONG, ids=[line for line, _ in WRONG])
+def test_a_wrong_command_line_is_refused_with_the_right_form(line: str, form: str) -> None:
+    command_line, result = run(line)
+    command_line.assert_refused(result, form)
+    assert list(Path().iterdir()) == []
+
+
+def test_there_are_many_wrong_command_lines() -> None:
+    assert len({line for line, _ in WRONG}) >= 150
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_help_shows_options_and_no_inner_words(name: str) -> None:
+    program, word = name.split()
+    text = CommandLine(PROGRAMS[program], program)(word, "--help").stdout
+    for each in COMMANDS[name].params:
+        assert all(option in text for option in each.opts if option.startswith("-"))
+    assert not re.search(r"\[default|<bool>|<str>|\bPython: |\[/?cyan\]", text)
+    for example in COMMANDS[name].examples:
+        whole = re.sub(r" \\\n +", " ", text)
+        assert f"{name} {example}".rstrip() in whole
+
+
+def test_what_is_advised_in_python_is_said_somewhere_in_the_library() -> None:
+    sources = [
+        file.read_text(encoding="utf-8") for file in (ROOT / "servocore").rglob("*.py") if "cli" not in file.parts
+    ]
+    whole = re.sub(r'"\s*\n\s*f?"', "", "\n".join(sources))
+    assert [each for each in ON_THE_COMMAND_LINE if each not in whole] == []
