@@ -37,7 +37,7 @@ from servocore.references.profiles import (
 )
 from servocore.references.rest_to_rest import rest_to_rest
 from servocore.references.splines import fewest_samples
-from servocore.solvers.adaptive import Adaptive
+from servocore.solvers.route import Adaptive
 
 NO_POINTS_BETWEEN: dict[str, object] = {"by": ()}
 """Points between the ends of a line belong to plans: other commands do not offer them."""
