@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,7 @@ for pair in sorted(ran):
 """
 
 
+@cache
 def calls(scene: str) -> list[tuple[str, str]]:
     """Return pairs of modules, of a cold default solve, the first of which calls the second."""
     command = [sys.executable, "-W", "ignore", "-c", TRACED, scene]

@@ -26,7 +26,14 @@ def stepper() -> sc.Stepper:
 def test_a_saved_program_runs_where_only_numpy_and_casadi_can_be_imported(stepper: sc.Stepper, tmp_path: Path) -> None:
     """As in an FMU: its few modules alone in a folder, everything else of the world refused."""
     package = tmp_path / "servocore"
-    for module in ("stepping/program", "numerics/compiled_calls", "numerics/serialization", "model/quantity", "errors"):
+    for module in (
+        "stepping/program",
+        "numerics/compiled_calls",
+        "numerics/memoization",
+        "numerics/serialization",
+        "model/quantity",
+        "errors",
+    ):
         target = package / f"{module}.py"
         target.parent.mkdir(parents=True, exist_ok=True)
         (target.parent / "__init__.py").write_text("")
