@@ -89,6 +89,11 @@ class Limit:
         ----------
         value : float
             In `unit`.
+
+        Returns
+        -------
+        str
+            Six digits and the unit.
         """
         size = in_unit(f"1 {self.given_in}", self.unit, self.quantity) if self.given_in else 1.0
         return f"{value / size:.6g} {self.given_in or self.unit}"
