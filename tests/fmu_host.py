@@ -23,7 +23,7 @@ from fmpy.fmi2 import FMU2Slave, defaultCallbacks, fmi2CallbackFunctions, fmi2Ca
 import servocore as sc
 from crane_fmu.build import build_fmu
 from crane_fmu.catalogue import KINDS
-from crane_fmu.slave.interface import INTERFACE_FILE, ORDERS, Interface
+from crane_fmu.slave.interface import ORDERS, Interface
 from servocore.numerics.compiled_calls import Array
 
 JET = tuple(f"load.{quantity}[{k}]" for quantity in ORDERS for k in (1, 2, 3))
@@ -47,7 +47,7 @@ def fmu_file(name: str = "RotaryCrane") -> Path:
     folder.mkdir(exist_ok=True)
     file = folder / f"{name}.fmu"
     with only_one(folder / f"{name}.busy"), shared_by_all_files():
-        return file if file.is_file() else build_fmu(folder, kind=KINDS[name])
+        return file if file.is_file() else build_fmu(folder, kind=KINDS[name], targets="host")
 
 
 @contextmanager
@@ -177,6 +177,5 @@ def in_a_process(
 
 
 def interface(name: str = "RotaryCrane") -> Interface:
-    """Table of variables as a built FMU carries it."""
-    (found,) = Path(extracted(fmu_file(name))).glob(f"resources/*_bundle/{INTERFACE_FILE}")
-    return Interface.from_json(found.read_text())
+    """Return the table of variables."""
+    return KINDS[name].interface()

@@ -308,9 +308,9 @@ class Hostile(RuleBasedStateMachine):
         text, account = form
         damages: dict[str, Callable[[bytes], bytes]] = {
             "cut": lambda b: b[: len(b) // 2],
-            "shorter": lambda b: b.replace(b"[", b"[1.0, ", 1),
+            "shorter": lambda b: b[8:],
             "empty": lambda _: b"",
-            "other": lambda b: b.replace(b'"guid": "', b'"guid": "0'),
+            "other": lambda b: bytes([b[0] ^ 1]) + b[1:],  # of another build, or no text that can be read
         }
         before = live.instance.everything() if damage and live.account.phase != "initializing" else None
         state = live.instance.deserialized(damages[damage](text) if damage else text)

@@ -88,7 +88,7 @@ def systems(connected: str, seed: int | None = None) -> tuple[Path, ...]:
     for native in (False, True):
         folder = scratch() / f"{connected} {native} {seed}"
         if native or told:
-            build_ssp(folder, wishes=Wishes(native=native, targets="host" if native else None, **wishes))
+            build_ssp(folder, wishes=Wishes(native=native, targets="host", **wishes))
         parts.append(folder / "Crane.ssp" if native or told else system())
     return tuple(parts)
 
@@ -171,7 +171,7 @@ def test_a_path_from_a_file_is_the_same_in_both_systems(seed: int, tmp_path: Pat
         sc.scenes.rotary_crane(), tmp_path / "native.fmu", sc.TrajectoryWishes(read), fmi=2, targets="host"
     )
     python = build_fmu(
-        tmp_path, kind=KINDS["LoadTrajectory"], path=csv_of(read).encode(), starts={"profile": FROM_FILE}
+        tmp_path, kind=KINDS["LoadTrajectory"], path=read, starts={"profile": FROM_FILE}, targets="host"
     )
     jets = []
     for trajectory in (python, written):
@@ -192,8 +192,3 @@ def test_a_path_that_starts_before_the_run_is_refused(
         crane("ssp", *native, "--waypoints", "path.csv"), "the path starts at t = -3 s, but the system's"
     )
     assert [each.name for each in tmp_path.iterdir()] == ["path.csv"]
-
-
-def test_platforms_belong_to_the_native_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    crane.assert_refused(crane("ssp", "--targets", "host"), "--targets belongs to --native")

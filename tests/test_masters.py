@@ -126,7 +126,7 @@ def in_master(script: str, task: dict[str, object], place: Path) -> np.ndarray:
 @cache
 def at_end() -> Path:
     """Return the FMU built for inputs of the end of a step: not every master sets enumerations."""
-    return build_fmu(scratch() / "at end", starts={"input_time": "end"})
+    return build_fmu(scratch() / "at end", starts={"input_time": "end"}, targets="host")
 
 
 @pytest.mark.parametrize("master", MASTERS)

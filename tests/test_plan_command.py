@@ -77,7 +77,7 @@ def test_the_short_form_for_the_crane_writes_the_table_of_feedforward_and_the_sw
     assert crane("feedforward", "--reference", "way.csv", *limits, "-o", "inputs.csv").exit_code == 0
     table = np.array([line.split(",") for line in lines[1:]], dtype=float)
     assert np.abs(read("inputs.csv")["F"] - table[:, 2]).max() < 1e-3
-    fmu = build_fmu(Path("fmu"), kind=KINDS["LoadTrajectory"], path=Path("way.csv").read_bytes())
+    fmu = build_fmu(Path("fmu"), kind=KINDS["LoadTrajectory"], path=sc.from_csv("way.csv"), targets="host")
     with Host(fmu) as host:
         host.set(profile="file").start(time=3.0)
         for now, after in ((3.0, table[100, 0]), (table[100, 0], table[150, 0])):

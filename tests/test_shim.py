@@ -19,6 +19,7 @@ from fmu_host import Host, extracted, fmu_file, in_a_process, scratch
 
 from crane_fmu.build import shim
 from crane_fmu.build.machine_code import c_compiler
+from crane_fmu.catalogue import ROTARY_CRANE
 
 COMPILER = c_compiler()
 pytestmark = pytest.mark.skipif(
@@ -209,10 +210,10 @@ def test_only_co_simulation_is_offered() -> None:
 
 
 def test_two_libraries_of_one_machine_are_equal_byte_by_byte() -> None:
-    first, second = (shim.compiled_shim("some guid", pytest.fail) for _ in range(2))
+    first, second = (shim.compiled_shim("some guid", pytest.fail, "ctypes") for _ in range(2))
     assert first is not None
     assert first == second
-    assert first != shim.compiled_shim("another", pytest.fail)
+    assert first != shim.compiled_shim("another", pytest.fail, "ctypes")
     assert str(Path(__file__).parents[1]).encode() not in first
     assert b"/tmp" not in first
 
@@ -231,7 +232,7 @@ def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_wa
     folder = unpacked()
     before = {each.relative_to(folder).as_posix(): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
     said: list[str] = []
-    assert shim.with_shim(before, "RotaryCrane", guid(), said.append) == before
+    assert shim.with_shim(before, ROTARY_CRANE, guid(), said.append) == before
     (notice,) = said
     assert notice.startswith(sentence)
     assert notice.endswith("the FMU will run in hosts that are Python only")

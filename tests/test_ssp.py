@@ -40,7 +40,7 @@ def system() -> Path:
     folder = Path(os.environ.get("SERVOCORE_TEST_FMUS") or scratch()) / "system"
     with only_one(folder.with_suffix(".busy")), shared_by_all_files():
         if not folder.is_dir():
-            build_ssp(folder)
+            build_ssp(folder, wishes=Wishes(targets="host"))
     return folder / "Crane.ssp"
 
 
@@ -167,7 +167,7 @@ def test_the_default_experiment_ends_with_the_path_to_the_last_digit() -> None:
 
 
 def test_two_builds_are_equal_byte_by_byte(tmp_path: Path) -> None:
-    build_ssp(tmp_path)
+    build_ssp(tmp_path, wishes=Wishes(targets="host"))
     assert (tmp_path / "Crane.ssp").read_bytes() == system().read_bytes()
 
 
@@ -186,7 +186,7 @@ def test_the_command_writes_system_fmus_and_a_path_of_ones_own(tmp_path: Path, m
     monkeypatch.chdir(tmp_path)
     path = sc.through([[5.0, 0.0, -5.0], [4.0, 1.0, -4.0], [4.0, 2.0, -5.0]], duration=20.0)
     (tmp_path / "path.csv").write_text(sc.csv_of(path))
-    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--reference", "path.csv"])
+    result = CliRunner().invoke(app, ["ssp", "-o", "out", "--targets", "host", "--reference", "path.csv"])
     assert result.exit_code == 0, result.output
     assert [line.rsplit("/")[-1] for line in result.stdout.splitlines()] == [
         *(f"{name}.fmu" for name in KINDS), "Crane.ssp",
@@ -208,7 +208,9 @@ def test_a_path_that_cannot_be_read_is_one_sentence_and_no_folder(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("variant", [[], ["--native", "--targets", "host"]], ids=["python", "native"])
+@pytest.mark.parametrize(
+    "variant", [["--targets", "host"], ["--native", "--targets", "host"]], ids=["python", "native"]
+)
 @pytest.mark.parametrize("option", ["--reference", "--waypoints"])
 def test_a_path_that_the_crane_cannot_follow_is_one_sentence_and_no_folder(
     option: str, variant: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -227,7 +229,7 @@ def test_a_crane_of_ones_own_decides_what_it_can_follow(tmp_path: Path) -> None:
     path = tmp_path / "path.csv"
     path.write_text(sc.csv_of(sc.rest_to_rest((5.0, 0.0, -5.0), (5.0, 0.0, -2.0), 1.2)))
     with pytest.raises(sc.InvalidReference, match="slack"):
-        build_ssp(tmp_path / "out", wishes=Wishes(path=path, parameters={"gravity": 1.6}))
+        build_ssp(tmp_path / "out", wishes=Wishes(path=path, parameters={"gravity": 1.6}, targets="host"))
     assert not (tmp_path / "out").exists()
 
 
@@ -237,11 +239,11 @@ def test_a_path_so_slow_that_its_times_look_like_milliseconds_is_played() -> Non
     np.testing.assert_allclose(read.jet(700.0, 4), path.jet(700.0, 4), rtol=1e-9)
 
 
-def test_a_trajectory_without_a_table_says_where_one_belongs() -> None:
+def test_a_trajectory_without_a_table_says_so() -> None:
     with Host(fmu_file("LoadTrajectory")) as host:
         host.set(profile="file").start()
         assert not host.step(0.0, 0.1)
-        assert "needs a table resources/path.csv" in host.messages[0]
+        assert "needs a table, and the FMU was built without one" in host.messages[0]
 
 
 GOAL = (4.0, 2.0, -5.0)
@@ -257,7 +259,7 @@ def own_system() -> Path:
     for name, text in files.items():
         (folder / name).write_text(text)
     wishes = ["--reference", str(folder / "path.csv"), "--parameters", str(folder / "crane.toml")]
-    result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), *wishes])
+    result = CliRunner().invoke(app, ["ssp", "-o", str(folder / "out"), "--targets", "host", *wishes])
     assert result.exit_code == 0, result.output
     return folder / "out" / "Crane.ssp"
 

@@ -21,12 +21,11 @@ from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.build.bundle import PREFIX, Content, Progress
-from crane_fmu.build.description import complete
+from crane_fmu.build.description import complete, wrapped
 from crane_fmu.build.page import documentation_page
 from crane_fmu.build.shim import with_shim
 from crane_fmu.files import put
 from crane_fmu.run import nothing_left
-from crane_fmu.slave.interface import PATH_FILE
 
 _ICON = Path(__file__).parent / "resources" / "model.png"
 _PYTHONFMU_SOURCES = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
@@ -36,18 +35,17 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     """Return the archive with everything that belongs into it."""
     members = _rearranged(_packed_by_pythonfmu(content), content.bundle)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
+    described = members["modelDescription.xml"]
+    described = wrapped(content.native, notes) if content.native else complete(described, content.interface, notes)
     members |= {
-        "modelDescription.xml": complete(members["modelDescription.xml"], content.interface, notes),
+        "modelDescription.xml": described,
         # CasADi reads functions that it, or an older version, has saved
-        "resources/requirements.txt": f"numpy>=1.26\ncasadi>={notes['casadi']}\n".encode(),
+        "resources/requirements.txt": b"" if content.native else f"numpy>=1.26\ncasadi>={notes['casadi']}\n".encode(),
         "documentation/index.html": documentation_page(content.kind).encode(),
         "documentation/licenses/pythonfmu.txt": _licence("pythonfmu"),
         "model.png": _ICON.read_bytes(),
-        **{f"resources/{content.bundle}/{path}": library for path, library in content.libraries.items()},
     }
-    if content.path is not None:
-        members[f"resources/{PATH_FILE}"] = content.path
-    return zipped(with_shim(members, content.kind.name, content.interface.guid, tell))
+    return zipped(with_shim(members, content.kind, content.token, tell))
 
 
 def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
@@ -79,7 +77,8 @@ def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
     }
     with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
         folder, entry = Path(scratch), f"{content.name}.py"
-        put(folder, {**bundled, entry: content.entry})
+        carried = {f"{content.bundle}/{path}": library for path, library in content.libraries.items()}
+        put(folder, {**bundled, **carried, entry: content.entry})
         archive = FmuBuilder.build_FMU(
             folder / entry,
             folder / content.kind.file_name,

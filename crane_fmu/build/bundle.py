@@ -9,27 +9,34 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import tempfile
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import servocore as sc
 from crane_fmu.build.compiled_step import compiled_feedback, compiled_steps
 from crane_fmu.build.estimates import estimate_functions
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions, feedback_text
-from crane_fmu.catalogue import FORMULATIONS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
-from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, PLANT_FILE, Interface, program_file
+from crane_fmu.build.native import NativeWishes, native_fmu
+from crane_fmu.catalogue import FORMULATIONS, ROTARY_CRANE, FmuKind
+from crane_fmu.slave.interface import FEEDBACK_FILE, INTERFACE_FILE, Interface, program_file
+from crane_fmu.slave.kernel import LIBRARIES
 
 Progress = Callable[[str], None]
 """Called with what is being done."""
+
+USUAL_TARGETS = "host,x86_64-windows"
+"""Platforms whose libraries an FMU has where nothing else is asked for."""
 
 PREFIX = "rotary_crane_"
 """How the names of all entry modules begin."""
 
 _OURS = ("crane_fmu", "servocore")
-_PLANT_MODEL = "generalized"
 
 _ENTRY = '''"""Entry of the FMU. PythonFMU executes it once more for every instance."""
 
@@ -39,7 +46,7 @@ try:
     import {bundle}.crane_fmu.slave.{module} as _slave
 except ImportError as error:
     raise ImportError(
-        f"{name}.fmu needs NumPy and CasADi in the Python that runs it, but: {{error}};"
+        f"{name}.fmu needs {packages} in the Python that runs it, but: {{error}};"
         " install what resources/requirements.txt in the FMU lists"
     ) from error
 
@@ -50,7 +57,7 @@ _ctypes.pythonapi.Py_IncRef(_ctypes.py_object(globals()))
 
 class {name}(_slave.Slave):
     """What the host sees; everything else is in the bundle."""
-'''
+{more}'''
 
 
 @dataclass(frozen=True)
@@ -66,16 +73,16 @@ class Content:
     kind : FmuKind
         Which FMU it is.
     libraries : mapping of str to bytes
-        Steps as machine code, by their path in the bundle; they compute what programs among the files do.
-    path : bytes or None
-        A table for a trajectory, which is no part of the bundle: users may replace it.
+        Machine code, by its path in the bundle.
+    native : bytes
+        The model description of the native FMU that it hands its calls to; empty where it computes by itself.
     """
 
     files: Mapping[str, str]
     interface: Interface
     kind: FmuKind
     libraries: Mapping[str, bytes]
-    path: bytes | None
+    native: bytes = b""
 
     @property
     def name(self) -> str:
@@ -83,6 +90,7 @@ class Content:
         digest = hashlib.sha256(f"{self.kind.name}{_ENTRY}{metadata.version('pythonfmu')}".encode())
         for path, text in sorted(self.files.items()):
             digest.update(f"{path}\0{text}\0".encode())
+        digest.update(self.native)
         return f"{PREFIX}{digest.hexdigest()[:16]}"
 
     @property
@@ -93,17 +101,24 @@ class Content:
     @property
     def entry(self) -> str:
         """Source of the entry module."""
-        return _ENTRY.format(bundle=self.bundle, name=self.kind.name, module=self.kind.module)
+        more = f"    token = {self.token!r}\n" if self.native else ""
+        names = {"bundle": self.bundle, "name": self.kind.name, "module": self.kind.module}
+        return _ENTRY.format(**names, packages=self.kind.needs, more=more)
+
+    @property
+    def token(self) -> str:
+        """What host and binary have to agree upon."""
+        return ET.fromstring(self.native).get("guid", "") if self.native else self.interface.guid
 
 
 def collect(
-    kind: FmuKind = ROTARY_CRANE,
-    tell: Progress = lambda _: None,
-    path: bytes | None = None,
-    starts: Starts = NO_STARTS,
+    kind: FmuKind = ROTARY_CRANE, tell: Progress = lambda _: None, wishes: NativeWishes | None = None
 ) -> Content:
     """Compile what an FMU runs on and gather the sources that its slave needs."""
-    table = kind.interface().with_starts(starts)
+    wishes = wishes or NativeWishes()
+    if not kind.routes:
+        return _wrapping(kind, tell, wishes)
+    table = kind.interface().with_starts(wishes.starts)
     files = {
         "__init__.py": f'"""What {kind.file_name} runs on."""\n',
         **travelling(f"crane_fmu.slave.{kind.module}"),
@@ -118,19 +133,30 @@ def collect(
         carried = law | estimate_functions(len(table.of("output")))
         files[FEEDBACK_FILE] = feedback_text(carried)
         libraries |= compiled_feedback(carried, tell)
-    return Content(files, table, kind, libraries, path)
+    return Content(files, table, kind, libraries)
+
+
+def _wrapping(kind: FmuKind, tell: Progress, wishes: NativeWishes) -> Content:
+    """Take the libraries of a native FMU; its own platform is always among them, for the slave is tried here."""
+    targets = wishes.targets or USUAL_TARGETS
+    with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
+        file = native_fmu(Path(folder), kind, replace(wishes, targets=targets, judged_late=True), tell)
+        with zipfile.ZipFile(file) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+    files = {"__init__.py": f'"""What {kind.file_name} runs on."""\n', **travelling(f"crane_fmu.slave.{kind.module}")}
+    place = f"crane_fmu/slave/{LIBRARIES}"
+    libraries = {f"{place}/{n.removeprefix('binaries/')}": m for n, m in members.items() if n.startswith("binaries/")}
+    table = kind.interface().with_starts(wishes.starts)
+    return Content(files, table, kind, libraries, members["modelDescription.xml"])
 
 
 def _compiled(kind: FmuKind, tell: Progress) -> dict[str, str]:
-    """Return programs and plant as texts by file name."""
+    """Return programs as texts by file name."""
     crane, files = sc.scenes.rotary_crane(), {}
     for model, formulation in kind.routes:
         tell(f"compiling {model}, {formulation}")
         stepper = sc.Stepper(crane, FORMULATIONS[formulation], sc.BackwardEuler(), 0.1, model)
         files[program_file(model, formulation)] = stepper.program.to_json()
-    if kind.has_plant:
-        tell("compiling the forward dynamics")
-        files[PLANT_FILE] = sc.compile_plant(crane.model(_PLANT_MODEL)).to_json()
     return files
 
 

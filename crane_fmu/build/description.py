@@ -69,6 +69,36 @@ def complete(written: bytes, interface: Interface, notes: Mapping[str, str]) -> 
     return document(root)
 
 
+def wrapped(native: bytes, notes: Mapping[str, str]) -> bytes:
+    """Return the model description of an FMU that hands its calls to a native one.
+
+    It has all of its variables. Outputs change in doStep only, so no input feeds through then, and no derivatives of
+    them are offered.
+
+    Parameters
+    ----------
+    native : bytes
+        That of the native FMU.
+    notes : mapping of str to str
+        Attributes of the vendor annotation.
+    """
+    root = ET.fromstring(native)
+    root.attrib |= {"generationDateAndTime": DATE, "author": AUTHOR, "license": "MIT"}
+    root.set("generationTool", f"{_TOOL} with PythonFMU {notes['pythonfmu']}")
+    (simulation,) = root.iter("CoSimulation")
+    root.set("modelName", simulation.get("modelIdentifier", ""))
+    simulation.set("needsExecutionTool", "true")
+    simulation.attrib.pop("providesDirectionalDerivative", None)
+    for sources in simulation.findall("SourceFiles"):
+        simulation.remove(sources)
+    for unknown in root.iterfind("ModelStructure/Outputs/Unknown"):
+        unknown.attrib |= {"dependencies": "", "dependenciesKind": ""}
+    annotations = ET.Element("VendorAnnotations")
+    ET.SubElement(ET.SubElement(annotations, "Tool", name=_TOOL), "Build", dict(notes))
+    root.insert(_position(root, "DefaultExperiment"), annotations)
+    return document(root)
+
+
 def document(root: ET.Element) -> bytes:
     """Return a whole XML document, indented."""
     ET.indent(root)

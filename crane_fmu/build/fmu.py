@@ -12,6 +12,7 @@ from pathlib import Path
 import servocore as sc
 from crane_fmu.build.archive import packed
 from crane_fmu.build.bundle import Progress, collect
+from crane_fmu.build.native import NativeWishes
 from crane_fmu.build.page import user_page
 from crane_fmu.catalogue import KINDS, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.files import put
@@ -25,8 +26,9 @@ def build_fmu(
     directory: Path,
     progress: Progress = lambda _: None,
     kind: FmuKind = ROTARY_CRANE,
-    path: bytes | None = None,
+    path: sc.Reference | None = None,
     starts: Starts = NO_STARTS,
+    targets: str | None = None,
 ) -> Path:
     """Build an FMU, check it in a process of its own and only then rename it into place.
 
@@ -38,10 +40,13 @@ def build_fmu(
         Called with a phrase for every stage.
     kind : FmuKind
         Which FMU.
-    path : bytes, optional
-        A table that a trajectory carries, as CSV.
+    path : Reference, optional
+        What a trajectory carries.
     starts : mapping of str to float or str
         Start values of variables that differ from the defaults; names that the FMU does not have are passed over.
+    targets : str, optional
+        Platforms that it has libraries for, as `sc.export_fmu` takes them: this machine's and 64-bit Windows when not
+        given.
 
     Returns
     -------
@@ -59,7 +64,7 @@ def build_fmu(
     target = directory / kind.file_name
     require_writable(directory, directory)
     with made_folder(directory, directory):
-        content = collect(kind, progress, path, starts)
+        content = collect(kind, progress, NativeWishes(path, starts, targets))
         progress(f"packing {kind.file_name}")
         archive = packed(content, progress)
         progress(f"checking {kind.file_name} in a process of its own")

@@ -1,17 +1,17 @@
-"""The three FMUs of the system in C, which need no Python: what `servocore` exports, with the crane's own feedback."""
+"""The FMUs in C, which need no Python: what `servocore` exports, with the crane's own feedback and names."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.bundle import Progress
 from crane_fmu.build.estimates import estimate_functions
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
-from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, ROTARY_CRANE, Starts
+from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
 from crane_fmu.slave.estimate import in_motion, too_rough
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN, ORDERS
 
@@ -21,7 +21,7 @@ _DISTANCE = 0.5  # m, from the path
 
 @dataclass(frozen=True)
 class NativeWishes:
-    """What a native system shall be.
+    """What a native FMU shall be.
 
     Attributes
     ----------
@@ -31,20 +31,25 @@ class NativeWishes:
         Start values of parameters in place of defaults.
     targets : str, optional
         Platforms, as `sc.export_fmu` takes them.
+    judged_late : bool
+        Whether it is for a slave of PythonFMU, whose setters cannot fail.
     """
 
-    reference: sc.Reference | None
-    starts: Starts
-    targets: str | None
+    reference: sc.Reference | None = None
+    starts: Starts = field(default_factory=lambda: NO_STARTS)
+    targets: str | None = None
+    judged_late: bool = False
 
 
-def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path]:
-    """Write trajectory, inverse model and plant, FMI 2, named and with variables as those of PythonFMU.
+def native_fmu(folder: Path, kind: FmuKind, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
+    """Write trajectory, inverse model or plant, FMI 2, named and with variables as that of PythonFMU.
 
     Parameters
     ----------
     folder : Path
-        Where they go.
+        Where it goes.
+    kind : FmuKind
+        Which of them.
     wishes : NativeWishes
         Path, start values, platforms.
     tell : callable
@@ -53,26 +58,47 @@ def native_fmus(folder: Path, wishes: NativeWishes, tell: Progress) -> list[Path
     crane = sc.scenes.rotary_crane()
     own = {name: value for name, value in wishes.starts.items() if name in crane.model().parameters.names}
     crane = crane.with_parameters(**{name: float(value) for name, value in own.items()})
-    path = wishes.reference
     given = {name: float(value) for name, value in wishes.starts.items() if not isinstance(value, str)}
+    return _WRITERS[kind.name](crane, folder / kind.file_name, wishes, given, tell)
+
+
+def _trajectory(
+    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
+) -> Path:
+    tell("compiling the trajectory")
     profile = wishes.starts.get("profile")
     named = None if profile in (None, FROM_FILE) else str(profile)
-    line = sc.TrajectoryWishes(path, named, given, LOAD_TRAJECTORY.name)
+    line = sc.TrajectoryWishes(wishes.reference, named, given, LOAD_TRAJECTORY.name, offers_file=wishes.judged_late)
+    late, targets = wishes.judged_late, wishes.targets
+    return sc.export_trajectory(crane, file, line, fmi=2, targets=targets, judged_late=late, tell=tell)
+
+
+def _inverse(
+    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
+) -> Path:
+    on_path = crane if wishes.reference is None else crane.with_reference(wishes.reference)
+    estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
+    return sc.export_fmu(
+        on_path, file, fmi=2, targets=wishes.targets, feedback=feedback_of(crane), estimates=estimates, start=given,
+        judged_late=wishes.judged_late, tell=tell,
+    )  # fmt: skip
+
+
+def _plant(
+    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
+) -> Path:
     plant = sc.PlantWishes(
         errors={"mass_error": "load_mass"},
         offsets={"start.swing": ("swing_in", "swing_out")},
         start=given,
         identifier=CRANE_PLANT.name,
+        reasons={"tension": "the rope goes slack: its"},
     )
-    files = [folder / each.file_name for each in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)]
-    on_path, law = crane if path is None else crane.with_reference(path), feedback_of(crane)
-    targets = wishes.targets
-    tell("the trajectory")
-    sc.export_trajectory(crane, files[0], line, fmi=2, targets=targets, tell=tell)
-    estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
-    sc.export_fmu(on_path, files[1], fmi=2, targets=targets, feedback=law, estimates=estimates, start=given, tell=tell)
-    sc.export_plant(crane, files[2], plant, fmi=2, model=_COORDINATES, targets=targets, tell=tell)
-    return files
+    late, targets = wishes.judged_late, wishes.targets
+    return sc.export_plant(crane, file, plant, fmi=2, model=_COORDINATES, targets=targets, judged_late=late, tell=tell)
+
+
+_WRITERS = {LOAD_TRAJECTORY.name: _trajectory, ROTARY_CRANE.name: _inverse, CRANE_PLANT.name: _plant}
 
 
 def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:

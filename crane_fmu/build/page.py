@@ -92,7 +92,7 @@ REFUSALS: Mapping[str, tuple[tuple[str, str], ...]] = {
             "a `ramp` longer than half of the duration",
             "a path with a ramp of 11 s takes at least 22 s, but its duration is 20 s",
         ),
-        ("`file` without a table", "the profile file needs a table resources/path.csv in the FMU"),
+        ("`file` without a table", "the profile file needs a table, and the FMU was built without one"),
         ("a parameter that is not finite", "duration = nan s is not a finite number"),
         _TIME_BACK,
     ),

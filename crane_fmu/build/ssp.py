@@ -21,7 +21,7 @@ from crane_fmu.build.bundle import Progress
 from crane_fmu.build.crosscheck import cross_check
 from crane_fmu.build.description import document
 from crane_fmu.build.fmu import build_fmu
-from crane_fmu.build.native import NativeWishes, native_fmus
+from crane_fmu.build.native import NativeWishes, native_fmu
 from crane_fmu.catalogue import CRANE_PLANT, KINDS, LOAD_TRAJECTORY, NO_STARTS, PROFILES, ROTARY_CRANE, Starts, chosen
 from crane_fmu.files import filled_folder, path_in_file, put
 from crane_fmu.slave.interface import (
@@ -29,7 +29,6 @@ from crane_fmu.slave.interface import (
     FEEDBACK_INPUTS,
     FROM_FILE,
     ORDERS,
-    PATH_FILE,
     PATH_INPUTS,
     START_ORDERS,
     Variable,
@@ -145,11 +144,12 @@ def build_ssp(
         starts |= path_starts(reference, inverse)
         _tell_end(reference)
     with filled_folder(directory) as draft:
+        played = None if reference is None else read_again(sc.csv_of(reference))
+        own = NativeWishes(played, starts, wishes.targets)
         if wishes.native:
-            played = None if reference is None else read_again(sc.csv_of(reference))
-            fmus = native_fmus(draft, NativeWishes(played, starts, wishes.targets), progress)
+            fmus = [native_fmu(draft, kind, own, progress) for kind in KINDS.values()]
         else:
-            fmus = _python_fmus(draft, reference, starts, progress)
+            fmus = _python_fmus(draft, reference, own, progress)
         members = {f"resources/{fmu.name}": fmu.read_bytes() for fmu in fmus}
         system = zipped({_STRUCTURE: description(starts, duration), **members}, _STRUCTURE)
         put(draft, {SYSTEM_FILE: system})
@@ -227,14 +227,12 @@ def _inverse(reference: sc.Reference | None, parameters: Mapping[str, float]) ->
     return sc.ExactInversion(crane if reference is None else crane.with_reference(reference), native=False)
 
 
-def _python_fmus(draft: Path, reference: sc.Reference | None, starts: Starts, progress: Progress) -> list[Path]:
-    table = None if reference is None else sc.csv_of(reference).encode()
-    fmus = [
-        build_fmu(draft, progress, kind, table if kind is LOAD_TRAJECTORY else None, starts) for kind in KINDS.values()
-    ]
+def _python_fmus(draft: Path, reference: sc.Reference | None, wishes: NativeWishes, progress: Progress) -> list[Path]:
+    own = wishes.reference, wishes.starts, wishes.targets
+    fmus = [build_fmu(draft, progress, kind, *own) for kind in KINDS.values()]
     progress("writing the cross-check files")
     for fmu in fmus:
-        cross_check(fmu, reference, starts)
+        cross_check(fmu, reference, wishes.starts)
     return fmus
 
 
@@ -310,6 +308,6 @@ def connections() -> list[Wire]:
 def read_again(table: str) -> sc.Reference:
     """Return the path in a table as LoadTrajectory.fmu reads it, to the last digit of its snap."""
     with tempfile.TemporaryDirectory(prefix="crane_fmu_") as folder:
-        file = Path(folder) / PATH_FILE
+        file = Path(folder) / "path.csv"
         file.write_text(table)
         return sc.from_csv(file)

@@ -44,8 +44,6 @@ class FmuKind:
         Models and formulations whose compiled functions it carries.
     to_machine_code : tuple of (str, str)
         Those of them whose steps are compiled further.
-    has_plant : bool
-        Whether it carries the compiled forward dynamics.
     has_feedback : bool
         Whether it carries the feedback.
     """
@@ -58,13 +56,17 @@ class FmuKind:
     resting: tuple[str, ...]
     routes: tuple[Route, ...] = ()
     to_machine_code: tuple[Route, ...] = ()
-    has_plant: bool = False
     has_feedback: bool = False
 
     @property
     def file_name(self) -> str:
         """Name of the file."""
         return f"{self.name}.fmu"
+
+    @property
+    def needs(self) -> str:
+        """Packages that the Python of the host must have, as a sentence names them."""
+        return "NumPy and CasADi" if self.routes else "ctypes"
 
     def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
         """Return the runs of the check for an FMU with other start values: with a path of its own only as it is.
@@ -147,7 +149,7 @@ _ROUTES = tuple(product(MODELS, FORMULATIONS))
 
 LOAD_TRAJECTORY = FmuKind(
     name="LoadTrajectory",
-    module="trajectory",
+    module="kernel",
     interface=variables.load_trajectory,
     page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in PROFILES),
@@ -169,12 +171,11 @@ ROTARY_CRANE = FmuKind(
 
 CRANE_PLANT = FmuKind(
     name="CranePlant",
-    module="plant",
+    module="kernel",
     interface=variables.crane_plant,
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),
     resting=(*_CRANE, *_LOAD),
-    has_plant=True,
 )
 
 KINDS: Mapping[str, FmuKind] = {kind.name: kind for kind in (LOAD_TRAJECTORY, ROTARY_CRANE, CRANE_PLANT)}

@@ -70,10 +70,8 @@ def ssp(subject: Subject, path: GivenPath, place: SystemPlace, platforms: Platfo
     The folder then holds LoadTrajectory.fmu, RotaryCrane.fmu, CranePlant.fmu with their cross-check files, and
     Crane.ssp. Run it with a communication step of 0.01 s. With a path the load goes that way, with --profile alone
     along the default line by that law, with --parameters the crane is that of the file, without anything to set in the
-    tool. With --native they are in C, for the platforms of --targets.
+    tool. With --native they are in C. All have libraries for the platforms of --targets.
     """
-    if platforms.targets is not None and not place.native:
-        raise sc.InvalidSetting("--targets belongs to --native")
     crane = sc.scenes.rotary_crane()
     law = path.profile if path.options() == ["--profile"] else None
     line = path.path(crane) if law is None else None

@@ -51,8 +51,8 @@ FEEDBACK_INPUTS = (
 FROM_FILE = "file"
 """What a trajectory is told in place of a time law to follow the table that it carries."""
 
-INTERFACE_FILE, PLANT_FILE, PATH_FILE = "interface.json", "plant.json", "path.csv"
-"""Files that an FMU carries: its table of variables, the compiled forward dynamics, a path of the user's own."""
+INTERFACE_FILE = "interface.json"
+"""The file with the table of variables that an FMU carries."""
 
 SHORTEST_STEP = 1e-6
 """Below this many seconds inputs from second differences drown in round-off: exact values are taken instead."""

@@ -39,6 +39,7 @@ def export_fmu(
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
     start: Mapping[str, float] | None = None,
+    judged_late: bool = False,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write the inverse model of a scene as a native FMU for co-simulation, which needs no Python.
@@ -62,6 +63,8 @@ def export_fmu(
         What estimates derivatives of the path that are not connected.
     start : mapping of str to float, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2.
+    judged_late : bool, optional
+        Whether values are judged when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
     tell : callable
         Told what is being done.
 
@@ -91,7 +94,7 @@ def export_fmu(
     made = inverse_model(scene, model, feedback, estimates)
     if start is not None:
         made = replace(made, variables=tuple(with_starts(each, start) for each in made.variables))
-    return written(made, path, fmi, targets, tell)
+    return written(replace(made, judged_late=judged_late), path, fmi, targets, tell)
 
 
 def export_plant(
@@ -102,6 +105,7 @@ def export_plant(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
+    judged_late: bool = False,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write the forward dynamics of a scene as a native FMU for co-simulation: where it goes under its inputs.
@@ -119,6 +123,8 @@ def export_plant(
     model : str, optional
         Model of the scene; when not given the first without constraints, or its smallest.
     targets : str, optional
+        As of `export_fmu`.
+    judged_late : bool, optional
         As of `export_fmu`.
     tell : callable, optional
         As of `export_fmu`.
@@ -138,7 +144,7 @@ def export_plant(
     require_scene(scene, "export_plant")
     require_built(path, targets, fmi)
     tell("compiling the forward dynamics")
-    return written(plant_model(scene, model, wishes), path, fmi, targets, tell)
+    return written(replace(plant_model(scene, model, wishes), judged_late=judged_late), path, fmi, targets, tell)
 
 
 def export_trajectory(
@@ -149,6 +155,7 @@ def export_trajectory(
     fmi: int = 3,
     model: str | None = None,
     targets: str | None = None,
+    judged_late: bool = False,
     tell: Progress = lambda _: None,
 ) -> Path:
     """Write a generator of paths for a scene as a native FMU: lines by a time law, or a path that is baked in.
@@ -167,6 +174,8 @@ def export_trajectory(
         Model of the scene, which says how many derivatives there are; its smallest when not given.
     targets : str, optional
         As of `export_fmu`.
+    judged_late : bool, optional
+        As of `export_fmu`.
     tell : callable, optional
         As of `export_fmu`.
 
@@ -184,7 +193,8 @@ def export_trajectory(
     """
     require_scene(scene, "export_trajectory")
     require_built(path, targets, fmi)
-    return written(trajectory_model(scene, model, wishes), path, fmi, targets, tell)
+    made = replace(trajectory_model(scene, model, wishes), judged_late=judged_late)
+    return written(made, path, fmi, targets, tell)
 
 
 def require_built(path: str | Path, targets: str | None, fmi: int) -> None:

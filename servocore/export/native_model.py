@@ -86,6 +86,8 @@ class NativeModel:
         Whether there are derivatives of its outputs.
     terminals : mapping of str to (str, str)
         Causality and description of the terminals.
+    judged_late : bool
+        Whether the host's setters cannot fail: values are judged when they are used.
     """
 
     identifier: str
@@ -105,6 +107,7 @@ class NativeModel:
     duration: float
     differentiable: bool
     terminals: Mapping[str, tuple[str, str]]
+    judged_late: bool = False
 
     @property
     def settings(self) -> tuple[Variable, ...]:
@@ -125,7 +128,7 @@ class NativeModel:
 
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
-        digest = hashlib.sha256(repr((self.variables, self.choices)).encode())
+        digest = hashlib.sha256(repr((self.variables, self.choices, self.judged_late)).encode())
         for text in (*self.source(), repr(self.own), repr(self.limits), *more):
             digest.update(text.encode())
         code = digest.hexdigest()

@@ -57,12 +57,16 @@ class PlantWishes:
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
         What libraries and functions are called; made of the scene's name when empty.
+    reasons : mapping of str to str
+        What it means that an output is not positive which must be, by its name: ``{"tension": "the rope goes slack:
+        its"}`` stands before the name in the sentence.
     """
 
     errors: Mapping[str, str] = field(default_factory=dict)
     offsets: Mapping[str, Sequence[str]] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     identifier: str = ""
+    reasons: Mapping[str, str] = field(default_factory=dict)
 
 
 def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | None = None) -> NativeModel:
@@ -114,6 +118,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
             "start_limits": start_limits,
             "errors": [problem.system.parameters.names.index(parameter) for parameter in wishes.errors.values()],
             "offsets": sum(len(offset) for offset in offsets.values()),
+            "reasons": [wishes.reasons.get(each.name, "") for each in used],
         },
         functions=functions,
         variables=variables,
@@ -183,7 +188,8 @@ def _variables(
     home[0] = problem.reference.jet(problem.reference.start_time, 0)[0]
     settings = rows.plant_settings(system.outputs, tracked, home, _LONGEST, wishes.errors)
     units = {quantity.name: quantity.unit for quantity in system.coordinates.quantities}
-    settings += [rows.offset(name, [units[each] for each in of]) for name, of in offsets.items()]
+    added = (rows.offset(name, [units[each] for each in of]) for name, of in offsets.items())
+    settings += rows.playing("OFFSETS", added)
     for setting in settings:
         variables.append(rows.placed(setting, place))
         place += setting.size or 1

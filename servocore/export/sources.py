@@ -113,6 +113,8 @@ def c_number(value: float) -> str:
 
 def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
     """Return what the templates are filled in with."""
+    parameters = model.of("parameter")
+    first = min((each.place for each in parameters), default=0)
     return {
         "title": model.title,
         "model": model.model,
@@ -124,10 +126,12 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "outputs": model.outputs,
         "parameters": model.numbers("parameter") - sum(setting.size or 1 for setting in model.settings),
         "settings": sum(setting.size or 1 for setting in model.settings),
+        "places": {each.role: each.place - first for each in parameters if each.role},
         "internal": model.numbers("local"),
         "choices": model.choices,
         "limits": model.limits,
         "timed": model.timed,
+        "judged_late": model.judged_late,
         "arrays": model.variables,
         "scratch": scratch_of(model.functions.values()),
         "numbers": [row for variable in model.variables for row in _numbers(variable)],

@@ -55,12 +55,15 @@ class TrajectoryWishes:
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
         What libraries and functions are called; made of the scene's name when empty.
+    offers_file : bool
+        Whether a baked in path may be chosen although there is none: the choice is refused with a sentence.
     """
 
     path: Reference | None = None
     profile: str | None = None
     start: Mapping[str, float] = field(default_factory=dict)
     identifier: str = ""
+    offers_file: bool = False
 
 
 def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryWishes | None = None) -> NativeModel:
@@ -93,7 +96,7 @@ def trajectory_model(scene: Scene, model: str | None = None, wishes: TrajectoryW
     identifier = wishes.identifier or identifier_of(f"{scene.name}_trajectory")
     profile = wishes.profile or (FROM_FILE if line is None or baked is not None else line.law)
     variables = _variables(scene, servo, orders, line, replace(wishes, profile=profile))
-    choice = _choice(baked is not None, profile)
+    choice = _choice(baked is not None or wishes.offers_file, profile)
     start_time = min(0.0, (baked or scene.reference).start_time)  # a run begins at zero where the path lets it
     require_different(problem, variables, (choice.name, "time"))
     outputs = [

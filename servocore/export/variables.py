@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -52,6 +52,8 @@ class Variable:
         Whether a parameter keeps its value from the end of the initialization on.
     setting : bool
         Whether a parameter is none of the model.
+    role : str
+        What the kernel calls the place of a parameter that it looks for, and of those behind it that belong to it.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Variable:
     nominal: float | None = None
     fixed: bool = False
     setting: bool = False
+    role: str = ""
 
     @property
     def scalar_names(self) -> tuple[str, ...]:
@@ -170,7 +173,7 @@ def parameter_variables(declared: Sequence[Parameter], values: Array, place: int
 def internal_step(place: int) -> Variable:
     """Return the parameter that divides communication steps."""
     text = "step of the method; a communication step takes the nearest whole number of them; 0: one"
-    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), None, 0.0, 3600.0, setting=True)
+    return Variable(INTERNAL_STEP, "parameter", "s", text, place, (0.0,), None, 0.0, 3600.0, setting=True, role="STEP")
 
 
 def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], place: int) -> list[Variable]:
@@ -179,7 +182,7 @@ def start_variables(names: Sequence[tuple[str, int]], units: Sequence[str], plac
         Variable(
             f"start.{name.removeprefix('q.')}.{order_name(order)}", "parameter", per_time(unit, order),
             "added to the internal state at its start; 0: it begins at rest", place + k, (0.0,),
-            fixed=True, setting=True,
+            fixed=True, setting=True, role="" if k else "STARTS",
         )
         for k, ((name, order), unit) in enumerate(zip(names, units, strict=True))
     ]  # fmt: skip
@@ -212,21 +215,17 @@ def measured_variables(measured: Sequence[tuple[Quantity, int | None]], place: i
 
 
 def feedback_settings(drives: Sequence[Quantity], distance: float, place: int) -> list[Variable]:
-    """Return the parameters of a feedback, in the order in which the kernel finds them."""
+    """Return the parameters of a feedback."""
+    share = "share of the feedback in the outputs, where motion is measured"
+    far = "farther than this from its path there is no feedback"
+    limits = (
+        _setting(f"limit.{e.name}", e.unit, f"largest |{e.name}| that the drive gives", (1e9,), 1e-3, 1e9)
+        for e in drives
+    )
     variables = [
-        _setting("feedback", "1", "share of the feedback in the outputs, where motion is measured", (1.0,), 0.0, 1.0),
-        _setting(
-            "feedback_distance",
-            "m",
-            "farther than this from its path there is no feedback",
-            (distance,),
-            1e-3,
-            1e9,
-        ),
-        *(
-            _setting(f"limit.{e.name}", e.unit, f"largest |{e.name}| that the drive gives", (1e9,), 1e-3, 1e9)
-            for e in drives
-        ),
+        _setting("feedback", "1", share, (1.0,), 0.0, 1.0, "SHARE"),
+        _setting("feedback_distance", "m", far, (distance,), 1e-3, 1e9, "DISTANCE"),
+        *playing("LIMITS", limits),
     ]
     return [placed(each, place + k) for k, each in enumerate(variables)]
 
@@ -259,22 +258,25 @@ def motion_variables(outputs: Sequence[Quantity], tracked: str, place: int) -> l
 def plant_settings(
     outputs: Sequence[Quantity], tracked: str, home: Array, longest: float, errors: Mapping[str, str]
 ) -> list[Variable]:
-    """Return the parameters of a plant that are none of its model, in the order in which the kernel finds them.
+    """Return the parameters of a plant that are none of its model.
 
-    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values.
+    The start is as many derivatives of the servo output, of which `home` (orders, outputs) are the default values; they
+    follow each other.
     """
-    pushes = [_pushing(each, outputs, tracked) for each in ("wind", "gust")]
-    starts = [(f"start.{order_name(order)}", order, tuple(map(float, values))) for order, values in enumerate(home)]
+    starts = [(order_name(order), order, tuple(map(float, values))) for order, values in enumerate(home)]
+    wrong = "the plant's {} is larger by this fraction of it"
+    solver = "longest step of the solver, Runge-Kutta of order four"
     return [
+        *playing("ERRORS", (_setting(n, "1", wrong.format(of), (0.0,), -0.9, 10.0) for n, of in errors.items())),
+        *(row for each in ("wind", "gust") for row in playing(each.upper(), _pushing(each, outputs, tracked))),
+        _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9, "GUST_START"),
+        _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9, "GUST_DURATION"),
+        _setting(INTERNAL_STEP, "s", solver, (longest,), 1e-6, 1.0, "LONGEST"),
         *(
-            _setting(name, "1", f"the plant's {of} is larger by this fraction of it", (0.0,), -0.9, 10.0)
-            for name, of in errors.items()
+            row
+            for what, order, values in starts
+            for row in playing(what.upper(), _starting(f"start.{what}", order, values, outputs, tracked))
         ),
-        *(row for push in pushes for row in push),
-        _setting("gust_start", "s", "time at which the gust begins", (0.0,), -1e9, 1e9),
-        _setting("gust_duration", "s", "time that the gust lasts", (0.0,), 0.0, 1e9),
-        _setting(INTERNAL_STEP, "s", "longest step of the solver, Runge-Kutta of order four", (longest,), 1e-6, 1.0),
-        *(row for name, order, values in starts for row in _starting(name, order, values, outputs, tracked)),
     ]
 
 
@@ -315,9 +317,21 @@ def _starting(
 
 
 def _setting(
-    name: str, unit: str, text: str, starts: tuple[float, ...], low: float = -math.inf, high: float = math.inf
+    name: str,
+    unit: str,
+    text: str,
+    starts: tuple[float, ...],
+    low: float = -math.inf,
+    high: float = math.inf,
+    role: str = "",
 ) -> Variable:
-    return Variable(name, "parameter", unit, text, 0, starts, low=low, high=high, setting=True)
+    return Variable(name, "parameter", unit, text, 0, starts, low=low, high=high, setting=True, role=role)
+
+
+def playing(role: str, variables: Iterable[Variable]) -> list[Variable]:
+    """Return variables that follow each other and play a role together, which the first one has."""
+    found = list(variables)
+    return [replace(found[0], role=role), *found[1:]] if found else []
 
 
 # Of a trajectory -----------------------------------------------------------------------------------------------------
@@ -335,7 +349,7 @@ def path_outputs(outputs: Sequence[Quantity], tracked: str, orders: int) -> list
 def line_settings(
     outputs: Sequence[Quantity], tracked: str, ends: Array, times: tuple[float, float, float]
 ) -> list[Variable]:
-    """Return the parameters of a line from rest to rest, in the order in which the kernel finds them.
+    """Return the parameters of a line from rest to rest.
 
     Its times are when it starts, how long it takes, and its ramp.
     """
@@ -343,17 +357,19 @@ def line_settings(
     for name, values in zip(("start", "end"), ends, strict=True):
         text = f"{name} of the path"
         if together(outputs, tracked):
-            whole = _setting(name, outputs[0].unit, text, tuple(map(float, values)))
+            whole = _setting(name, outputs[0].unit, text, tuple(map(float, values)), role=name.upper())
             variables.append(replace(whole, size=len(outputs)))
             continue
-        variables += [
+        points = (
             _setting(f"{name}.{e.name}", e.unit, f"{text}, {e.name}", (float(value),))
             for e, value in zip(outputs, values, strict=True)
-        ]
+        )
+        variables += playing(name.upper(), points)
+    rests, usual = "when the motion starts; the path rests before", "0: a quarter of the duration"
     variables += [
-        _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9),
-        _setting("start_time", "s", "when the motion starts; the path rests before", (start_time,), -1e9, 1e9),
-        _setting("ramp", "s", "time to accelerate, for three-phase; 0: a quarter of the duration", (ramp,), 0.0, 1e9),
+        _setting("duration", "s", "time of the motion", (duration,), 1e-3, 1e9, "DURATION"),
+        _setting("start_time", "s", rests, (start_time,), -1e9, 1e9, "START_TIME"),
+        _setting("ramp", "s", f"time to accelerate, for three-phase; {usual}", (ramp,), 0.0, 1e9, "RAMP"),
     ]
     return [replace(each, fixed=True) for each in variables]
 

@@ -76,13 +76,14 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component component)
 {
     REQUIRE(BEFORE, "fmi2EnterInitializationMode");
     instance->state.phase = INITIALIZING;
+    instance->state.due = 1;
     return fmi2OK;
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component component)
 {
     REQUIRE(DURING, "fmi2ExitInitializationMode");
-    if (refresh(instance) != GOOD) return fmi2Error;
+    if (refresh(instance) != GOOD && !JUDGED_LATE) return fmi2Error;
     instance->state.phase = STEPPING;
     return fmi2OK;
 }
@@ -110,58 +111,69 @@ fmi2Status fmi2DoStep(fmi2Component component, fmi2Real time, fmi2Real step, fmi
 
 /* Variables ---------------------------------------------------------------------------------------------------------- */
 
-static fmi2Status unknown_reference(const Instance *instance, fmi2ValueReference reference, const char *type)
+/* A host whose setters cannot fail may set even what no longer matters. */
+#define SETTING (JUDGED_LATE ? ANY : BEFORE | DURING | AFTER)
+
+static Outcome unknown_reference(const Instance *instance, fmi2ValueReference reference, const char *type)
 {
-    return STATUS[say(instance, ERROR, "no %s variable has the value reference %u", type, reference)];
+    return say(instance, ERROR, "no %s variable has the value reference %u; it is ignored", type, reference);
 }
 
 fmi2Status fmi2GetReal(fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Real values[])
 {
+    Outcome worst = GOOD;
     REQUIRE(ANY, "fmi2GetReal");
     for (size_t k = 0; k < count; k++) {
         Outcome outcome;
-        if (references[k] >= N_NUMBERS) return unknown_reference(instance, references[k], "Real");
-        outcome = get_numbers(instance, references[k], 1, values + k);
-        if (outcome != GOOD) return STATUS[outcome];
+        values[k] = NAN;
+        outcome = references[k] < N_NUMBERS ? get_numbers(instance, references[k], 1, values + k)
+                                            : unknown_reference(instance, references[k], "Real");
+        if (outcome > worst) worst = outcome;
     }
-    return fmi2OK;
+    return STATUS[worst];
 }
 
+/* What is refused is left as it was, the others are set. */
 fmi2Status fmi2SetReal(fmi2Component component, const fmi2ValueReference references[], size_t count,
                        const fmi2Real values[])
 {
-    REQUIRE(BEFORE | DURING | AFTER, "fmi2SetReal");
+    Outcome worst = GOOD;
+    REQUIRE(SETTING, "fmi2SetReal");
     for (size_t k = 0; k < count; k++) {
-        Outcome outcome;
-        if (references[k] >= N_NUMBERS) return unknown_reference(instance, references[k], "Real");
-        outcome = set_number(instance, references[k], values[k]);
-        if (outcome != GOOD) return STATUS[outcome];
+        const Outcome outcome = references[k] < N_NUMBERS ? set_number(instance, references[k], values[k])
+                                                          : unknown_reference(instance, references[k], "Real");
+        if (outcome > worst) worst = outcome;
     }
-    return fmi2OK;
+    return STATUS[worst];
 }
 
 fmi2Status fmi2GetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
                           fmi2Integer values[])
 {
+    Outcome worst = GOOD;
     REQUIRE(ANY, "fmi2GetInteger");
     for (size_t k = 0; k < count; k++) {
-        if (references[k] < N_NUMBERS || references[k] >= N_NUMBERS + N_CHOICES)
-            return unknown_reference(instance, references[k], "Integer");
-        values[k] = (fmi2Integer)instance->state.choices[references[k] - N_NUMBERS];
+        const size_t choice = (size_t)references[k] - N_NUMBERS;
+        if (choice < N_CHOICES)
+            values[k] = (fmi2Integer)instance->state.choices[choice];
+        else
+            worst = unknown_reference(instance, references[k], "Integer");
     }
-    return fmi2OK;
+    return STATUS[worst];
 }
 
 fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference references[], size_t count,
                           const fmi2Integer values[])
 {
-    REQUIRE(BEFORE | DURING | AFTER, "fmi2SetInteger");
+    Outcome worst = GOOD;
+    REQUIRE(SETTING, "fmi2SetInteger");
     for (size_t k = 0; k < count; k++) {
-        if (references[k] < N_NUMBERS || references[k] >= N_NUMBERS + N_CHOICES)
-            return unknown_reference(instance, references[k], "Integer");
-        if (set_choice(instance, references[k] - N_NUMBERS, values[k]) != GOOD) return fmi2Error;
+        const size_t choice = (size_t)references[k] - N_NUMBERS;
+        const Outcome outcome = choice < N_CHOICES ? set_choice(instance, choice, values[k])
+                                                   : unknown_reference(instance, references[k], "Integer");
+        if (outcome > worst) worst = outcome;
     }
-    return fmi2OK;
+    return STATUS[worst];
 }
 
 #define NO_SUCH_VARIABLES(type, what, values_type) \
@@ -170,7 +182,7 @@ fmi2Status fmi2SetInteger(fmi2Component component, const fmi2ValueReference refe
     { \
         REQUIRE(ANY, "fmi2" #what #type); \
         (void)values; \
-        return count == 0 ? fmi2OK : unknown_reference(instance, references[0], #type); \
+        return count == 0 ? fmi2OK : STATUS[unknown_reference(instance, references[0], #type)]; \
     }
 NO_SUCH_VARIABLES(Boolean, Get, fmi2Boolean)
 NO_SUCH_VARIABLES(Boolean, Set, const fmi2Boolean)
@@ -231,11 +243,11 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2Value
         return STATUS[say(instance, ERROR, "there are %d outputs and %d numbers, fewer than asked for", N_OUTPUTS,
                           N_NUMBERS)];
     for (size_t k = 0; k < unknownCount; k++) {
-        if (unknowns[k] >= N_NUMBERS) return unknown_reference(instance, unknowns[k], "Real");
+        if (unknowns[k] >= N_NUMBERS) return STATUS[unknown_reference(instance, unknowns[k], "Real")];
         outputs[k] = unknowns[k];
     }
     for (size_t k = 0; k < knownCount; k++) {
-        if (knowns[k] >= N_NUMBERS) return unknown_reference(instance, knowns[k], "Real");
+        if (knowns[k] >= N_NUMBERS) return STATUS[unknown_reference(instance, knowns[k], "Real")];
         given[k] = knowns[k];
     }
     outcome = directional(instance, outputs, unknownCount, given, knownCount, seeds, derivatives);

@@ -9,6 +9,7 @@
 #ifndef INSTANCE_H
 #define INSTANCE_H
 
+#include <ctype.h>
 #include <float.h>
 #include <math.h>
 #include <stdarg.h>
@@ -37,6 +38,10 @@
 #define N_MEASURED 0              /* the last inputs: what a feedback is told of the system */
 #endif
 
+#ifndef JUDGED_LATE
+#define JUDGED_LATE 0             /* whether the host's setters cannot fail: values are judged when they are used */
+#endif
+
 #if N_INPUTS > 0
 #define AT_START_OF_STEP(state) ((state)->choices[INPUT_TIME] == AT_START)
 #else
@@ -54,14 +59,16 @@ typedef struct {
     int64_t due;                  /* whether outputs have yet to be computed from the inputs */
     int64_t steps;                /* taken so far */
     int64_t warned;               /* what was told that is told once, a bit each */
+    int64_t judged;               /* whether all parameters and choices are known to be legal */
     double inputs[AT_LEAST_1(N_INPUTS)];
     double heard[AT_LEAST_1(N_INPUTS)]; /* the inputs that the last outputs were computed from */
     double earlier[AT_LEAST_1(N_INPUTS)]; /* those of the step before */
     double parameters[AT_LEAST_1(N_PARAMETERS + N_SETTINGS)];
     double step;                  /* the last one, in s */
-    double stop;                  /* end of the experiment, in s */
+    double start, stop;           /* of the experiment, in s */
     double kept[AT_LEAST_1(N_KEPT)];
     Moment now, before;
+    char failure[JUDGED_LATE ? LONGEST_MESSAGE : 8]; /* of the initialization: every step tells it again */
 } State;
 
 typedef struct Instance Instance;
@@ -73,6 +80,7 @@ struct Instance {
     Moment work;                  /* where steps are taken, so that one that fails leaves no trace */
     double to_keep[AT_LEAST_1(N_KEPT)];
     int keeps;                    /* whether a step has written them */
+    char *failure;                /* where a refusal is kept while the start is computed, else NULL */
     Work scratch;
     const double *arguments[SCRATCH_ARGUMENTS];
     double *results[SCRATCH_RESULTS];
@@ -100,14 +108,20 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
 
 static Outcome say(const Instance *instance, Outcome outcome, const char *format, ...)
 {
+    static const char begin[] = "the initialization failed: ";
+    const int fails = instance->failure != NULL && outcome > WARNING;
+    const int tells = instance->report != NULL && instance->told[outcome];
     char message[LONGEST_MESSAGE];
     va_list values;
-    if (instance->report != NULL && instance->told[outcome]) {
-        va_start(values, format);
-        vsnprintf(message, sizeof message, format, values);
-        va_end(values);
-        instance->report(instance, outcome, message);
+    if (!fails && !tells) return outcome;
+    va_start(values, format);
+    vsnprintf(message + (fails ? sizeof begin - 1 : 0), sizeof message - sizeof begin, format, values);
+    va_end(values);
+    if (fails) {
+        memcpy(message, begin, sizeof begin - 1);
+        strcpy(instance->failure, message);
     }
+    if (tells) instance->report(instance, outcome, message);
     return outcome;
 }
 
@@ -119,12 +133,21 @@ static Outcome say(const Instance *instance, Outcome outcome, const char *format
 #define ENDED (1u << TERMINATED)
 #define ANY (BEFORE | DURING | AFTER | ENDED)
 
-/* Whether a call is allowed now; says so if not. */
+static const char *const PHASE[] = {"instantiated", "initializing", "stepping", "terminated"};
+
+/* Whether a call is allowed now; says so if not, without the prefix that all names of calls have. */
 static int refused(const Instance *instance, unsigned phases, const char *call)
 {
+    const char *name = call + sizeof "fmi2" - 1;
+    int wanted = INSTANTIATED;
     if (instance == NULL) return 1;
     if (phases >> instance->state.phase & 1u) return 0;
-    say(instance, ERROR, "%s is not allowed now", call);
+    while (!(phases >> wanted & 1u)) wanted++;
+    if (strcmp(name, "DoStep") == 0)
+        say(instance, DISCARD, "doStep needs a finished initialization, but the FMU is %s", PHASE[instance->state.phase]);
+    else
+        say(instance, ERROR, "%c%s is ignored: the FMU is %s, not %s", tolower(*name), name + 1,
+            PHASE[instance->state.phase], PHASE[wanted]);
     return 1;
 }
 
@@ -157,7 +180,7 @@ static void reset(Instance *instance)
     state->phase = INSTANTIATED;
     for (size_t k = 0; k < N_CHOICES; k++) state->choices[k] = CHOICES[k].start;
     state->due = 1;
-    state->stop = DBL_MAX;
+    state->stop = HUGE_VAL;
     for (size_t k = 0; k < N_INPUTS; k++) state->inputs[k] = VARIABLES[k].start;
     for (size_t k = 0; k < N_PARAMETERS + N_SETTINGS; k++)
         state->parameters[k] = VARIABLES[FIRST_PARAMETER + k].start;
@@ -186,15 +209,23 @@ static void free_instance(Instance *instance)
     free(instance);
 }
 
-/* The times of the experiment, which a host tells before or with the initialization. */
-static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
+static Outcome require_experiment(const Instance *instance, double start, double stop)
 {
     if (!(fabs(start) <= DBL_MAX))
         return say(instance, ERROR, "the start time must be a finite number, not %g s", start);
-    if (stops && !(stop >= start))
+    if (!(stop >= start))
         return say(instance, ERROR, "the experiment from %g s to %g s has no duration", start, stop);
+    return GOOD;
+}
+
+/* The times of the experiment, which a host tells before or with the initialization. */
+static Outcome set_experiment(Instance *instance, double start, int stops, double stop)
+{
+    const double end = stops ? stop : HUGE_VAL;
+    if (!JUDGED_LATE && require_experiment(instance, start, end) != GOOD) return ERROR;
+    instance->state.start = start;
     instance->state.now.time = start;
-    instance->state.stop = stops ? stop : DBL_MAX;
+    instance->state.stop = end;
     return GOOD;
 }
 
@@ -239,6 +270,37 @@ static Outcome require_step(const Instance *instance, double time, double h)
     return GOOD;
 }
 
+/* The value of a parameter. */
+static Outcome require_legal(const Instance *instance, const Variable *variable, double value)
+{
+    if (!(fabs(value) <= DBL_MAX))
+        return say(instance, ERROR, "%s = %g%s is not a finite number", variable->name, value, variable->unit);
+    if (!(value >= variable->low && value <= variable->high))
+        return say(instance, ERROR, "%s = %g%s is outside its range [%g, %g]%s", variable->name, value, variable->unit,
+                   variable->low, variable->high, variable->unit);
+    return GOOD;
+}
+
+static Outcome require_item(const Instance *instance, const Choice *choice, int64_t value)
+{
+    if (value < 1 || value > choice->count)
+        return say(instance, ERROR, "%s = %lld is unknown; it may be %s", choice->name, (long long)value, choice->items);
+    return GOOD;
+}
+
+/* All that was set without being judged. */
+static Outcome require_settings(Instance *instance)
+{
+    State *state = &instance->state;
+    if (!JUDGED_LATE || state->judged) return GOOD;
+    for (size_t k = 0; k < N_CHOICES; k++)
+        if (require_item(instance, &CHOICES[k], state->choices[k]) != GOOD) return DISCARD;
+    for (size_t k = 0; k < N_PARAMETERS + N_SETTINGS; k++)
+        if (require_legal(instance, &VARIABLES[FIRST_PARAMETER + k], state->parameters[k]) != GOOD) return DISCARD;
+    state->judged = 1;
+    return GOOD;
+}
+
 /* Outputs ------------------------------------------------------------------------------------------------------------ */
 
 /* Keep angles within half a turn of those before. */
@@ -260,16 +322,16 @@ static void accept(Instance *instance)
     instance->keeps = 0;
 }
 
-/* Compute outputs from the inputs as they are, where that is still to be done: before the first step. */
-static Outcome refresh(Instance *instance)
+/* The start, from settings and inputs as they are. */
+static Outcome begun(Instance *instance)
 {
     State *state = &instance->state;
-    Outcome outcome;
-    if (!state->due) return GOOD;
-    outcome = require_finite_inputs(instance, state->now.time, state->now.time);
+    Outcome outcome = JUDGED_LATE ? require_experiment(instance, state->start, state->stop) : GOOD;
+    if (outcome == GOOD) outcome = require_settings(instance);
+    if (outcome == GOOD) outcome = require_finite_inputs(instance, state->start, state->start);
     if (outcome != GOOD) return outcome;
     memset(&instance->work, 0, sizeof instance->work);
-    instance->work.time = state->now.time;
+    instance->work.time = state->start;
     instance->keeps = 0;
     outcome = first_moment(instance);
     if (outcome != GOOD) return outcome;
@@ -278,6 +340,25 @@ static Outcome refresh(Instance *instance)
     memcpy(state->heard, state->inputs, sizeof state->heard);
     state->due = 0;
     return GOOD;
+}
+
+/* Compute outputs from the inputs as they are, where that is still to be done: before the first step. A host whose calls
+   cannot fail finds outputs that are no numbers, and is told why by every step. */
+static Outcome refresh(Instance *instance)
+{
+    State *state = &instance->state;
+    Outcome outcome;
+    if (JUDGED_LATE && state->phase == INSTANTIATED) return DISCARD;
+    if (!state->due) return *state->failure ? DISCARD : GOOD;
+    *state->failure = '\0';
+    instance->failure = JUDGED_LATE ? state->failure : NULL;
+    outcome = begun(instance);
+    instance->failure = NULL;
+    if (outcome != GOOD && JUDGED_LATE) {
+        for (size_t k = 0; k < N_OUTPUTS; k++) state->now.outputs[k] = NAN;
+        state->due = 0;
+    }
+    return outcome;
 }
 
 /* Some masters pass connected values on after the first step only: what was there at the start is not left for zeros. */
@@ -295,8 +376,11 @@ static void take_inputs(Instance *instance)
 static Outcome do_step(Instance *instance, double time, double h)
 {
     State *state = &instance->state;
-    Outcome outcome = require_step(instance, time, h), remark;
+    Outcome outcome, remark;
+    if (*state->failure) return say(instance, DISCARD, "%s", state->failure);
+    outcome = require_step(instance, time, h);
     if (outcome == GOOD) outcome = refresh(instance);
+    if (outcome == GOOD) outcome = require_settings(instance);
     if (outcome == GOOD)
         outcome = require_finite_inputs(instance, time, AT_START_OF_STEP(state) ? time : time + h);
     if (outcome != GOOD) return outcome;
@@ -323,13 +407,14 @@ static Outcome get_numbers(Instance *instance, size_t first, size_t count, doubl
     const State *state = &instance->state;
     for (size_t k = first; k < first + count; k++) {
         double value;
+        *values = NAN;
         if (k < FIRST_OUTPUT)
             value = state->inputs[k];
         else if (k >= FIRST_PARAMETER && k < FIRST_INTERNAL)
             value = state->parameters[k - FIRST_PARAMETER];
         else {
             const Outcome outcome = refresh(instance);
-            if (outcome != GOOD) return outcome == DISCARD ? ERROR : outcome;
+            if (outcome != GOOD) return ERROR;
             value = k < FIRST_PARAMETER ? state->now.outputs[k - FIRST_OUTPUT]
                                         : INTERNAL(state->now, k - FIRST_INTERNAL);
         }
@@ -345,33 +430,29 @@ static Outcome set_number(Instance *instance, size_t k, double value)
     const Variable *variable = &VARIABLES[k];
     if (k < N_INPUTS) {
         state->inputs[k] = value;
-        if (state->phase != STEPPING) state->due = 1;
+        if (state->phase < STEPPING) state->due = 1;
         return GOOD;
     }
     if (k < FIRST_PARAMETER || k >= FIRST_INTERNAL)
         return say(instance, ERROR, "%s is calculated and cannot be set; the new value is ignored", variable->name);
-    if (variable->fixed && state->phase == STEPPING)
+    if (variable->fixed && state->phase >= STEPPING)
         return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    variable->name);
-    if (!(fabs(value) <= DBL_MAX))
-        return say(instance, ERROR, "%s = %g%s is not a finite number", variable->name, value, variable->unit);
-    if (!(value >= variable->low && value <= variable->high))
-        return say(instance, ERROR, "%s = %g%s is outside its range [%g, %g]%s", variable->name, value, variable->unit,
-                   variable->low, variable->high, variable->unit);
+    if (!JUDGED_LATE && require_legal(instance, variable, value) != GOOD) return ERROR;
     state->parameters[k - FIRST_PARAMETER] = value;
-    if (state->phase != STEPPING) state->due = 1;
+    state->judged = 0;
+    if (state->phase < STEPPING) state->due = 1;
     return GOOD;
 }
 
 static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 {
-    if (instance->state.phase == STEPPING)
+    if (instance->state.phase >= STEPPING)
         return say(instance, ERROR, "%s cannot change after the initialization; the new value is ignored",
                    CHOICES[k].name);
-    if (value < 1 || value > CHOICES[k].count)
-        return say(instance, ERROR, "%s = %lld is unknown; it may be %s", CHOICES[k].name, (long long)value,
-                   CHOICES[k].items);
+    if (!JUDGED_LATE && require_item(instance, &CHOICES[k], value) != GOOD) return ERROR;
     instance->state.choices[k] = value;
+    instance->state.judged = 0;
     instance->state.due = 1;
     return GOOD;
 }
@@ -381,9 +462,10 @@ static Outcome set_choice(Instance *instance, size_t k, int64_t value)
 static Outcome require_state(const Instance *instance, const State *saved)
 {
     int known = saved->stamp == STAMP && saved->phase >= INSTANTIATED && saved->phase <= TERMINATED;
-    for (size_t k = 0; k < N_CHOICES; k++) known &= saved->choices[k] >= 1 && saved->choices[k] <= CHOICES[k].count;
+    for (size_t k = 0; k < N_CHOICES && !JUDGED_LATE; k++)
+        known &= saved->choices[k] >= 1 && saved->choices[k] <= CHOICES[k].count;
     if (!known)
-        return say(instance, ERROR, "the saved state is not one of %s, or of another version of it", MODEL_NAME);
+        return say(instance, ERROR, "the state to restore is not one of this FMU; nothing was changed");
     return GOOD;
 }
 
@@ -401,6 +483,8 @@ static Outcome restore_state(Instance *instance, const void *saved)
     if (saved == NULL) return say(instance, ERROR, "there is no saved state to restore");
     if (require_state(instance, saved) != GOOD) return ERROR;
     memcpy(&instance->state, saved, sizeof(State));
+    instance->state.judged = 0;
+    instance->state.failure[sizeof instance->state.failure - 1] = '\0';
     return GOOD;
 }
 
@@ -424,7 +508,7 @@ static Outcome read_state(const Instance *instance, const void *bytes, size_t si
 {
     State state;
     if (size != sizeof(State))
-        return say(instance, ERROR, "a state takes %u bytes, not %u", (unsigned)sizeof(State), (unsigned)size);
+        return say(instance, ERROR, "the state to restore is not one of this FMU; nothing was changed");
     memcpy(&state, bytes, sizeof(State));
     if (require_state(instance, &state) != GOOD) return ERROR;
     return keep_state(instance, &state, saved);

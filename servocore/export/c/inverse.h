@@ -42,8 +42,9 @@ typedef struct {
 
 /* The mathematics ---------------------------------------------------------------------------------------------------- */
 
-/* Where the moves of the internal states stand among the parameters. */
-#define STARTS(parameters) ((parameters) + N_PARAMETERS + (N_SETTINGS > 0))
+#ifndef PLACE_STARTS
+#define PLACE_STARTS 0            /* no internal states, none is moved */
+#endif
 
 static int call(Instance *instance, int (*function)(const double **, double **, casadi_int *, double *, int))
 {
@@ -67,7 +68,7 @@ static int solve_instant(Instance *instance, Moment *moment)
     arguments[1] = instance->state.parameters;
     arguments[2] = &moment->time;
 #endif
-    arguments[3] = STARTS(instance->state.parameters);
+    arguments[3] = instance->state.parameters + PLACE_STARTS;
     results[0] = moment->state;
     results[1] = moment->outputs;
     results[2] = instance->scratch.margins;
@@ -265,11 +266,6 @@ static Outcome remark_step(Instance *instance, double time)
 /* Feedback -------------------------------------------------------------------------------------------------------------- */
 
 #if HAS_FEEDBACK
-/* Settings, behind the parameters: share of the feedback, distance from the path up to which it works, limits of drives. */
-#define PLACE_SHARE N_PARAMETERS
-#define PLACE_DISTANCE (N_PARAMETERS + 1)
-#define PLACE_LIMITS (N_PARAMETERS + 2)
-
 static void within_limits(const Instance *instance, double *outputs)
 {
     const double *most = instance->state.parameters + PLACE_LIMITS;
@@ -376,7 +372,7 @@ static Outcome first_moment(Instance *instance)
 #if N_STATE > 0
 static Outcome divided(const Instance *instance, double h, double *count)
 {
-    const double wanted = instance->state.parameters[N_PARAMETERS];
+    const double wanted = instance->state.parameters[PLACE_STEP];
     *count = wanted > 0.0 ? fmax(1.0, floor(h / wanted + 0.5)) : 1.0;
     if (*count > MOST_INTERNAL_STEPS)
         return say(instance, ERROR, "an internal_step of %g s divides the communication step of %g s into more than %g"
@@ -508,7 +504,7 @@ static Outcome differentiate(Instance *instance, const double *input_seed, const
         arguments[0] = state->now.path;
         arguments[1] = state->parameters;
         arguments[2] = &state->now.time;
-        arguments[3] = STARTS(state->parameters);
+        arguments[3] = state->parameters + PLACE_STARTS;
         arguments[4] = instance->scratch.node_seeds;
         arguments[5] = parameter_seed;
         results[0] = instance->scratch.next_seed;

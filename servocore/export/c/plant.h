@@ -27,15 +27,12 @@ typedef struct {
 
 #include "instance.h"
 
-/* Settings, behind the parameters. */
-#define PLACE_WIND (N_PARAMETERS + N_ERRORS)
-#define PLACE_GUST (PLACE_WIND + N_PUSHED)
-#define PLACE_GUST_START (PLACE_GUST + N_PUSHED)
-#define PLACE_GUST_DURATION (PLACE_GUST_START + 1)
-#define PLACE_LONGEST (PLACE_GUST_DURATION + 1)
-#define PLACE_POSITION (PLACE_LONGEST + 1)
-#define PLACE_VELOCITY (PLACE_POSITION + N_PUSHED)
-#define PLACE_OFFSETS (PLACE_POSITION + N_STARTS * N_PUSHED)
+#ifndef PLACE_OFFSETS
+#define PLACE_OFFSETS 0           /* nothing is added to coordinates */
+#endif
+#ifndef PLACE_ERRORS
+#define PLACE_ERRORS 0            /* the plant is its model */
+#endif
 
 enum { FIRST_ORDER = 1, ZERO_ORDER = 2 }; /* items of hold */
 enum { UNTIL_INPUTS = 1, NO_BRAKES = 2 }; /* items of brakes */
@@ -52,7 +49,7 @@ static double larger(const State *state, size_t place)
 {
     double factor = 1.0;
     for (size_t k = 0; k < N_ERRORS; k++)
-        if (ERRORS[k] == place) factor *= 1.0 + state->parameters[N_PARAMETERS + k];
+        if (ERRORS[k] == place) factor *= 1.0 + state->parameters[PLACE_ERRORS + k];
     return factor;
 }
 
@@ -163,9 +160,9 @@ static Outcome checked_moment(Instance *instance, Moment *moment, double h)
     if (within(instance, moment->time, LIMITS, N_LIMITS) != GOOD) return DISCARD;
     for (size_t k = 0; k < N_OUTPUTS; k++)
         if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
-            return say(instance, DISCARD, "at t = %.6g s %s is %.4g%s, it must stay above 0%s", moment->time,
-                       VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit,
-                       VARIABLES[FIRST_OUTPUT + k].unit);
+            return say(instance, DISCARD, "at t = %.6g s %s%s%s is %.4g%s, it must stay above 0%s", moment->time, REASONS[k],
+                       *REASONS[k] ? " " : "", VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k],
+                       VARIABLES[FIRST_OUTPUT + k].unit, VARIABLES[FIRST_OUTPUT + k].unit);
     return GOOD;
 }
 

@@ -21,13 +21,6 @@ typedef struct {
 
 #include "instance.h"
 
-/* Settings; there are no parameters before them. */
-#define PLACE_START 0
-#define PLACE_END (PLACE_START + COMPONENTS)
-#define PLACE_DURATION (PLACE_END + COMPONENTS)
-#define PLACE_START_TIME (PLACE_DURATION + 1)
-#define PLACE_RAMP (PLACE_START_TIME + 1)
-
 #if N_PIECES > 0
 static size_t piece_of(double time)
 {
@@ -82,12 +75,14 @@ static Outcome followed(Instance *instance, Moment *moment)
     if (ramp > 0.0 && law != RAMPED)
         return say(instance, DISCARD, "a ramp belongs to the profile %s, not to %s", LAW_NAMES[RAMPED - 1],
                    LAW_NAMES[law - 1]);
-#if N_PIECES > 0
     if (law > N_LAWS) {
+#if N_PIECES > 0
         follow_table(moment->time, moment->outputs);
         return GOOD;
-    }
+#else
+        return say(instance, DISCARD, "the profile %s needs a table, and the FMU was built without one", LAW_NAMES[law - 1]);
 #endif
+    }
     if (ramp > duration / 2.0)
         return say(instance, DISCARD, "a path with a ramp of %g s takes at least %g s, but its duration is %g s", ramp,
                    2.0 * ramp, duration);

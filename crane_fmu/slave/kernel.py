@@ -1,0 +1,302 @@
+"""A slave that hands every call to the FMU's library in C, which says what the call does: phases, refusals, numbers.
+
+It travels into the FMU and needs the standard library and PythonFMU only. An exception that leaves a callback would
+end the host, memory included: every callback is guarded.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import sys
+import weakref
+from collections.abc import Callable, Sequence
+from ctypes import POINTER, byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+from functools import wraps
+from pathlib import Path
+from struct import Struct
+from typing import Any, TypeVar, cast
+
+from pythonfmu.enums import Fmi2Status
+from pythonfmu.fmi2slave import Fmi2Slave
+
+LIBRARIES = "libraries"
+"""Folder beside this module with a folder for each platform, called as in FMI 2, and one library in each."""
+
+_OF_FMI_2 = {"linux": "linux", "win32": "win", "darwin": "darwin"}
+_MOST_PLACES = 64  # different lists of value references that are remembered
+
+_LOGGER = ctypes.PYFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p, c_char_p)
+_BYTES = POINTER(ctypes.c_char)
+_CALLS: dict[str, list[Any]] = {
+    "SetupExperiment": [c_int, c_double, c_double, c_int, c_double],
+    "EnterInitializationMode": [],
+    "ExitInitializationMode": [],
+    "Terminate": [],
+    "DoStep": [c_double, c_double, c_int],
+    **{f"{verb}{kind}": [c_void_p, c_size_t, c_void_p] for verb in ("Get", "Set") for kind in ("Real", "Integer")},
+    "GetFMUstate": [POINTER(c_void_p)],
+    "SetFMUstate": [c_void_p],
+    "FreeFMUstate": [POINTER(c_void_p)],
+    "SerializedFMUstateSize": [c_void_p, POINTER(c_size_t)],
+    "SerializeFMUstate": [c_void_p, _BYTES, c_size_t],
+    "DeSerializeFMUstate": [c_char_p, c_size_t, POINTER(c_void_p)],
+}
+"""What follows the instance in the functions of FMI 2."""
+
+
+class _Callbacks(ctypes.Structure):
+    _fields_ = (
+        ("logger", _LOGGER),
+        ("allocate", c_void_p),
+        ("free", c_void_p),
+        ("finished", c_void_p),
+        ("environment", c_void_p),
+    )
+
+
+Callback = TypeVar("Callback", bound=Callable[..., Any])
+
+
+def guarded(fallback: Callable[..., Any]) -> Callable[[Callback], Callback]:
+    """Let a callback log whatever is raised in it and return `fallback` of its arguments instead."""
+
+    def decorate(method: Callback) -> Callback:
+        @wraps(method)
+        def call(self: Slave, *args: Any) -> Any:
+            try:
+                return method(self, *args)
+            except BaseException as error:  # also KeyboardInterrupt: the host would crash on it
+                text = f"internal error in {method.__name__}: {type(error).__name__}: {error}"
+                self.log(text, Fmi2Status.error)
+                return fallback(*args)
+
+        return cast("Callback", call)
+
+    return decorate
+
+
+def nothing(*_: Any) -> None:
+    """Return None, whatever the arguments."""
+
+
+def this_platform() -> str:
+    """Return the name of this process's platform in FMI 2, or one like it: ``linux64``, ``aarch64-linux``."""
+    machine = platform.machine().lower()
+    system = _OF_FMI_2.get(sys.platform, sys.platform)
+    if machine not in ("x86_64", "amd64") and system != "darwin":
+        return f"{machine}-{system}"
+    return f"{system}{8 * ctypes.sizeof(c_void_p)}"
+
+
+def library(folder: Path) -> ctypes.PyDLL:
+    """Return the library for this platform.
+
+    Parameters
+    ----------
+    folder : Path
+        With a folder for each platform.
+
+    Raises
+    ------
+    OSError
+        If there is none, or the system does not load it; the sentence says so.
+    """
+    files = sorted((folder / this_platform()).glob("*.*"))
+    if not files:
+        known = " and ".join(sorted(each.name for each in folder.iterdir()))
+        raise OSError(f"the FMU has libraries for {known}, none for {this_platform()}: build it for that platform")
+    # It keeps the interpreter for itself: PythonFMU waits for that with a lock held.
+    found = ctypes.PyDLL(str(files[0]))
+    found.fmi2Instantiate.restype = c_void_p
+    found.fmi2Instantiate.argtypes = [c_char_p, c_int, c_char_p, c_char_p, c_void_p, c_int, c_int]
+    found.fmi2FreeInstance.restype, found.fmi2FreeInstance.argtypes = None, [c_void_p]
+    for name, arguments in _CALLS.items():
+        getattr(found, f"fmi2{name}").argtypes = [c_void_p, *arguments]
+    return found
+
+
+class Places:
+    """A list of value references with room for their values, as C takes them."""
+
+    def __init__(self, references: Sequence[int], kind: type[c_double | c_int]) -> None:
+        self.count = len(references)
+        self.references = (c_uint * self.count)(*references)
+        self.values: Any = (kind * self.count)()
+        self.pack = Struct(f"{self.count}{'d' if kind is c_double else 'i'}").pack_into
+
+
+class Slave(Fmi2Slave):  # type: ignore[misc]  # PythonFMU has no types
+    """What a host calls; subclasses say which library it is for.
+
+    Attributes
+    ----------
+    token : str
+        What the library was built with; the model description has it as GUID.
+    """
+
+    license = "MIT"
+    token: str
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self.guid = self.token
+        self._numbers: dict[tuple[int, ...], Places] = {}
+        self._items: dict[tuple[int, ...], Places] = {}
+        # Not beside this module's file: another instance may have brought it, from a folder that is gone.
+        self._library = library(Path(kwargs["resources"], *__name__.split(".")[:-1], LIBRARIES))
+        me = weakref.ref(self)  # the library must not keep the slave alive
+
+        def hear(_: object, __: object, status: int, ___: object, form: bytes, text: bytes) -> None:
+            slave = me()
+            if slave is not None:  # a text with a percent sign comes behind a form
+                slave.log((text if form == b"%s" else form).decode(errors="replace"), Fmi2Status(status))
+
+        self._callbacks = _Callbacks(_LOGGER(hear))
+        self._instance = self._library.fmi2Instantiate(
+            self.instance_name.encode(), 1, self.token.encode(), b"", byref(self._callbacks), 0, 1
+        )
+        if not self._instance:
+            raise OSError("the FMU's library makes no instance")
+        # Bound to what they need, for the slave is gone when the instance is freed.
+        freed = weakref.finalize(self, _free, self._library, self._instance, self._callbacks)
+        freed.atexit = False  # a host may call until the very end
+
+    def log(
+        self, msg: str, status: Fmi2Status = Fmi2Status.ok, category: str | None = None, debug: None = None
+    ) -> None:
+        """Tell the host; its logger takes a format, as `printf` does, so percent signs of a text are doubled."""
+        super().log(msg.replace("%", "%%"), status, category, debug)
+
+    # --- phases and steps -----------------------------------------------------------------------------------------
+
+    @guarded(nothing)
+    def setup_experiment(self, start_time: float, stop_time: float | None = None, *_: float | None) -> None:
+        """Tell start and stop time; a tolerance is of no use here."""
+        stops = stop_time is not None
+        self._library.fmi2SetupExperiment(self._instance, 0, 0.0, start_time, stops, stop_time if stops else 0.0)
+
+    @guarded(nothing)
+    def enter_initialization_mode(self) -> None:
+        """From now on outputs are computed when they are read."""
+        self._library.fmi2EnterInitializationMode(self._instance)
+
+    @guarded(nothing)
+    def exit_initialization_mode(self) -> None:
+        """Compute the outputs at the start; a failure is told again by every step."""
+        self._library.fmi2ExitInitializationMode(self._instance)
+
+    @guarded(nothing)
+    def terminate(self) -> None:
+        """Refuse further steps."""
+        self._library.fmi2Terminate(self._instance)
+
+    @guarded(lambda *_: False)
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        """Take a communication step; False, which is fmi2Discard, leaves everything as it was."""
+        return bool(self._library.fmi2DoStep(self._instance, current_time, step_size, 1) < Fmi2Status.discard.value)
+
+    # --- variables ------------------------------------------------------------------------------------------------
+
+    @guarded(nothing)
+    def set_real(self, vrs: list[int], values: list[float]) -> None:
+        """Set numbers; what they are worth is judged when they are used."""
+        at = _places(self._numbers, vrs, c_double)
+        at.pack(at.values, 0, *values)
+        self._library.fmi2SetReal(self._instance, at.references, at.count, at.values)
+
+    @guarded(nothing)
+    def set_integer(self, vrs: list[int], values: list[int]) -> None:
+        """Choose by the numbers of items."""
+        at = _places(self._items, vrs, c_int)
+        at.values[:] = values
+        self._library.fmi2SetInteger(self._instance, at.references, at.count, at.values)
+
+    @guarded(lambda vrs: [float("nan")] * len(vrs))
+    def get_real(self, vrs: list[int]) -> list[float]:
+        """Return numbers, NaN where there is none."""
+        at = _places(self._numbers, vrs, c_double)
+        self._library.fmi2GetReal(self._instance, at.references, at.count, at.values)
+        found: list[float] = at.values[:]
+        return found
+
+    @guarded(lambda vrs: [0] * len(vrs))
+    def get_integer(self, vrs: list[int]) -> list[int]:
+        """Return the numbers of the items that are chosen, 0 where nothing is to be chosen."""
+        at = _places(self._items, vrs, c_int)
+        at.values[:] = [0] * at.count
+        self._library.fmi2GetInteger(self._instance, at.references, at.count, at.values)
+        found: list[int] = at.values[:]
+        return found
+
+    # There are no texts and no booleans; PythonFMU's own methods raise, which would end the host.
+
+    @guarded(nothing)
+    def set_string(self, vrs: list[int], _: list[str]) -> None:
+        """Refuse to set."""
+        self._refuse(vrs)
+
+    set_boolean = set_string
+
+    @guarded(lambda vrs: [""] * len(vrs))
+    def get_string(self, vrs: list[int]) -> list[str]:
+        """Refuse, with empty texts."""
+        self._refuse(vrs)
+        return [""] * len(vrs)
+
+    @guarded(lambda vrs: [False] * len(vrs))
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        """Refuse, with False."""
+        self._refuse(vrs)
+        return [False] * len(vrs)
+
+    def _refuse(self, vrs: list[int]) -> None:
+        if vrs:
+            self.log("the FMU has no String and no Boolean variables; the call is ignored", Fmi2Status.warning)
+
+    # --- states ---------------------------------------------------------------------------------------------------
+
+    @guarded(lambda: b"")
+    def _get_fmu_state(self) -> bytes:
+        """Return all that what follows depends on."""
+        state, size = c_void_p(), c_size_t()
+        self._library.fmi2GetFMUstate(self._instance, byref(state))
+        try:
+            self._library.fmi2SerializedFMUstateSize(self._instance, state, byref(size))
+            found = ctypes.create_string_buffer(size.value)
+            self._library.fmi2SerializeFMUstate(self._instance, state, found, size.value)
+            return found.raw
+        finally:
+            self._library.fmi2FreeFMUstate(self._instance, byref(state))
+
+    @guarded(nothing)
+    def _set_fmu_state(self, state: bytes) -> None:
+        """Restore what `_get_fmu_state` has returned; anything else is refused and changes nothing."""
+        restored = c_void_p()
+        self._library.fmi2DeSerializeFMUstate(self._instance, state, len(state), byref(restored))
+        if restored:
+            self._library.fmi2SetFMUstate(self._instance, restored)
+            self._library.fmi2FreeFMUstate(self._instance, byref(restored))
+
+    @staticmethod
+    def _fmu_state_to_bytes(state: bytes) -> bytes:
+        return state
+
+    @staticmethod
+    def _fmu_state_from_bytes(state: bytes) -> bytes:
+        return bytes(state)
+
+
+def _free(found: ctypes.PyDLL, instance: int, _: _Callbacks) -> None:
+    """End an instance; the callbacks live until then."""
+    found.fmi2FreeInstance(instance)
+
+
+def _places(known: dict[tuple[int, ...], Places], references: list[int], kind: type[c_double | c_int]) -> Places:
+    key = tuple(references)
+    found = known.get(key)
+    if found is None:
+        if len(known) == _MOST_PLACES:
+            known.clear()
+        found = known[key] = Places(key, kind)
+    return found
