@@ -215,7 +215,7 @@ def test_the_state_of_another_model_is_refused() -> None:
         with pytest.raises(FMICallException):
             crane.restore(bytes_of_car.ljust(size, b"\0")[:size])
     assert "takes" in crane.messages[0]
-    assert "not one of rotary_crane" in crane.messages[1]
+    assert "is not one of this FMU; nothing was changed" in crane.messages[1]
 
 
 @pytest.mark.parametrize(
