@@ -11,12 +11,11 @@ import time
 import numpy as np
 
 import servocore as sc
-from crane_fmu.build.estimates import estimate_functions
-from crane_fmu.slave.estimate import SAMPLES, estimation
+from crane_fmu.build.estimates import SAMPLES, estimate_functions
 
 CRANE = sc.scenes.rotary_crane()
 PATH = CRANE.reference
-ESTIMATION = estimation(estimate_functions(8))  # interpreted; the FMU has it as machine code
+BEGIN, FOLLOW = (estimate_functions(8)[name] for name in ("first_samples", "estimate"))  # interpreted, as nowhere else
 
 
 def times(kind: str) -> np.ndarray:
@@ -34,14 +33,14 @@ def along(t: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray, float
     positions = np.round(exact[:, 0] / rounding) * rounding if rounding else exact[:, 0]
     told = np.zeros((len(t), 15))
     told[:, :3] = positions
-    (memory,) = ESTIMATION.begin(told[0], 0)
+    memory = BEGIN(told[0], 0)
     jets, through, spent = exact * 0.0, np.zeros((len(t), 3)), 0.0
     jets[:, 0] = positions
     for k in range(1, len(t)):
         begin = time.thread_time()
-        memory, found, _, _ = ESTIMATION.follow(memory, told[k], t[k] - t[k - 1], 1.0, 0)
+        memory, found, _, _ = FOLLOW(memory, told[k], t[k] - t[k - 1], 1.0, 0)
         spent += time.thread_time() - begin
-        jets[k] = found.reshape(5, 3)
+        jets[k] = np.array(found).reshape(5, 3)
         if k >= SAMPLES:
             last = slice(k - SAMPLES + 1, k + 1)
             span = t[k] - t[last][0]

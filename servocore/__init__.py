@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from servocore.export.feedback import SampledFeedback
     from servocore.export.fmu import export_fmu, export_plant, export_trajectory
     from servocore.export.plant_model import PlantWishes
+    from servocore.export.routes import SteppedRoutes
     from servocore.export.trajectory_model import TrajectoryWishes
     from servocore.export.wasm import export_wasm
     from servocore.formulations.base import Formulation
@@ -158,6 +159,7 @@ __all__ = [
     "Sphere",
     "Statistics",
     "StepReport",
+    "SteppedRoutes",
     "Stepper",
     "StructureReport",
     "Sundials",

@@ -13,10 +13,9 @@ from loops import CRANE, STEPS, Case, jets_at
 
 import servocore as sc
 from crane_fmu.build.feedback_law import SIZES, feedback_functions
-from crane_fmu.build.flatness import flat_motion
+from crane_fmu.build.flatness import continued, flat_motion
 from crane_fmu.build.machine_code import c_compiler
 from crane_fmu.slave.interface import CRANE_PARAMETERS
-from crane_fmu.slave.paths import continued
 
 _SYSTEM = CRANE.model("generalized")
 _PLANT_STEP = 0.005  # of the Runge-Kutta method, in s
@@ -75,6 +74,12 @@ def _plant() -> sc.Plant:
     return sc.compile_plant(_SYSTEM)
 
 
+def _ahead() -> ca.Function:
+    """Return (jet, h) -> the jet of its Taylor polynomial h later."""
+    jet, h = ca.SX.sym("jet", _JET), ca.SX.sym("h")
+    return ca.Function("ahead", [jet, h], [continued(jet, ca.SX.zeros(3), h)])
+
+
 @cache
 def _seen() -> ca.Function:
     """Return (state, p) -> what is measured."""
@@ -126,7 +131,7 @@ def _cycle(law: ca.Function, at: str, parts: int) -> ca.Function:
     memory, x, u, before, last = ca.vertsplit(loop, ends)
     flat, plant = flat_motion(), _plant()
     true_p = ca.vertcat(p[:2], p[2] * (1.0 + error), p[3:])
-    told, forward = (following, following) if at == "end" else (jet, ca.vertcat(*continued(ca.vertsplit(jet, 3), h)))
+    told, forward = (following, following) if at == "end" else (jet, _ahead()(jet, h))
     given = _seen()(x, true_p)
     limits = ca.DM([1e9] * _INPUTS)
     memory, new = law(memory, told, jet, given, u, flat(forward, p)[1], p, h, share, limits)

@@ -6,31 +6,20 @@ What is linearized, by differences, is what an FMU carries, with a plant that kn
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
-from fmu_host import extracted, fmu_file
+from called import Feedback
 from loops import CRANE
 
 import servocore as sc
-from crane_fmu.slave.carried_functions import carried
-from crane_fmu.slave.feedback import Feedback, feedbacks
-from crane_fmu.slave.interface import CRANE_PARAMETERS, FEEDBACK_FILE
+from crane_fmu.slave.interface import CRANE_PARAMETERS
 
 _MODEL = CRANE.model("generalized")
 P = np.array([CRANE.parameter_values()[name] for name in CRANE_PARAMETERS])
 _COST, _PATH = 100, 21  # of the memory: the cost-to-go first, and last what does not depend on the state
 _NO_LIMITS = [1e9] * 3
-
-
-@cache
-def laws() -> dict[str, Feedback]:
-    """Return the feedback that the FMU carries by input time."""
-    (text,) = Path(extracted(fmu_file())).glob(f"resources/*_bundle/{FEEDBACK_FILE}")
-    return feedbacks(carried(text.read_text(), text.with_suffix(".so")))
 
 
 def _plant_step() -> Callable[..., np.ndarray]:

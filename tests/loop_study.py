@@ -23,9 +23,10 @@ mpl.use("Agg")
 
 import matplotlib.pyplot as plt
 import numpy as np
+from called import laws
 from compiled_loop import compiled_deviation
 from loop_information import smallest_distance
-from loop_stability import laws, sensitivity, transition_norms
+from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, STEPS, Case, PlantRefusedError, deviation, fastest, random_case
 
 from crane_fmu.slave.interface import LARGEST_TURN

@@ -10,19 +10,9 @@ from fmu_host import Host, fmu_file
 
 import servocore as sc
 from crane_fmu.catalogue import KINDS
-from crane_fmu.slave.checks import require_step
 
 START_TIMES = (0.0, -7.5, 1e6, 1e9)
 CRANE = sc.scenes.rotary_crane()
-
-
-@pytest.mark.parametrize("start", START_TIMES)
-def test_a_million_steps_may_be_counted_from_the_start(start: float) -> None:
-    h = 1e-3
-    present = start
-    for i in range(1_000_000):
-        require_step(present, start + i * h, h)
-        present = start + i * h + h  # the FMU adopts the host's time and adds the step
 
 
 @pytest.mark.parametrize("start", START_TIMES)
@@ -31,7 +21,7 @@ def test_every_fmu_takes_the_time_that_the_host_tells(name: str, start: float) -
     h = 1e-3
     with Host(fmu_file(name)) as host:
         host.start(time=start)
-        for i in range(500):
+        for i in range(500 if name != "LoadTrajectory" else 200_000):
             assert host.step(start + i * h, h), host.messages
 
 

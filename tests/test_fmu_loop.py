@@ -7,10 +7,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from called import laws
 from fmu_host import Host
 from loop_information import smallest_distance
 from loop_schedules import KINDS, distances, schedule
-from loop_stability import laws, sensitivity, transition_norms
+from loop_stability import sensitivity, transition_norms
 from loops import BOUNDS, CRANE, FORCES, STEPS, Case, Loop, deviation, deviation_over, fastest, jets_of, random_case
 from scipy.linalg import expm, logm
 from thinned import thinned

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from called import estimation
 from fmu_host import Host
 from hypothesis import given
 from hypothesis import strategies as st
 from present import present
 
 import servocore as sc
-from crane_fmu.build.estimates import amplification, estimate_functions
-from crane_fmu.slave.estimate import Estimation, contradiction, estimation
+from crane_fmu.build.estimates import amplification
 from crane_fmu.slave.interface import ORDERS
 from servocore.numerics.compiled_calls import Array
 
@@ -112,11 +111,6 @@ def test_what_is_not_connected_is_estimated_to_the_order_that_the_page_states(co
     assert error("F", 0.01, connected) < 0.6 * error("F", 0.02, connected)
 
 
-@cache
-def estimator() -> Estimation:
-    return estimation(estimate_functions(8))
-
-
 def estimates(times: Array, path: Callable[[float], Any], order: int) -> SimpleNamespace:
     """Return the estimated derivatives above one of a path of scalars or vectors at the last of some times."""
 
@@ -125,9 +119,9 @@ def estimates(times: Array, path: Callable[[float], Any], order: int) -> SimpleN
         jet[order] = path(time)
         return jet.ravel()
 
-    (memory,) = estimator().begin(told(times[0]), order)
+    (memory,) = estimation().begin(told(times[0]), order)
     for before, now in pairwise(times):
-        memory, found, _, known = estimator().follow(memory, told(now), now - before, 1.0, order)
+        memory, found, _, known = estimation().follow(memory, told(now), now - before, 1.0, order)
     return SimpleNamespace(rows=found.reshape(5, 3)[order + 1 :], is_known=known.item() == 1.0)
 
 
@@ -273,8 +267,11 @@ def test_the_default_manoeuvre_gives_no_cause_for_remarks() -> None:
 
 
 def test_a_load_at_rest_contradicts_nothing() -> None:
-    rest = (5.0, 0.0, -5.0, *[0.0] * 12)
-    assert contradiction(rest, rest, 4) == ""
+    rest = np.array([[5.0, 0.0, -5.0], *[[0.0] * 3] * 4])
+    with Host() as host:
+        host.start(rest)
+        assert [host.tell(rest).step(0.1 * k, 0.1) for k in range(3)] == [True] * 3
+        assert host.messages == []
 
 
 def test_a_master_that_passes_connected_values_on_late_does_not_disturb_the_start() -> None:

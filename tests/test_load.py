@@ -11,11 +11,10 @@ import subprocess
 import sys
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from fmu_host import Host, extracted, fmu_file, in_a_process
+from fmu_host import fmu_file, in_a_process
 
 import servocore as sc
 from crane_fmu.catalogue import KINDS
@@ -81,30 +80,3 @@ def test_an_instance_is_there_in_a_tenth_of_a_second() -> None:
     print(first, second)
     assert first < 100.0  # measured: 20 to 70 ms
     assert second < 20.0  # measured: 2 ms
-
-
-def bundled(module: str) -> Any:
-    """Return a module that instances in this process run on."""
-    (bundle,) = Path(extracted(fmu_file())).glob("resources/*_bundle")
-    return sys.modules[f"{bundle.name}.{module}"]
-
-
-def test_every_step_but_the_first_is_one_compiled_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    with Host() as host:
-        host.start(PATH[0]).tell(PATH[0])
-        assert host.step(0.0, 0.05)
-        slave = bundled("crane_fmu.slave.crane")
-        monkeypatch.setattr(slave, "advance", None)
-        for name in ("begin", "advance", "values", "require_within_limits"):
-            monkeypatch.setattr(slave.Program, name, None)
-        for k in range(1, 300):
-            assert host.tell(PATH[k]).step(0.05 * k, 0.05), host.messages
-
-
-def test_later_instances_read_no_file_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    with Host() as first, monkeypatch.context() as patch:
-        assert first.start().step(0.0, 0.1)
-        patch.setattr(bundled("crane_fmu.slave.base").Interface, "from_json", None)
-        patch.setattr(bundled("crane_fmu.slave.crane").Program, "from_json", None)
-        with Host() as second:
-            assert second.start().step(0.0, 0.1)

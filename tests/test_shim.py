@@ -19,7 +19,6 @@ from fmu_host import Host, extracted, fmu_file, in_a_process, scratch
 
 from crane_fmu.build import shim
 from crane_fmu.build.machine_code import c_compiler
-from crane_fmu.catalogue import ROTARY_CRANE
 
 COMPILER = c_compiler()
 pytestmark = pytest.mark.skipif(
@@ -27,7 +26,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 STEPS = 3
-OUTPUTS = 15, 8  # first reference, number
+OUTPUTS = 27, 8  # first reference, behind path and measured values, and number
 
 
 @cache
@@ -130,7 +129,6 @@ def test_python_hosts_too_may_unpack_into_a_folder_of_any_name(tmp_path: Path) -
         ({"CRANE_FMU_LIBPYTHON": "/none.so"}, "CRANE_FMU_LIBPYTHON = /none.so is no Python library: /none.so: cannot"),
         ({"CRANE_FMU_PYTHON": "/none/python"}, "CRANE_FMU_PYTHON = /none/python is no program that can be run"),
         ({"CRANE_FMU_PYTHON": "/tmp"}, "CRANE_FMU_PYTHON = /tmp is no program that can be run"),
-        ({"CRANE_FMU_PYTHON": "/bin/true"}, " with the packages of /bin/true failed"),
         ({"location": "file:///tmp/%FF%FE"}, "the FMU is unpacked into a folder whose name is not UTF-8"),
         ({"CRANE_FMU_LIBPYTHON": "libm.so.6"}, "CRANE_FMU_LIBPYTHON = libm.so.6 is no Python library"),
     ],
@@ -142,14 +140,10 @@ def test_what_is_wrong_is_told_in_a_sentence_and_no_instance_is_made(arguments: 
     assert done.stdout.startswith("log: 3 ")
 
 
-def test_a_python_without_the_packages_is_told_and_the_host_survives(tmp_path: Path) -> None:
+def test_a_python_without_any_package_is_enough(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
     done = run(unpacked(), CRANE_FMU_PYTHON=str(tmp_path / "bare" / "bin" / "python"))
-    assert done.returncode == 3, done.stdout
-    assert (
-        "the FMU needs NumPy and CasADi in the Python that runs it, but importing numpy with the packages of"
-        in done.stdout
-    )
+    assert done.returncode == 0, done.stdout
 
 
 def test_the_environment_decides_which_python_library_is_opened(tmp_path: Path) -> None:
@@ -210,10 +204,10 @@ def test_only_co_simulation_is_offered() -> None:
 
 
 def test_two_libraries_of_one_machine_are_equal_byte_by_byte() -> None:
-    first, second = (shim.compiled_shim("some guid", pytest.fail, "ctypes") for _ in range(2))
+    first, second = (shim.compiled_shim("some guid", pytest.fail) for _ in range(2))
     assert first is not None
     assert first == second
-    assert first != shim.compiled_shim("another", pytest.fail, "ctypes")
+    assert first != shim.compiled_shim("another", pytest.fail)
     assert str(Path(__file__).parents[1]).encode() not in first
     assert b"/tmp" not in first
 
@@ -232,7 +226,7 @@ def test_without_a_working_compiler_there_is_a_notice_and_the_fmu_stays_as_it_wa
     folder = unpacked()
     before = {each.relative_to(folder).as_posix(): each.read_bytes() for each in folder.rglob("*") if each.is_file()}
     said: list[str] = []
-    assert shim.with_shim(before, ROTARY_CRANE, guid(), said.append) == before
+    assert shim.with_shim(before, "RotaryCrane", guid(), said.append) == before
     (notice,) = said
     assert notice.startswith(sentence)
     assert notice.endswith("the FMU will run in hosts that are Python only")

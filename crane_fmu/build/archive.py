@@ -21,7 +21,7 @@ from pythonfmu.builder import FmuBuilder
 
 import servocore as sc
 from crane_fmu.build.bundle import PREFIX, Content, Progress
-from crane_fmu.build.description import complete, wrapped
+from crane_fmu.build.description import wrapped
 from crane_fmu.build.page import documentation_page
 from crane_fmu.build.shim import with_shim
 from crane_fmu.files import put
@@ -35,17 +35,13 @@ def packed(content: Content, tell: Progress = lambda _: None) -> bytes:
     """Return the archive with everything that belongs into it."""
     members = _rearranged(_packed_by_pythonfmu(content), content.bundle)
     notes = {name: metadata.version(name) for name in ("casadi", "pythonfmu")}
-    described = members["modelDescription.xml"]
-    described = wrapped(content.native, notes) if content.native else complete(described, content.interface, notes)
     members |= {
-        "modelDescription.xml": described,
-        # CasADi reads functions that it, or an older version, has saved
-        "resources/requirements.txt": b"" if content.native else f"numpy>=1.26\ncasadi>={notes['casadi']}\n".encode(),
+        "modelDescription.xml": wrapped(content.native, content.kind.name, notes),
         "documentation/index.html": documentation_page(content.kind).encode(),
         "documentation/licenses/pythonfmu.txt": _licence("pythonfmu"),
         "model.png": _ICON.read_bytes(),
     }
-    return zipped(with_shim(members, content.kind, content.token, tell))
+    return zipped(with_shim(members, content.kind.name, content.token, tell))
 
 
 def zipped(members: Mapping[str, bytes], first: str = "modelDescription.xml") -> bytes:
@@ -71,16 +67,11 @@ def _licence(package: str) -> bytes:
 
 def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
     """Stage the bundle, let PythonFMU pack it and return the members of its archive."""
-    bundled = {
-        f"{content.bundle}/{path}": _privately(text, content.bundle) if path.endswith(".py") else text
-        for path, text in content.files.items()
-    }
     with _no_traces(), tempfile.TemporaryDirectory(prefix="crane_fmu_") as scratch:
-        folder, entry = Path(scratch), f"{content.name}.py"
-        carried = {f"{content.bundle}/{path}": library for path, library in content.libraries.items()}
-        put(folder, {**bundled, **carried, entry: content.entry})
+        folder = Path(scratch)
+        put(folder, content.files)
         archive = FmuBuilder.build_FMU(
-            folder / entry,
+            folder / f"{content.name}.py",
             folder / content.kind.file_name,
             project_files=[folder / content.bundle],
             canGetAndSetFMUstate=True,
@@ -90,9 +81,9 @@ def _packed_by_pythonfmu(content: Content) -> dict[str, bytes]:
             return {name: members.read(name) for name in members.namelist()}
 
 
-def _privately(source: str, bundle: str, packages: str = "crane_fmu|servocore") -> str:
-    """Let a source import `packages` from the bundle."""
-    return re.sub(rf"^(\s*)from ({packages})\b", rf"\1from {bundle}.\2", source, flags=re.MULTILINE)
+def _privately(source: str, bundle: str) -> str:
+    """Let a source import PythonFMU from the bundle."""
+    return re.sub(r"^(\s*)from pythonfmu\b", rf"\1from {bundle}.pythonfmu", source, flags=re.MULTILINE)
 
 
 @contextmanager
@@ -121,7 +112,7 @@ def _rearranged(members: Mapping[str, bytes], bundle: str) -> dict[str, bytes]:
         if name in kept:
             result[kept[name]] = data
         elif name.endswith(".py") and name.startswith(f"resources/{bundle}/"):
-            result[name] = _privately(data.decode(), bundle, "pythonfmu").encode()
+            result[name] = _privately(data.decode(), bundle).encode()
         elif not name.startswith("resources/pythonfmu/"):
             result[name] = data
     return result

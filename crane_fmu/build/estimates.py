@@ -22,8 +22,10 @@ from itertools import accumulate
 import casadi as ca
 import numpy as np
 
-from crane_fmu.slave.estimate import SAMPLES
 from crane_fmu.slave.interface import DIMENSION, ORDERS, SHORTEST_STEP
+
+SAMPLES = len(ORDERS) + 2
+"""Samples that it takes to know the derivatives above a position; one less for each derivative that is connected."""
 
 _MORE = (0, 2, 6, 12, 20, 32, 48, 72, 104, 150)  # samples of windows more than an interpolation takes
 _PLACES = (13, 13, 13, 27, 27, 55, 55, 157, 157, 157)  # for samples in the function that fits
@@ -46,7 +48,7 @@ negative before the first estimate."""
 
 
 def estimate_functions(outputs: int) -> dict[str, ca.Function]:
-    """Return the estimation as `crane_fmu.slave.estimate.Estimation` has it, for so many outputs of the inverse model.
+    """Return the estimation as `sc.SampledEstimates` takes it, for so many outputs of the inverse model.
 
     Returns
     -------
@@ -254,3 +256,24 @@ def amplification(order: int) -> float:
     nodes = np.arange(1.0 - count, 1.0)
     weights = math.factorial(wanted) * np.linalg.inv(np.vander(nodes, increasing=True))[wanted]
     return float(np.abs(weights).sum())
+
+
+def in_motion(order: int) -> str:
+    """Say that a load starts in motion; `order` is the highest derivative that is connected."""
+    return (
+        f"the load starts in motion: {_above(order)} are known after {SAMPLES - order} samples; until then M_b, F and"
+        " M_w are not those of the path"
+    )
+
+
+def too_rough(order: int) -> str:
+    """Say that samples are too rough, as a format of the snap's error, what it is worth, and the peak of M_b."""
+    return (
+        f"{_above(order)} are estimated to %.2g m/s4 of snap only, worth %.2g N.m of M_b, whose peak so far is %.2g"
+        " N.m: the samples are too rough, or too far apart; connect further derivatives, or lay a smooth path through"
+        " the samples first"
+    )
+
+
+def _above(order: int) -> str:
+    return f"derivatives above the load's {ORDERS[order]}"

@@ -27,8 +27,7 @@ load tell the whole motion, so the path gets an offset that begins with the meas
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import Any
@@ -40,7 +39,7 @@ from crane_fmu.build.flatness import continued, flat_motion, forgotten, measured
 from crane_fmu.build.quick_functions import function
 from crane_fmu.build.riccati import riccati_gain, riccati_step, riccati_steps
 from crane_fmu.build.sampling import SHORT_TURN, advance, resting, sampled
-from crane_fmu.slave.interface import DIMENSION, FEEDBACK_FORMAT, ORDERS
+from crane_fmu.slave.interface import DIMENSION, ORDERS
 
 LAW_MODEL = "points"
 """The model of the rotary crane that the law is made from."""
@@ -77,13 +76,6 @@ offset y_0 ... y_3 and the rates a at which it ends."""
 _N, _M, _HALF = 10, 3, 5
 _LOAD = 2  # where the load's place begins in the coordinates
 _JET = DIMENSION * len(ORDERS)
-
-
-def feedback_text(functions: Mapping[str, ca.Function]) -> str:
-    """Return functions as a text that an FMU carries; what they share is in it once."""
-    packer = ca.StringSerializer()
-    packer.pack(list(functions.values()))
-    return json.dumps({"format": FEEDBACK_FORMAT, "names": list(functions), "functions": packer.encode()})
 
 
 def feedback_functions(system: sc.MechanicalSystem) -> dict[str, ca.Function]:

@@ -113,6 +113,9 @@ def main(arguments: list[str] | None = None) -> int:
         "-o", "--output", type=Path, default=Path(), metavar="DIR", help="where it goes (default: here)"
     )
     parser.add_argument("--fmu", choices=KINDS, default=ROTARY_CRANE.name, help="which one (default: %(default)s)")
+    parser.add_argument(
+        "--targets", metavar="LIST", help="platforms to compile for (default: this one and 64-bit Windows)"
+    )
     parser.add_argument("--page", type=Path, metavar="FILE", help="only write the user page, as Markdown")
     chosen = parser.parse_args(arguments)
     kind = KINDS[chosen.fmu]
@@ -120,7 +123,9 @@ def main(arguments: list[str] | None = None) -> int:
         if chosen.page:
             write_together({chosen.page: user_page(kind).encode()})
             return 0
-        file = build_fmu(chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind)
+        file = build_fmu(
+            chosen.output, lambda stage: print(f"{stage} ...", file=sys.stderr), kind, targets=chosen.targets
+        )
     except sc.ServocoreError as error:
         print(f"build_fmu.py: {error}", file=sys.stderr)
         return 2

@@ -9,10 +9,19 @@ from pathlib import Path
 import casadi as ca
 
 import servocore as sc
-from crane_fmu.build.estimates import estimate_functions
+from crane_fmu.build.estimates import estimate_functions, in_motion, too_rough
 from crane_fmu.build.feedback_law import LAW_MODEL, feedback_functions
-from crane_fmu.catalogue import CRANE_PLANT, LOAD_TRAJECTORY, NO_STARTS, ROTARY_CRANE, FmuKind, Starts
-from crane_fmu.slave.estimate import in_motion, too_rough
+from crane_fmu.catalogue import (
+    CRANE_PLANT,
+    FORMULATIONS,
+    LOAD_TRAJECTORY,
+    METHODS,
+    MODELS,
+    NO_STARTS,
+    ROTARY_CRANE,
+    FmuKind,
+    Starts,
+)
 from crane_fmu.slave.interface import FEEDBACK_INPUTS, FROM_FILE, LARGEST_TURN, ORDERS
 
 _COORDINATES = "generalized"  # of the plant: without constraints
@@ -80,7 +89,7 @@ def _inverse(
     estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
     return sc.export_fmu(
         on_path, file, fmi=2, targets=wishes.targets, feedback=feedback_of(crane), estimates=estimates, start=given,
-        judged_late=wishes.judged_late, tell=tell,
+        judged_late=wishes.judged_late, routes=ROUTES if wishes.judged_late else None, tell=tell,
     )  # fmt: skip
 
 
@@ -90,6 +99,7 @@ def _plant(
     plant = sc.PlantWishes(
         errors={"mass_error": "load_mass"},
         offsets={"start.swing": ("swing_in", "swing_out")},
+        ranges={"start.swing": (-1.5, 1.5)},
         start=given,
         identifier=CRANE_PLANT.name,
         reasons={"tension": "the rope goes slack: its"},
@@ -97,6 +107,9 @@ def _plant(
     late, targets = wishes.judged_late, wishes.targets
     return sc.export_plant(crane, file, plant, fmi=2, model=_COORDINATES, targets=targets, judged_late=late, tell=tell)
 
+
+ROUTES = sc.SteppedRoutes(MODELS, FORMULATIONS, METHODS["backward-euler"])
+"""What RotaryCrane.fmu offers beside the exact inversion of every instant."""
 
 _WRITERS = {LOAD_TRAJECTORY.name: _trajectory, ROTARY_CRANE.name: _inverse, CRANE_PLANT.name: _plant}
 
@@ -111,6 +124,7 @@ def feedback_of(crane: sc.Scene) -> sc.SampledFeedback:
         " length above 0 m, the height below 0 m and all measured values connected; feedback = 0 does without",
         shown=(FEEDBACK_INPUTS.index("measured.l"), FEEDBACK_INPUTS.index("measured.position[3]")),
         largest_turn=LARGEST_TURN,
+        too_long="with this load, trolley and rope it",
         distance=_DISTANCE,
     )
 

@@ -3,7 +3,7 @@
    PythonFMU's binary needs Python in the process, undoes no escape of an address but %20 and trusts every pointer.
    This one opens libpython where the host has none, undoes all escapes, compares the GUID, tells the host's logger
    in a sentence why an instance cannot be made, and refuses null pointers. shim_config.h is written at build:
-   FMU_GUID, REAL_BINARY (a file name), NEEDS (packages, in words), REQUIRED_PACKAGES and PYTHON_LIBRARIES (what to try, best first).
+   FMU_GUID, REAL_BINARY (a file name), REQUIRED_PACKAGES and PYTHON_LIBRARIES (what to try, best first).
 
    Environment, for hosts that are not Python:
      CRANE_FMU_LIBPYTHON  the Python library to open, a file or a name; nothing else is tried then
@@ -209,8 +209,7 @@ static int import_packages(char *why) {
         fetch(&error[0], &error[1], &error[2]);
         void *message = error[1] ? text(error[1]) : NULL;
         const char *reason = message ? utf8(message) : NULL;
-        sentence(why, "the FMU needs " NEEDS " in the Python that runs it, but importing %s%s%s failed: %s; install"
-                      " what resources/requirements.txt in the FMU lists, or name an interpreter that has it in the"
+        sentence(why, "the FMU needs a Python with ctypes, but importing %s%s%s failed: %s; name an interpreter that has it in the"
                       " environment variable CRANE_FMU_PYTHON", packages[k],
                  *packages_of ? " with the packages of " : "", packages_of, reason ? reason : "no reason given");
         give_back(message);

@@ -16,7 +16,6 @@ import fmpy
 
 import servocore as sc
 from crane_fmu.build.machine_code import c_compiler, makes_linux_binaries, shared_library
-from crane_fmu.catalogue import FmuKind
 
 PLATFORM = "linux64"
 """Folder of the binaries that get a shim; PythonFMU's other binaries stay as they are."""
@@ -30,19 +29,15 @@ _VERSIONS = ((3, 13), (3, 12), (3, 11))  # that the FMU runs on
 _OPTIONS = f"-std=gnu11 -O3 -fvisibility=hidden -Wall -Wextra -Werror -isystem {_HEADERS} -ldl -pthread"
 
 
-def with_shim(
-    members: Mapping[str, bytes], kind: FmuKind, guid: str, notice: Callable[[str], None]
-) -> dict[str, bytes]:
+def with_shim(members: Mapping[str, bytes], name: str, guid: str, notice: Callable[[str], None]) -> dict[str, bytes]:
     """Put the shim into an FMU and PythonFMU's binary beside it.
 
     Parameters
     ----------
     members : mapping of str to bytes
         The FMU's content by path.
-    kind : FmuKind
-        Which FMU.
-    guid : str
-        What tells its table of variables from others.
+    name, guid : str
+        The FMU's model identifier, and what tells its table of variables from others.
     notice : callable
         Called with a sentence when the shim is left out.
 
@@ -51,18 +46,15 @@ def with_shim(
     dict of str to bytes
         The content with the shim, or as it was.
     """
-    binary = f"binaries/{PLATFORM}/{kind.name}.so"
-    library = compiled_shim(guid, notice, kind.needs) if binary in members else None
+    binary = f"binaries/{PLATFORM}/{name}.so"
+    library = compiled_shim(guid, notice) if binary in members else None
     if library is None:
         return dict(members)
     return {**members, binary: library, f"binaries/{PLATFORM}/{REAL_BINARY}": members[binary]}
 
 
-def compiled_shim(guid: str, notice: Callable[[str], None], needs: str) -> bytes | None:
-    """Return the library for an FMU with this GUID, or None, with a notice, where it cannot be made.
-
-    Python needs packages for it, which are named in a sentence.
-    """
+def compiled_shim(guid: str, notice: Callable[[str], None]) -> bytes | None:
+    """Return the library for an FMU with this GUID, or None, with a notice, where it cannot be made."""
     left_out = "the FMU will run in hosts that are Python only"
     if not makes_linux_binaries():
         notice(f"native hosts are served on 64-bit Linux only; {left_out}")
@@ -73,7 +65,7 @@ def compiled_shim(guid: str, notice: Callable[[str], None], needs: str) -> bytes
         return None
     sources = {
         _SOURCE.name: _SOURCE.read_text(encoding="utf-8"),
-        "shim_config.h": _configuration(guid.strip("{}"), needs),
+        "shim_config.h": _configuration(guid.strip("{}")),
     }
     try:
         return shared_library(compiler, sources, _OPTIONS)
@@ -82,14 +74,12 @@ def compiled_shim(guid: str, notice: Callable[[str], None], needs: str) -> bytes
         return None
 
 
-def _configuration(guid: str, needs: str) -> str:
+def _configuration(guid: str) -> str:
     libraries = ", ".join(f'"{_c_text(library)}"' for library in python_libraries())
-    packages = ", ".join(f'"{each}"' for each in needs.lower().split(" and "))
     return (
         f'#define FMU_GUID "{_c_text(guid)}"\n'
         f'#define REAL_BINARY "{REAL_BINARY}"\n'
-        f'#define NEEDS "{needs}"\n'
-        f"#define REQUIRED_PACKAGES {packages}\n"
+        '#define REQUIRED_PACKAGES "ctypes"\n'
         f"#define PYTHON_LIBRARIES {libraries}\n"
     )
 

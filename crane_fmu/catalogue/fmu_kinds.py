@@ -13,9 +13,6 @@ from crane_fmu.catalogue.choices import FORMULATIONS, MODELS
 from crane_fmu.slave.interface import CRANE_PARAMETERS, FROM_FILE, ORDERS, START_ORDERS, Interface, components
 from crane_fmu.slave.straight_lines import PROFILES
 
-Route = tuple[str, str]
-"""Names of a model and a formulation."""
-
 Starts = Mapping[str, float | str]
 """Start values by the names of variables, in place of defaults."""
 
@@ -30,8 +27,6 @@ class FmuKind:
     ----------
     name : str
         Of the file and of the model.
-    module : str
-        Module in `crane_fmu.slave` with the class `Slave`.
     interface : callable
         Makes the table of variables.
     page : str
@@ -40,33 +35,18 @@ class FmuKind:
         Start values for the runs of the check.
     resting : tuple of str
         Outputs that have to be those of a crane at rest at the end of each.
-    routes : tuple of (str, str)
-        Models and formulations whose compiled functions it carries.
-    to_machine_code : tuple of (str, str)
-        Those of them whose steps are compiled further.
-    has_feedback : bool
-        Whether it carries the feedback.
     """
 
     name: str
-    module: str
     interface: Callable[[], Interface]
     page: str
     runs: tuple[dict[str, float | str], ...]
     resting: tuple[str, ...]
-    routes: tuple[Route, ...] = ()
-    to_machine_code: tuple[Route, ...] = ()
-    has_feedback: bool = False
 
     @property
     def file_name(self) -> str:
         """Name of the file."""
         return f"{self.name}.fmu"
-
-    @property
-    def needs(self) -> str:
-        """Packages that the Python of the host must have, as a sentence names them."""
-        return "NumPy and CasADi" if self.routes else "ctypes"
 
     def runs_with(self, starts: Starts) -> tuple[dict[str, float | str], ...]:
         """Return the runs of the check for an FMU with other start values: with a path of its own only as it is.
@@ -149,7 +129,6 @@ _ROUTES = tuple(product(MODELS, FORMULATIONS))
 
 LOAD_TRAJECTORY = FmuKind(
     name="LoadTrajectory",
-    module="kernel",
     interface=variables.load_trajectory,
     page="fmu-load-trajectory.md",
     runs=tuple({"start_time": 1.0, "profile": name} for name in PROFILES),
@@ -158,20 +137,14 @@ LOAD_TRAJECTORY = FmuKind(
 
 ROTARY_CRANE = FmuKind(
     name="RotaryCrane",
-    module="crane",
     interface=variables.rotary_crane,
     page="fmu.md",
     runs=tuple({"model": model, "formulation": formulation} for model, formulation in _ROUTES),
     resting=(*_CRANE, "M_b", "F", "M_w", "swing"),
-    routes=_ROUTES,
-    # a compiler takes a second for each of these, and longer than for all of them for one of the model of bodies
-    to_machine_code=(*product(["points"], FORMULATIONS), ("generalized", "reduced")),
-    has_feedback=True,
 )
 
 CRANE_PLANT = FmuKind(
     name="CranePlant",
-    module="kernel",
     interface=variables.crane_plant,
     page="fmu-crane-plant.md",
     runs=({}, {"M_w": -98.1}, {"M_w": -98.1, "hold": "zero_order", "brakes": "none"}),

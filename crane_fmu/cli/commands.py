@@ -39,7 +39,7 @@ class Here:
     output: Path = output("DIR", "Write into this folder, which is made if need be. Default: here.", FOLDER, Path())
 
 
-def build(subject: Subject, place: Here) -> None:
+def build(subject: Subject, place: Here, platforms: Platforms) -> None:
     """Build RotaryCrane.fmu, check it in a process of its own and put it into a folder.
 
     With --parameters the crane of the file is the FMU's default. It is the same as python build_fmu.py.
@@ -48,7 +48,7 @@ def build(subject: Subject, place: Here) -> None:
 
     changed = subject.changes(sc.scenes.rotary_crane())
     with PatientProgress("building the FMU") as progress:
-        file = build_fmu(place.output, progress.describe, starts=changed)
+        file = build_fmu(place.output, progress.describe, starts=changed, targets=platforms.targets)
     print(file)
 
 

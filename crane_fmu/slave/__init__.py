@@ -1,1 +1,1 @@
-"""What travels into the FMUs: slaves, and what they compute, on NumPy, CasADi and PythonFMU only."""
+"""The slave that travels into the FMUs, and the words that FMUs and pages have in common."""

@@ -1,15 +1,12 @@
-"""A table of variables describes an FMU; slave, model description, user page and tests are generated from it.
+"""A table of variables describes an FMU; user page, systems and tests are generated from it.
 
-The module travels into the FMUs and needs the standard library only. Value references are positions in the table;
 `crane_fmu.catalogue.variables` writes the tables.
 """
 
 from __future__ import annotations
 
-import json
-import uuid
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Causality = Literal["input", "output", "parameter"]
@@ -51,25 +48,11 @@ FEEDBACK_INPUTS = (
 FROM_FILE = "file"
 """What a trajectory is told in place of a time law to follow the table that it carries."""
 
-INTERFACE_FILE = "interface.json"
-"""The file with the table of variables that an FMU carries."""
-
 SHORTEST_STEP = 1e-6
 """Below this many seconds inputs from second differences drown in round-off: exact values are taken instead."""
 
 LARGEST_TURN = 1.0
 """Of the fastest pendulum in a step, in rad: beyond it the feedback is left out."""
-
-FEEDBACK_FILE, FEEDBACK_FORMAT = "feedback.json", "servocore feedback 3"
-"""The file with the functions of feedback and estimation, and how it begins."""
-
-COMPILED = (*(f"feedback_{time}" for time in INPUT_TIMES), "estimate")
-"""Those of them that an FMU carries as machine code too: what a step needs."""
-
-
-def program_file(model: str, formulation: str) -> str:
-    """Name of the file with the compiled functions of a model in a formulation."""
-    return f"{model}-{formulation}.json"
 
 
 @dataclass(frozen=True)
@@ -120,15 +103,9 @@ class Interface:
     ----------
     variables : tuple of Variable
         The table.
-    guid : str
-        Identifier that changes when, and only when, the table does.
     """
 
     variables: tuple[Variable, ...]
-    guid: str = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "guid", str(uuid.uuid5(uuid.NAMESPACE_OID, self.to_json())))
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
@@ -148,13 +125,3 @@ class Interface:
         return Interface(
             tuple(replace(variable, start=given.get(variable.name, variable.start)) for variable in self.variables)
         )
-
-    def to_json(self) -> str:
-        """Serialize; equal tables give equal text."""
-        return json.dumps([asdict(variable) for variable in self.variables], indent=1, sort_keys=True)
-
-    @classmethod
-    def from_json(cls, text: str) -> Interface:
-        """Undo `to_json`."""
-        rows = [{**row, "choices": tuple(row["choices"])} for row in json.loads(text)]
-        return cls(tuple(Variable(**row) for row in rows))

@@ -110,7 +110,8 @@ def inverse_model(
         f" {', '.join(quantity.name for quantity in system.outputs)}"
         " follow a path",
         kernel="inverse",
-        own=_own(compiled, len(system.outputs), feedback) | {"estimates": estimates.own() if estimates else None},
+        own=_own(compiled, len(system.outputs), scene.tracked, feedback)
+        | {"estimates": estimates.own() if estimates else None},
         functions={
             **compiled.functions,
             **(feedback.functions(identifier) if feedback else {}),
@@ -175,12 +176,15 @@ def _variables(
     return variables
 
 
-def _own(compiled: Mathematics, components: int, feedback: SampledFeedback | None) -> dict[str, Any]:
+def _own(compiled: Mathematics, components: int, tracked: str, feedback: SampledFeedback | None) -> dict[str, Any]:
     """Return what the kernel needs to know."""
     return {
         "components": components,
         "orders": compiled.orders,
+        "order_names": [rows.order_name(order) for order in range(compiled.orders)],
+        "follower": tracked or "path",
         "state_size": compiled.state_size,
+        "routes": None,
         "nodes": compiled.nodes,
         "has_quick": int("quick" in compiled.functions),
         "end_conditions": end_conditions(compiled.orders),

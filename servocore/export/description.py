@@ -72,8 +72,9 @@ def _fmi2_structure(root: ET.Element, model: NativeModel) -> None:
     outputs, initial = _add(structure, "Outputs"), _add(structure, "InitialUnknowns")
     parameters = [k for variable in model.of("parameter") if variable.name != INTERNAL_STEP for k in _places(variable)]
     for row, place in enumerate(k for variable in model.of("output") for k in _places(variable)):
-        of_path = [k for k, used in enumerate(model.depends[row]) if used]
-        for parent, on in ((outputs, of_path), (initial, [*of_path, *parameters])):
+        used = [k for k, each in enumerate(model.depends[row]) if each]
+        first = [k for k in used if k < model.depends.shape[1] - model.measured]  # what is measured counts in steps
+        for parent, on in ((outputs, used), (initial, [*first, *parameters])):
             _add(parent, "Unknown", index=str(place + 1), **_dependencies([k + 1 for k in on]))
 
 
@@ -128,7 +129,8 @@ def _fmi3_structure(root: ET.Element, model: NativeModel) -> None:
         rows = slice(row, row := row + (output.size or 1))
         used = [k for k in inputs if model.depends[rows, list(_places(model.variables[k]))].any()]
         _add(structure, "Output", valueReference=str(numbers[id(output)]), **_dependencies([*used, *time]))
-        unknowns.append((numbers[id(output)], [*used, *parameters, *time]))
+        first = [k for k in used if model.variables[k].place < model.numbers("input") - model.measured]
+        unknowns.append((numbers[id(output)], [*first, *parameters, *time]))
     for number, on in unknowns:
         _add(structure, "InitialUnknown", valueReference=str(number), **_dependencies(on))
 

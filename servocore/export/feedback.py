@@ -30,6 +30,8 @@ class SampledFeedback:
         What to say where it makes none, behind the time; a format of the numbers that are shown.
     largest_turn : float
         Beyond this turn of a step there is the feedforward only.
+    too_long : str
+        How to begin to say how long a step may be: ``with this load it``.
     distance : float
         Start value of the distance from the path up to which there is feedback, in m.
     shown : tuple of int
@@ -41,6 +43,7 @@ class SampledFeedback:
     judge: ca.Function
     not_measured: str
     largest_turn: float
+    too_long: str
     distance: float
     shown: tuple[int, ...] = ()
 
@@ -80,6 +83,7 @@ class SampledFeedback:
             "memory": law.numel_in(0),
             "drives": law.numel_out(1),
             "largest_turn": self.largest_turn,
+            "too_long": self.too_long,
             "not_measured": self.not_measured,
             "shown": self.shown,
         }

@@ -16,6 +16,7 @@ from servocore.export.feedback import SampledFeedback
 from servocore.export.native_model import NativeModel
 from servocore.export.page import documentation
 from servocore.export.plant_model import PlantWishes, plant_model
+from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
@@ -38,6 +39,7 @@ def export_fmu(
     targets: str | None = None,
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
+    routes: SteppedRoutes | None = None,
     start: Mapping[str, float] | None = None,
     judged_late: bool = False,
     tell: Progress = lambda _: None,
@@ -61,6 +63,8 @@ def export_fmu(
         A law that corrects the inputs by what is measured.
     estimates : SampledEstimates, optional
         What estimates derivatives of the path that are not connected.
+    routes : SteppedRoutes, optional
+        What may be chosen in place of the exact inversion of every instant.
     start : mapping of str to float, optional
         Start values of inputs and parameters in place of these, by the names of FMI 2.
     judged_late : bool, optional
@@ -92,6 +96,8 @@ def export_fmu(
     require_built(path, targets, fmi)
     tell("analysing")
     made = inverse_model(scene, model, feedback, estimates)
+    if routes is not None:
+        made = with_routes(made, scene, routes)
     if start is not None:
         made = replace(made, variables=tuple(with_starts(each, start) for each in made.variables))
     return written(replace(made, judged_late=judged_late), path, fmi, targets, tell)
@@ -209,7 +215,7 @@ def written(model: NativeModel, path: str | Path, fmi: int, targets: str | None,
     """Compile and write an FMU, and return its file."""
     file, names = Path(path), chosen_targets(targets, fmi)
     sources = fmu_sources(model, fmi)
-    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, tell)
+    built = libraries(sources, compiled_files(model, fmi), model.identifier, names, fmi, tell, model.more_sources)
     write_together({file: archive(contents(model, fmi, sources, built, names))})
     return file
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -86,6 +86,10 @@ class NativeModel:
         Whether there are derivatives of its outputs.
     terminals : mapping of str to (str, str)
         Causality and description of the terminals.
+    elsewhere : tuple of casadi.Function
+        What is called beside `functions`.
+    more_sources : mapping of str to str
+        C that is compiled beside the mathematics, with its headers, by file name.
     judged_late : bool
         Whether the host's setters cannot fail: values are judged when they are used.
     """
@@ -107,12 +111,20 @@ class NativeModel:
     duration: float
     differentiable: bool
     terminals: Mapping[str, tuple[str, str]]
+    elsewhere: tuple[ca.Function, ...] = ()
+    more_sources: Mapping[str, str] = field(default_factory=dict)
     judged_late: bool = False
 
     @property
     def settings(self) -> tuple[Variable, ...]:
         """Parameters that are not the model's."""
         return tuple(variable for variable in self.of("parameter") if variable.setting)
+
+    @property
+    def measured(self) -> int:
+        """How many inputs, the last ones, are what a feedback measures."""
+        feedback = self.own.get("feedback")
+        return int(feedback["measured"]) if feedback else 0
 
     def of(self, causality: Causality) -> tuple[Variable, ...]:
         """Return the variables of one causality."""
@@ -129,7 +141,7 @@ class NativeModel:
     def token(self, *more: str) -> str:
         """Return an identifier that changes when, and only when, variables, mathematics or `more` do."""
         digest = hashlib.sha256(repr((self.variables, self.choices, self.judged_late)).encode())
-        for text in (*self.source(), repr(self.own), repr(self.limits), *more):
+        for text in (*self.source(), *self.more_sources.values(), repr(self.own), repr(self.limits), *more):
             digest.update(text.encode())
         code = digest.hexdigest()
         return f"{{{code[:8]}-{code[8:12]}-{code[12:16]}-{code[16:20]}-{code[20:32]}}}"

@@ -57,6 +57,8 @@ class PlantWishes:
         Start values of parameters in place of defaults, by the names of FMI 2.
     identifier : str
         What libraries and functions are called; made of the scene's name when empty.
+    ranges : mapping of str to (float, float)
+        Lowest and highest values of parameters in place of defaults, by their names without components.
     reasons : mapping of str to str
         What it means that an output is not positive which must be, by its name: ``{"tension": "the rope goes slack:
         its"}`` stands before the name in the sentence.
@@ -66,6 +68,7 @@ class PlantWishes:
     offsets: Mapping[str, Sequence[str]] = field(default_factory=dict)
     start: Mapping[str, float] = field(default_factory=dict)
     identifier: str = ""
+    ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -191,7 +194,8 @@ def _variables(
     added = (rows.offset(name, [units[each] for each in of]) for name, of in offsets.items())
     settings += rows.playing("OFFSETS", added)
     for setting in settings:
-        variables.append(rows.placed(setting, place))
+        low, high = wishes.ranges.get(setting.name, (setting.low, setting.high))
+        variables.append(replace(setting, place=place, low=low, high=high))
         place += setting.size or 1
     return tuple(rows.with_starts(each, wishes.start) for each in variables)
 

@@ -18,7 +18,7 @@ SHARED = Path(__file__).parent / "c"
 """Folder of the files that all scenes share, and of the templates."""
 
 _KERNELS: Mapping[str, tuple[str, ...]] = {
-    "inverse": ("inverse.h", "path.h"),
+    "inverse": ("inverse.h", "path.h", "routes.h"),
     "plant": ("plant.h",),
     "trajectory": ("trajectory.h",),
 }
@@ -53,6 +53,7 @@ def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
     return {
         f"{model.identifier}_mathematics.h": header,
         f"{model.identifier}_mathematics.c": source,
+        **model.more_sources,
         "model.h": rendered("model.h.j2", **(values | {"own": own_header})),
         **{name: (SHARED / name).read_text(encoding="utf-8") for name in _headers(model)},
     }
@@ -60,7 +61,8 @@ def _core_sources(model: NativeModel, fmi: int) -> dict[str, str]:
 
 def compiled_files(model: NativeModel, fmi: int) -> tuple[str, ...]:
     """Return the names of the files that a compiler is given."""
-    return f"fmi{fmi}.c", f"{model.identifier}_mathematics.c"
+    more = (name for name in model.more_sources if name.endswith(".c"))
+    return f"fmi{fmi}.c", f"{model.identifier}_mathematics.c", *more
 
 
 def token_of(model: NativeModel, fmi: int) -> str:
@@ -133,7 +135,7 @@ def tables(model: NativeModel, token: str = "") -> dict[str, Any]:
         "timed": model.timed,
         "judged_late": model.judged_late,
         "arrays": model.variables,
-        "scratch": scratch_of(model.functions.values()),
+        "scratch": scratch_of([*model.functions.values(), *model.elsewhere]),
         "numbers": [row for variable in model.variables for row in _numbers(variable)],
         **model.own,
     }

@@ -2,26 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shlex
+import shutil
 import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from importlib import metadata
 from pathlib import Path
 
 from servocore.errors import InvalidSetting
+from servocore.numerics.code_cache import CodeCache
 from servocore.numerics.machine_code import c_compiler
 
 Progress = Callable[[str], None]
 
 # No fused operations and nothing reordered: the digits must not depend on where they are computed.
-_OPTIONS = ("-std=c99", "-O3", "-fPIC", "-shared", "-fvisibility=hidden", "-ffp-contract=off",
-            "-DCASADI_SYMBOL_EXPORT=", "-w")  # fmt: skip
+_OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w")
+_FULL, _LIGHT = "-O3", "-O1"
+_INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)
 _SECONDS = 900.0
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
 
@@ -124,8 +132,9 @@ def libraries(
     targets: Sequence[str],
     fmi: int,
     tell: Progress = lambda _: None,
+    large: Collection[str] = (),
 ) -> dict[str, bytes]:
-    """Build the shared libraries of an FMU.
+    """Build the shared libraries of an FMU; what was compiled before, on this machine, is kept.
 
     Parameters
     ----------
@@ -142,6 +151,8 @@ def libraries(
         Version of FMI.
     tell : callable
         Told what is being built.
+    large : collection of str
+        Files that would take a minute to be made as fast as can be.
 
     Returns
     -------
@@ -152,36 +163,90 @@ def libraries(
     ------
     InvalidSetting
         If there is no compiler, or it does not compile.
-    """  # fmt: skip
+    """
     found: dict[str, list[bytes]] = {}
     cross = None if tuple(targets) == (host(),) and _has_own_compiler() else zig()
-    with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
+    with tempfile.TemporaryDirectory(prefix="servocore_") as folder, ThreadPoolExecutor(os.cpu_count()) as pool:
         for name, text in sources.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         for name in targets:
             target = TARGETS[name]
+            compiler = _Compiler(Path(folder), target, _command(target, cross), () if cross else own_options())
             tell(f"compiling for {name}")
+            objects = pool.map(partial(compiler.object_of, sources=sources, large=large), files)
             place = f"{target.folder(fmi)}/{identifier}.{target.ending}"
-            found.setdefault(place, []).append(_built(Path(folder), files, target, cross))
+            found.setdefault(place, []).append(compiler.linked(list(objects)))
     return {place: parts[0] if len(parts) == 1 else universal(parts) for place, parts in found.items()}
 
 
-def _built(folder: Path, files: Sequence[str], target: Target, zig_command: Sequence[str] | None) -> bytes:
-    result = folder / f"library.{target.ending}"
-    command = [*zig_command, "cc", "-target", target.triple, "-s"] if zig_command else c_compiler()
-    own = [] if zig_command else shlex.split(os.environ.get("CFLAGS", ""))
-    mathematics = [] if target.ending == "dll" else ["-lm"]
-    try:
-        subprocess.run(
-            [*command, *_OPTIONS, *own, *files, "-o", result.name, *mathematics],
-            cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True,
-        )  # fmt: skip
-    except subprocess.CalledProcessError as error:
-        reason = next((line for line in (error.stderr or "").splitlines() if "error" in line), "it gives no reason")
-        raise InvalidSetting(f"{command[0]} does not compile the FMU for {target.name}: {reason}") from error
-    except (OSError, subprocess.TimeoutExpired) as error:
-        raise InvalidSetting(f"{command[0]} does not compile the FMU for {target.name}: {error}") from error
-    return result.read_bytes()
+def own_options() -> tuple[str, ...]:
+    """Return the options that the user has for this machine's compiler: the variable CFLAGS."""
+    return tuple(shlex.split(os.environ.get("CFLAGS", "")))
+
+
+def _command(target: Target, cross: Sequence[str] | None) -> list[str]:
+    return [*cross, "cc", "-target", target.triple, "-s"] if cross else c_compiler()
+
+
+@dataclass(frozen=True)
+class _Compiler:
+    """What compiles the files in a folder for a platform."""
+
+    folder: Path
+    target: Target
+    command: Sequence[str]
+    own: tuple[str, ...]
+
+    def object_of(self, file: str, sources: Mapping[str, str], large: Collection[str]) -> str:
+        """Compile a file, or find what it was compiled to before; return the name of the object file."""
+        options = (*_OPTIONS, _LIGHT if file in large else _FULL, *self.own, "-c")
+        key = _key([*self.command, *options, *_texts(file, sources)])
+        found, kept = f"{file}.{self.target.name}.o", CodeCache.of_user()
+        place = kept.find(key)
+        if place is not None:
+            (self.folder / found).write_bytes(place.read_bytes())
+            return found
+        self._run([*options, file, "-o", found])
+        kept.store(key, (self.folder / found).read_bytes())
+        return found
+
+    def linked(self, objects: Sequence[str]) -> bytes:
+        """Join object files to a library."""
+        result, mathematics = f"library.{self.target.ending}", [] if self.target.ending == "dll" else ["-lm"]
+        self._run(["-shared", *self.own, *objects, "-o", result, *mathematics])
+        return (self.folder / result).read_bytes()
+
+    def _run(self, options: Sequence[str]) -> None:
+        command, name = [*self.command, *options], self.target.name
+        try:
+            subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
+        except subprocess.CalledProcessError as error:
+            reason = next((line for line in (error.stderr or "").splitlines() if "error" in line), "it gives no reason")
+            raise InvalidSetting(f"{command[0]} does not compile the FMU for {name}: {reason}") from error
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise InvalidSetting(f"{command[0]} does not compile the FMU for {name}: {error}") from error
+
+
+def _texts(file: str, sources: Mapping[str, str]) -> list[str]:
+    """Return the texts that a file is compiled from: its own, and what it includes of these."""
+    waiting, found = [file], {}
+    while waiting:
+        name = waiting.pop()
+        if name in sources and name not in found:
+            found[name] = sources[name]
+            # which header a macro stands for is not looked up
+            every = [each for each in sources if each.endswith(".h")] if "#include KERNEL" in sources[name] else []
+            waiting += [*_INCLUDED.findall(sources[name]), *every]
+    return [each for name in sorted(found) for each in (name, found[name])]
+
+
+def _key(parts: Sequence[str]) -> str:
+    """Return a hash of a command and of what it is given; a compiler of another version has another hash."""
+    tool = shutil.which(parts[0])
+    about = Path(tool).resolve().stat() if tool else None
+    version = metadata.version("ziglang") if "ziglang" in parts else ""
+    which = version or (about and (about.st_size, about.st_mtime_ns))
+    return hashlib.sha256(repr((which, *parts)).encode()).hexdigest()[:40]
 
 
 def _has_own_compiler() -> bool:

@@ -99,7 +99,7 @@ struct Instance {
 static Outcome first_moment(Instance *instance);
 /* Take instance->work, which is the present, h seconds further. */
 static Outcome move(Instance *instance, double time, double h);
-/* Tell what is odd about a step that has been taken: GOOD or WARNING. */
+/* Tell what is odd about a step that has been taken, or refuse it all the same. */
 static Outcome remark_step(Instance *instance, double time);
 /* How many inputs, the first ones, are not left for zeros in the first step. */
 static size_t awaited(const State *state);
@@ -304,13 +304,13 @@ static Outcome require_settings(Instance *instance)
 /* Outputs ------------------------------------------------------------------------------------------------------------ */
 
 /* Keep angles within half a turn of those before. */
-static void keep_turning(Moment *moment, const Moment *before)
+static void keep_turning(double *outputs, const double *before)
 {
     const double turn = 6.283185307179586;
     for (size_t k = 0; k < N_OUTPUTS; k++)
         if (OUTPUT_WRAPS[k]) {
-            const double change = before->outputs[k] - moment->outputs[k];
-            if (!(fabs(change) <= turn / 2.0)) moment->outputs[k] += turn * floor(change / turn + 0.5);
+            const double change = before[k] - outputs[k];
+            if (!(fabs(change) <= turn / 2.0)) outputs[k] += turn * floor(change / turn + 0.5);
         }
 }
 
@@ -390,6 +390,7 @@ static Outcome do_step(Instance *instance, double time, double h)
     outcome = move(instance, time, h);
     if (outcome > WARNING) return outcome;
     remark = remark_step(instance, time);
+    if (remark > WARNING) return remark;
     if (outcome == WARNING) remark = WARNING;
     state->before = state->now;
     accept(instance);

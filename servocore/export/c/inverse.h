@@ -9,12 +9,20 @@
 #include "model.h"
 #include "path.h"
 
+#if N_ROUTES == 0
+#define ROUTE_SIZE 0
+#endif
+
 /* What belongs to one instant. */
 typedef struct {
     double time;
     double path[N_PATH];          /* the path and its derivatives, order by order */
-    double state[AT_LEAST_1(N_STATE)];
+    double state[AT_LEAST_1(N_STATE + ROUTE_SIZE)];
     double outputs[N_OUTPUTS];
+    int64_t is_odd;               /* whether the inputs of its step contradicted each other */
+#if N_ROUTES > 0
+    double inner;                 /* the last step of the method in s, 0 before the first */
+#endif
 #if HAS_FEEDBACK
     double memory[N_MEMORY];      /* of the feedback */
     int64_t remembers, is_far;    /* whether it has a memory, or is left out because the plant is far from its path */
@@ -26,7 +34,11 @@ typedef struct {
 
 typedef struct {
     double nodes[N_PATH * N_NODES], node_seeds[N_PATH * N_NODES], margins[AT_LEAST_1(N_LIMITS)];
-    double next[AT_LEAST_1(N_STATE)], state_seed[AT_LEAST_1(N_STATE)], next_seed[AT_LEAST_1(N_STATE)];
+    double next[AT_LEAST_1(N_STATE + ROUTE_SIZE)], state_seed[AT_LEAST_1(N_STATE)], next_seed[AT_LEAST_1(N_STATE)];
+#if N_ROUTES > 0
+    double past[N_PATH * ROUTE_INSTANTS], left[ROUTE_EQUATIONS];
+    Moment then;
+#endif
 #if HAS_FEEDBACK
     double memory[N_MEMORY], drives[N_DRIVES];
 #endif
@@ -145,6 +157,10 @@ static Outcome checked_moment(const Instance *instance, const Moment *moment, in
     return require_branch(instance, moment, time);
 }
 
+#if N_ROUTES > 0
+#include "routes.h"
+#endif
+
 /* Estimated derivatives ----------------------------------------------------------------------------------------------- */
 
 #if HAS_ESTIMATES
@@ -225,25 +241,52 @@ static Outcome remark_estimates(Instance *instance, double time)
 #endif
 
 #if HAS_ESTIMATES
-#define OR_ESTIMATED ", or connected = position lets them be estimated"
+#define OR_ESTIMATED ", or set connected = %s to have it estimated"
 #else
-#define OR_ESTIMATED ""
+#define OR_ESTIMATED "%.0s"
 #endif
+#define SLIGHT 1e-9               /* of the size of a position: smaller changes are rounding */
 
-/* Tell once if the path moves where all its derivatives say that it rests. */
-static Outcome remark_path(Instance *instance, double time)
+/* The derivative that changes while all connected ones above it stay exactly zero; ORDERS if none does. */
+static size_t contradicted(const State *state, const double *told)
+{
+    const size_t top = ORDERS_TOLD(state) - 1;
+    const double *before = state->heard;
+    double size = 1.0;
+    size_t still = top + 1; /* from this one on all are zero */
+    if (state->steps == 0) return ORDERS;
+    while (still > 0) {
+        const size_t first = (still - 1) * COMPONENTS;
+        int moves = 0;
+        for (size_t c = first; c < first + COMPONENTS; c++) moves |= before[c] != 0.0 || told[c] != 0.0;
+        if (moves) break;
+        still--;
+    }
+    if (still == top + 1) return ORDERS; /* as nearly always in motion */
+    for (size_t c = 0; c < COMPONENTS; c++) size = fmax(size, fabs(told[c]));
+    for (size_t k = still == 0 ? 0 : still - 1; k < top; k++)
+        for (size_t c = k * COMPONENTS; c < (k + 1) * COMPONENTS; c++)
+            if (fabs(told[c] - before[c]) > SLIGHT * size) return k;
+    return ORDERS;
+}
+
+/* Tell once if a path moves where derivatives that should be connected say that it does not; refuse a second such step. */
+static Outcome require_agreement(Instance *instance, double time)
 {
     State *state = &instance->state;
-    const size_t told = COMPONENTS * ORDERS_TOLD(state);
-    int moved = 0;
-    if (state->warned & 1 || state->steps == 0 || told == COMPONENTS) return GOOD;
-    for (size_t k = 0; k < COMPONENTS; k++) moved |= instance->told_inputs[k] != state->heard[k];
-    if (!moved) return GOOD;
-    for (size_t k = COMPONENTS; k < told; k++)
-        if (instance->told_inputs[k] != 0.0 || state->heard[k] != 0.0) return GOOD;
-    state->warned |= 1;
-    return say(instance, WARNING, "at t = %.6g s the path moves, but all its derivatives are zero (%s and further):"
-               " they have to be connected too" OR_ESTIMATED, time, VARIABLES[COMPONENTS].name);
+    const size_t top = ORDERS_TOLD(state) - 1, k = contradicted(state, instance->told_inputs);
+    const int again = state->now.is_odd;
+    char above[LONGEST_MESSAGE / 4] = "";
+    instance->work.is_odd = k < ORDERS;
+    if (k == ORDERS || (!again && state->warned & 1)) return GOOD;
+    for (size_t j = k + 1; j <= top; j++) {
+        const size_t length = strlen(above);
+        snprintf(above + length, sizeof above - length, "%s%s", j > k + 1 ? " and " : "", ORDER_NAMES[j]);
+    }
+    state->warned |= again ? 0 : 1;
+    return say(instance, again ? DISCARD : WARNING, "at t = %.6g s the " FOLLOWER "'s %s changes, but its %s %s zero: connect what"
+               " is missing" OR_ESTIMATED "%s", time, ORDER_NAMES[k], above, top - k > 1 ? "stay" : "stays", ORDER_NAMES[k],
+               again ? "" : "; the outputs are those of a " FOLLOWER " that stands still, and the next such step is refused");
 }
 
 static size_t awaited(const State *state)
@@ -256,9 +299,9 @@ static Outcome remark_step(Instance *instance, double time)
 {
     /* The instant that the inputs belong to. */
     const double instant = AT_START_OF_STEP(&instance->state) ? time : instance->work.time;
-    const Outcome outcome = remark_path(instance, instant);
+    const Outcome outcome = require_agreement(instance, instant);
 #if HAS_ESTIMATES
-    if (remark_estimates(instance, instant) != GOOD) return WARNING;
+    if (outcome <= WARNING && remark_estimates(instance, instant) != GOOD) return WARNING;
 #endif
     return outcome;
 }
@@ -310,12 +353,12 @@ static Outcome with_feedback(Instance *instance, const double *told, double time
     if (!(judged[0] > 0.0)) return say(instance, DISCARD, "at t = %.6g s " NOT_MEASURED, time NOT_MEASURED_VALUES);
     work->is_far = judged[1] > (work->is_far ? 0.5 : 1.0) * p[PLACE_DISTANCE];
     if (work->is_far)
-        return left_out(instance, 1, "at t = %.6g s what is measured is %.3g m from its path, more than feedback_distance ="
-                        " %g m: it is left to the feedforward until it is within half of that", time, judged[1],
+        return left_out(instance, 1, "at t = %.6g s the measured " FOLLOWER " is %.3g m from its path, more than"
+                        " feedback_distance = %g m: it is left to the feedforward until it is within half of that", time, judged[1],
                         p[PLACE_DISTANCE]);
     if (judged[2] > LARGEST_TURN)
-        return left_out(instance, 2, "at t = %.6g s the step of %g s is too long for the feedback, it may be %.3g s at most;"
-                        " there is the feedforward only", time, h, LARGEST_TURN / judged[2] * h);
+        return left_out(instance, 2, "at t = %.6g s the step of %g s is too long for the feedback: " TOO_LONG " may be %.3g s at"
+                        " most; the " FOLLOWER " is left to the feedforward", time, h, LARGEST_TURN / judged[2] * h);
     if (!work->remembers) {
         instance->arguments[0] = before;
         instance->arguments[1] = measured;
@@ -339,8 +382,8 @@ static Outcome with_feedback(Instance *instance, const double *told, double time
     call(instance, at_end ? MATHEMATICS(feedback_end) : MATHEMATICS(feedback_start));
     finite = all_finite(scratch->memory, N_MEMORY) && all_finite(found, N_DRIVES);
     if (!finite)
-        return left_out(instance, 3, "at t = %.6g s the feedback finds no inputs (step %g s, share %g); there is the"
-                        " feedforward only", time, h, p[PLACE_SHARE]);
+        return left_out(instance, 3, "at t = %.6g s the feedback finds no inputs%.0s%.0s; the " FOLLOWER " is left to the"
+                        " feedforward", time, 0.0, 0.0);
     memcpy(work->memory, scratch->memory, sizeof work->memory);
     memcpy(work->outputs, found, sizeof feedforward);
     work->remembers = 1;
@@ -364,12 +407,16 @@ static Outcome first_moment(Instance *instance)
 #if HAS_ESTIMATES
     begin_samples(instance, work->path);
 #endif
+#if N_ROUTES > 0
+    outcome = begin_route(instance, work, work->time);
+#else
     outcome = checked_moment(instance, work, solve_instant(instance, work), work->time);
+#endif
     if (outcome == GOOD) within_limits(instance, work->outputs);
     return outcome;
 }
 
-#if N_STATE > 0
+#if N_STATE > 0 || N_ROUTES > 0
 static Outcome divided(const Instance *instance, double h, double *count)
 {
     const double wanted = instance->state.parameters[PLACE_STEP];
@@ -379,7 +426,9 @@ static Outcome divided(const Instance *instance, double h, double *count)
                    " steps", wanted, h, MOST_INTERNAL_STEPS);
     return GOOD;
 }
+#endif
 
+#if N_STATE > 0
 static Outcome move(Instance *instance, double time, double h)
 {
     const State *state = &instance->state;
@@ -398,9 +447,17 @@ static Outcome move(Instance *instance, double time, double h)
         if (outcome != GOOD) return outcome;
         work->time = end;
         memcpy(work->path, instance->scratch.nodes + (N_NODES - 1) * N_PATH, sizeof work->path);
-        keep_turning(work, &before);
+        keep_turning(work->outputs, before.outputs);
     }
     return GOOD;
+}
+#else
+#if N_ROUTES > 0
+static Outcome reached(Instance *instance, const double *told, double time, double h)
+{
+    double count;
+    const Outcome outcome = divided(instance, h, &count);
+    return outcome == GOOD ? follow_route(instance, told, time, h, count) : outcome;
 }
 #else
 /* Say why there is no instant at the end of a step: what is wrong may be so at its start, which the path is told for. */
@@ -422,25 +479,32 @@ static Outcome refuse_instant(Instance *instance, const double *told, double tim
     return checked_moment(instance, work, solved, time + h);
 }
 
-static Outcome move(Instance *instance, double time, double h)
+/* The instant at the end of a step, from the path alone. */
+static Outcome reached(Instance *instance, const double *told, double time, double h)
 {
-    const State *state = &instance->state;
     Moment *work = &instance->work;
     Outcome outcome;
-#if HAS_ESTIMATES
-    const double *told = completed(instance, h);
-#else
-    const double *told = instance->told_inputs;
-#endif
-    if (state->choices[INPUT_TIME] == AT_START)
+    if (instance->state.choices[INPUT_TIME] == AT_START)
         continued(told, h, work->path);
     else
         memcpy(work->path, told, sizeof work->path);
     work->time = time + h;
     if (!solve_instant(instance, work) || outside(instance)) return refuse_instant(instance, told, time, h);
     outcome = require_branch(instance, work, time + h);
+    if (outcome == GOOD) keep_turning(work->outputs, instance->state.now.outputs);
+    return outcome;
+}
+#endif
+
+static Outcome move(Instance *instance, double time, double h)
+{
+#if HAS_ESTIMATES
+    const double *told = completed(instance, h);
+#else
+    const double *told = instance->told_inputs;
+#endif
+    const Outcome outcome = reached(instance, told, time, h);
     if (outcome != GOOD) return outcome;
-    keep_turning(work, &state->now);
 #if HAS_ESTIMATES
     judge_estimates(instance);
 #endif

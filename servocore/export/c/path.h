@@ -20,7 +20,7 @@ static void continued(const double *path, double tau, double *found)
         }
 }
 
-#if N_STATE > 0
+#if N_STATE > 0 || N_ROUTES > 0
 /* Join two instants h apart by the polynomial that has the path and its derivatives at both, and evaluate it at a
    fraction of h. */
 static void joined(const double *first, const double *last, double h, double fraction, double *found)

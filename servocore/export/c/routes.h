@@ -1,0 +1,170 @@
+/* Routes: steps of a method on some formulation of some model, in place of the exact inversion of every instant.
+
+   A method that reads few derivatives of the path rebuilds the others from the history in its state; that history holds
+   the step. So when the step changes the history is rebuilt for the new one: from exact values a few steps back, along the
+   path's Taylor polynomial, up to the present. Without that the first step after a change would have an error that no small
+   step reduces. The route without functions is the exact inversion. */
+
+#ifndef ROUTES_H
+#define ROUTES_H
+
+#define SHORTEST_STEP 1e-6        /* s; below, differences over a step drown in round-off: exact values are taken instead */
+
+static const Route *chosen_route(const State *state)
+{
+    return &ROUTES[(state->choices[MODEL] - 1) * N_FORMULATIONS + state->choices[FORMULATION] - 1];
+}
+
+static Outcome require_route_branch(const Instance *instance, const Moment *moment, double time)
+{
+    const Route *route = chosen_route(&instance->state);
+    for (size_t k = 0; k < N_OUTPUTS; k++)
+        if (OUTPUT_IS_POSITIVE[k] && !(moment->outputs[k] > 0.0))
+            return say(instance, DISCARD, "%s: at t = %.6g s %s is %.4g%s, %s%s", route->name, time,
+                       VARIABLES[FIRST_OUTPUT + k].name, moment->outputs[k], VARIABLES[FIRST_OUTPUT + k].unit,
+                       WRONG_SIGNS[k], route->smaller_steps_help && !OUTPUT_IS_FORCE[k] ? "; a smaller step keeps to its own" : "");
+    return GOOD;
+}
+
+/* Whether the limits of the path are kept, at an instant that need not be solved. */
+static Outcome require_path(Instance *instance, const double *path, double time)
+{
+    instance->arguments[0] = path;
+    instance->arguments[1] = instance->state.parameters;
+    instance->results[0] = instance->scratch.margins;
+    call(instance, MATHEMATICS(margins));
+    return require_limits(instance, time);
+}
+
+/* Exact values for moment->path. */
+static Outcome begin_route(Instance *instance, Moment *moment, double time)
+{
+    const Route *route = chosen_route(&instance->state);
+    double residual = NAN;
+    int solved;
+    Outcome outcome = require_path(instance, moment->path, time);
+    if (outcome != GOOD) return outcome;
+    if (route->begin == NULL)
+        solved = solve_instant(instance, moment);
+    else {
+        instance->arguments[0] = moment->path;
+        instance->arguments[1] = instance->state.parameters;
+        instance->results[0] = moment->state;
+        instance->results[1] = moment->outputs;
+        instance->results[2] = &residual;
+        solved = !call(instance, route->begin) && all_finite(moment->state, route->size) && fabs(residual) <= DBL_MAX;
+    }
+    if (!solved) return say(instance, DISCARD, "%s: no consistent values at t = %.6g s", route->name, time);
+    return require_route_branch(instance, moment, time);
+}
+
+/* One step of a route from `state` to moment->path; returns whether its equations are solved. */
+static int solve_route(Instance *instance, const Route *route, Moment *moment, double h)
+{
+    double residual = NAN;
+    int solved;
+    instance->arguments[0] = moment->state;
+    instance->arguments[1] = moment->path;
+    instance->arguments[2] = &h;
+    instance->arguments[3] = instance->state.parameters;
+    instance->results[0] = instance->scratch.next;
+    instance->results[1] = moment->outputs;
+    instance->results[2] = &residual;
+    solved = !call(instance, route->step) && all_finite(instance->scratch.next, route->size) && fabs(residual) <= DBL_MAX;
+    if (solved) memcpy(moment->state, instance->scratch.next, route->size * sizeof(double));
+    return solved;
+}
+
+/* Say which equation the first guess of a step violates most. */
+static Outcome refuse_step(Instance *instance, const Route *route, const double *state, const double *path, double begin,
+                           double end)
+{
+    const double h = end - begin;
+    size_t worst = 0;
+    double *left = instance->scratch.left;
+    instance->arguments[0] = state;
+    instance->arguments[1] = path;
+    instance->arguments[2] = &h;
+    instance->arguments[3] = instance->state.parameters;
+    instance->results[0] = left;
+    call(instance, route->guess);
+    for (size_t k = 0; k < route->equations && !isnan(left[worst]); k++)
+        if (!(fabs(left[k]) <= fabs(left[worst]))) worst = k;
+    return say(instance, DISCARD, "%s: the step from t = %.6g s to %.6g s was not solved; the worst equation is the %s. Likely"
+               " causes: a step too large for the path, or inputs that are not derivatives of each other", route->name, begin,
+               end, route->names[worst]);
+}
+
+/* The state that the method would have now had it always taken the step h. Before the first step its own start will do. */
+static Outcome rebuild(Instance *instance, const Route *route, Moment *moment, double h)
+{
+    const double settle = moment->inner > 0.0 ? route->settle : 0.0;
+    double *past = instance->scratch.past, residual = NAN, present[N_PATH];
+    Moment *then = &instance->scratch.then;
+    int solved;
+    for (size_t k = 0; k < route->instants; k++) continued(moment->path, (route->at[k] - settle) * h, past + k * N_PATH);
+    instance->arguments[0] = past;
+    instance->arguments[1] = &h;
+    instance->arguments[2] = instance->state.parameters;
+    instance->results[0] = then->state;
+    instance->results[1] = &residual;
+    solved = !call(instance, route->past) && all_finite(then->state, route->size) && fabs(residual) <= DBL_MAX;
+    memcpy(present, moment->path, sizeof present);
+    for (double k = 0.0; k < settle && solved; k += 1.0) {
+        continued(present, (k + 1.0 - settle) * h, then->path);
+        solved = solve_route(instance, route, then, h);
+    }
+    if (!solved)
+        return say(instance, DISCARD, "%s: at t = %.6g s the step cannot change from %.6g s to %.6g s; the path continued"
+                   " backwards leaves the crane's range", route->name, moment->time, moment->inner, h);
+    memcpy(moment->state, then->state, route->size * sizeof(double));
+    return GOOD;
+}
+
+/* The path told for the start of a step, which so far was only continued. */
+static Outcome take_path(Instance *instance, Moment *moment, const double *told)
+{
+    if (moment->inner == 0.0 && memcmp(moment->path, told, sizeof moment->path) != 0) {
+        memcpy(moment->path, told, sizeof moment->path);
+        return begin_route(instance, moment, moment->time);
+    }
+    memcpy(moment->path, told, sizeof moment->path);
+    return require_path(instance, told, moment->time);
+}
+
+/* Step instance->work through a communication step, in `count` steps of the method. */
+static Outcome follow_route(Instance *instance, const double *told, double time, double h, double count)
+{
+    const State *state = &instance->state;
+    const Route *route = chosen_route(state);
+    const double step = h / count;
+    Moment *work = &instance->work;
+    double first[N_PATH];
+    Outcome outcome = GOOD;
+    work->time = time;
+    if (state->choices[INPUT_TIME] == AT_START) outcome = take_path(instance, work, told);
+    memcpy(first, work->path, sizeof first);
+    if (outcome == GOOD && step >= SHORTEST_STEP && route->step != NULL && fabs(step - work->inner) > JITTER * step)
+        outcome = rebuild(instance, route, work, step);
+    for (double k = step < SHORTEST_STEP ? count - 1.0 : 0.0; k < count && outcome == GOOD; k += 1.0) {
+        const double begin = work->time, end = k + 1.0 == count ? time + h : time + (k + 1.0) * step;
+        double before[N_OUTPUTS];
+        memcpy(before, work->outputs, sizeof before);
+        path_within(state->choices[INPUT_TIME], first, told, h, k + 1.0 == count ? 1.0 : (k + 1.0) / count, work->path);
+        if (step < SHORTEST_STEP || route->step == NULL) {
+            work->time = end;
+            outcome = begin_route(instance, work, end);
+        } else {
+            outcome = require_path(instance, work->path, end);
+            if (outcome == GOOD && !solve_route(instance, route, work, step))
+                outcome = refuse_step(instance, route, work->state, work->path, begin, end);
+            if (outcome == GOOD) outcome = require_route_branch(instance, work, end);
+            work->time = end;
+        }
+        keep_turning(work->outputs, before);
+        work->inner = step;
+    }
+    return outcome;
+}
+
+#endif

@@ -1,0 +1,209 @@
+"""`SteppedRoutes`: what an exported inverse model offers beside the exact inversion of every instant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+import casadi as ca
+
+from servocore.errors import InvalidModel
+from servocore.export.c_functions import c_source
+from servocore.export.inverse_model import InverseModel
+from servocore.export.variables import Choice, internal_step
+from servocore.formulations.base import Formulation
+from servocore.methods.base import Method
+from servocore.model.quantity import Quantity
+from servocore.model.scene import Scene
+from servocore.problem import Problem
+from servocore.stepping.compilation import program_of
+from servocore.stepping.program import Program
+
+_FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history of it
+
+
+@dataclass(frozen=True)
+class SteppedRoutes:
+    """Models and formulations that a host may choose; the first of each, together, are the exact inversion.
+
+    Attributes
+    ----------
+    models : tuple of str
+        Models of the scene; its smallest comes first.
+    formulations : mapping of str to Formulation
+        By name; the reduced one comes first.
+    method : Method
+        What takes their steps; its steps have one node, their end.
+    """
+
+    models: tuple[str, ...]
+    formulations: Mapping[str, Formulation]
+    method: Method
+
+    @property
+    def choices(self) -> tuple[Choice, Choice]:
+        """What the host chooses."""
+        models = tuple((name, f"the model {name}") for name in self.models)
+        formulations = tuple((name, f"the {name} equations") for name in self.formulations)
+        return (
+            Choice("model", "model that is solved", models),
+            Choice("formulation", "how the servo constraints enter the equations", formulations),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Routes:
+    """Compiled routes.
+
+    Attributes
+    ----------
+    programs : sequence of Program
+        One for each model and formulation.
+    functions : sequence of mapping of str to casadi.Function
+        For each ``begin``, (path, p) -> (state, outputs, residual), ``past``, (paths at its start's instants, h, p) ->
+        (state, residual), ``step``, (state, path, h, p) -> (state, outputs, residual), and ``guess``, (state, path, h,
+        p) -> residuals of all equations at the first guess. None for the exact inversion.
+    margins : casadi.Function
+        (path, p) -> how far each limit is.
+    wishes : SteppedRoutes
+        What they were made for.
+    outputs : sequence of Quantity
+        What they compute.
+    """
+
+    programs: Sequence[Program]
+    functions: Sequence[Mapping[str, ca.Function]]
+    margins: ca.Function
+    wishes: SteppedRoutes
+    outputs: Sequence[Quantity]
+
+    @property
+    def all_functions(self) -> tuple[ca.Function, ...]:
+        """Of all routes."""
+        return tuple(function for functions in self.functions for function in functions.values())
+
+    def sources(self, identifier: str) -> dict[str, str]:
+        """Return headers and C sources by file name: a pair for each route, for they are large.
+
+        Parameters
+        ----------
+        identifier : str
+            What names in C begin with.
+        """
+        files = {}
+        for k, functions in enumerate(self.functions):
+            if functions:
+                name = f"{identifier}_route_{k}"
+                files[f"{name}.h"], files[f"{name}.c"] = c_source(name, functions.values())
+        return files
+
+    def own(self) -> dict[str, Any]:
+        """Return what the kernel needs to know."""
+        programs = self.programs
+        return {
+            "formulations": len(self.wishes.formulations),
+            "size": max(program.state_size for program in programs),
+            "instants": max(len(program.start_instants) for program in programs),
+            "equations": max(len(program.equations) for program in programs),
+            "wrong_signs": [each.wrong_sign for each in self.outputs],
+            "forces": [each.unit == "N" for each in self.outputs],
+            "each": [
+                {
+                    "name": program.name,
+                    "exact": not functions,
+                    "size": program.state_size,
+                    "at": program.start_instants,
+                    "settle": max(0, _FULL_DERIVATIVES - program.order),
+                    "equations": program.equations,
+                    "smaller_steps_help": program.smaller_steps_help,
+                }
+                for program, functions in zip(programs, self.functions, strict=True)
+            ],
+        }
+
+
+def with_routes(made: InverseModel, scene: Scene, wishes: SteppedRoutes) -> InverseModel:
+    """Return an inverse model that offers routes to choose from.
+
+    Parameters
+    ----------
+    made : InverseModel
+        Of a scene whose inputs do not depend on the past.
+    scene : Scene
+        That scene.
+    wishes : SteppedRoutes
+        What is to be offered.
+
+    Raises
+    ------
+    InvalidModel
+        If the inputs are stepped, there are limits on what moves, or a step of a route has other nodes than its end.
+    """
+    if made.method or any(not limit.row < 0 for limit in made.limits):
+        raise InvalidModel(f"{scene.name} cannot have routes to choose from: its inputs are stepped, or limited")
+    routes = _compiled(scene, wishes, made)
+    step = internal_step(sum(made.numbers(each) for each in ("input", "output", "parameter")))
+    return replace(
+        made,
+        variables=(*made.variables, step),
+        choices=(*wishes.choices, *made.choices),
+        own={**made.own, "routes": routes.own()},
+        functions={**made.functions, "margins": routes.margins},
+        elsewhere=routes.all_functions,
+        more_sources=routes.sources(made.identifier),
+        differentiable=False,
+    )
+
+
+def _compiled(scene: Scene, wishes: SteppedRoutes, made: InverseModel) -> Routes:
+    identifier, outputs, orders = made.identifier, made.outputs, made.mathematics.orders
+    programs, functions = [], []
+    for k, (model, name) in enumerate(product(wishes.models, wishes.formulations)):
+        program = program_of(Problem.of(scene, model), wishes.formulations[name], wishes.method)
+        if program.nodes != (1.0,):
+            raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
+        programs.append(program)
+        functions.append({} if k == 0 else _functions(program, f"{identifier}_route_{k}", outputs, orders))
+    path, p = _path(programs[0], orders), ca.MX.sym("p", len(programs[0].parameters))
+    margins = ca.Function(
+        f"{identifier}_margins", [path, p], [ca.densify(programs[0].margins(_padded(programs[0], path), p))]
+    )
+    return Routes(programs, functions, margins, wishes, outputs)
+
+
+def _path(program: Program, columns: int) -> ca.MX:
+    return ca.MX.sym("path", program.margins.size1_in(0), columns)
+
+
+def _padded(program: Program, path: ca.MX) -> ca.MX:
+    """Return a path with as many derivatives as the program takes; no result depends on those that are zeros."""
+    missing = program.start_order + 1 - path.shape[1]
+    return path[:, : program.start_order + 1] if missing <= 0 else ca.horzcat(path, ca.MX.zeros(path.shape[0], missing))
+
+
+def _functions(program: Program, name: str, outputs: Sequence[Quantity], orders: int) -> dict[str, ca.Function]:
+    names, count = [channel.name for channel in program.channels], len(program.start_instants)
+    places = [names.index(each.name) for each in outputs]
+    path, past = _path(program, orders), _path(program, orders * count)
+    p, h, state = (ca.MX.sym(*each) for each in (("p", len(program.parameters)), ("h",), ("state", program.state_size)))
+    used = _padded(program, path)
+
+    def seen(of: ca.MX) -> ca.MX:
+        return ca.densify(program.observe(of, used, p)[0][places])
+
+    first, _, residual = program.start(ca.repmat(used, 1, count), 0, p)
+    earlier, _, unsolved = program.start(ca.horzcat(*(_padded(program, e) for e in ca.horzsplit(past, orders))), h, p)
+    after, _, left = program.step(state, used[:, : program.order + 1], h, p)
+    guess = program.guess_residual(state, used[:, : program.guess_residual.size2_in(1)], h, p)
+    results: dict[str, tuple[list[ca.MX], list[ca.MX]]] = {
+        "begin": ([path, p], [first, seen(first), residual]),
+        "past": ([past, h, p], [earlier, unsolved]),
+        "step": ([state, path, h, p], [after, seen(after), left]),
+        "guess": ([state, path, h, p], [guess]),
+    }
+    return {
+        key: ca.Function(f"{name}_{key}", arguments, [ca.densify(each) for each in found])
+        for key, (arguments, found) in results.items()
+    }
