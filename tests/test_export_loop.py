@@ -170,9 +170,7 @@ def test_a_path_from_a_file_is_the_same_in_both_systems(seed: int, tmp_path: Pat
     written = sc.export_trajectory(
         sc.scenes.rotary_crane(), tmp_path / "native.fmu", sc.TrajectoryWishes(read), fmi=2, targets="host"
     )
-    python = build_fmu(
-        tmp_path, kind=KINDS["LoadTrajectory"], path=read, starts={"profile": FROM_FILE}, targets="host"
-    )
+    python = build_fmu(tmp_path, kind=KINDS["LoadTrajectory"], path=read, starts={"profile": FROM_FILE}, targets="host")
     jets = []
     for trajectory in (python, written):
         with nothing_left():

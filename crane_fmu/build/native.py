@@ -67,40 +67,34 @@ def native_fmu(folder: Path, kind: FmuKind, wishes: NativeWishes, tell: Callable
     crane = sc.scenes.rotary_crane()
     own = {name: value for name, value in wishes.starts.items() if name in crane.model().parameters.names}
     crane = crane.with_parameters(**{name: float(value) for name, value in own.items()})
-    given = {name: float(value) for name, value in wishes.starts.items() if not isinstance(value, str)}
-    return _WRITERS[kind.name](crane, folder / kind.file_name, wishes, given, tell)
+    return _WRITERS[kind.name](crane, folder / kind.file_name, wishes, tell)
 
 
-def _trajectory(
-    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
-) -> Path:
+def _trajectory(crane: sc.Scene, file: Path, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
     tell("compiling the trajectory")
     profile = wishes.starts.get("profile")
     named = None if profile in (None, FROM_FILE) else str(profile)
+    given = {name: float(value) for name, value in wishes.starts.items() if not isinstance(value, str)}
     line = sc.TrajectoryWishes(wishes.reference, named, given, LOAD_TRAJECTORY.name, offers_file=wishes.judged_late)
     late, targets = wishes.judged_late, wishes.targets
     return sc.export_trajectory(crane, file, line, fmi=2, targets=targets, judged_late=late, tell=tell)
 
 
-def _inverse(
-    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
-) -> Path:
+def _inverse(crane: sc.Scene, file: Path, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
     on_path = crane if wishes.reference is None else crane.with_reference(wishes.reference)
     estimates = estimates_of(crane, str(wishes.starts.get("connected", ORDERS[-1])))
     return sc.export_fmu(
-        on_path, file, fmi=2, targets=wishes.targets, feedback=feedback_of(crane), estimates=estimates, start=given,
-        judged_late=wishes.judged_late, routes=ROUTES if wishes.judged_late else None, tell=tell,
+        on_path, file, fmi=2, targets=wishes.targets, feedback=feedback_of(crane), estimates=estimates,
+        start=wishes.starts, judged_late=wishes.judged_late, routes=ROUTES if wishes.judged_late else None, tell=tell,
     )  # fmt: skip
 
 
-def _plant(
-    crane: sc.Scene, file: Path, wishes: NativeWishes, given: dict[str, float], tell: Callable[[str], None]
-) -> Path:
+def _plant(crane: sc.Scene, file: Path, wishes: NativeWishes, tell: Callable[[str], None]) -> Path:
     plant = sc.PlantWishes(
         errors={"mass_error": "load_mass"},
         offsets={"start.swing": ("swing_in", "swing_out")},
         ranges={"start.swing": (-1.5, 1.5)},
-        start=given,
+        start=wishes.starts,
         identifier=CRANE_PLANT.name,
         reasons={"tension": "the rope goes slack: its"},
     )

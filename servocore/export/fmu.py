@@ -20,7 +20,7 @@ from servocore.export.routes import SteppedRoutes, with_routes
 from servocore.export.sources import SHARED, compiled_files, fmu_sources, token_of
 from servocore.export.targets import Progress, chosen_targets, libraries
 from servocore.export.trajectory_model import TrajectoryWishes, trajectory_model
-from servocore.export.variables import with_starts
+from servocore.export.variables import with_item, with_starts
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene, require_scene
 
@@ -40,7 +40,7 @@ def export_fmu(
     feedback: SampledFeedback | None = None,
     estimates: SampledEstimates | None = None,
     routes: SteppedRoutes | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float | str] | None = None,
     judged_late: bool = False,
     tell: Progress = lambda _: None,
 ) -> Path:
@@ -65,8 +65,8 @@ def export_fmu(
         What estimates derivatives of the path that are not connected.
     routes : SteppedRoutes, optional
         What may be chosen in place of the exact inversion of every instant.
-    start : mapping of str to float, optional
-        Start values of inputs and parameters in place of these, by the names of FMI 2.
+    start : mapping of str to float or str, optional
+        Start values of inputs and parameters in place of these, by the names of FMI 2, and items of choices.
     judged_late : bool, optional
         Whether values are judged when they are used, for a host whose setters cannot fail: a slave of PythonFMU.
     tell : callable
@@ -99,7 +99,11 @@ def export_fmu(
     if routes is not None:
         made = with_routes(made, scene, routes)
     if start is not None:
-        made = replace(made, variables=tuple(with_starts(each, start) for each in made.variables))
+        made = replace(
+            made,
+            variables=tuple(with_starts(each, start) for each in made.variables),
+            choices=tuple(with_item(each, start) for each in made.choices),
+        )
     return written(replace(made, judged_late=judged_late), path, fmi, targets, tell)
 
 

@@ -53,8 +53,8 @@ class PlantWishes:
     offsets : mapping of str to sequence of str
         Parameters that are added to coordinates at the start, which otherwise is rest: ``{"start.swing": ("swing_in",
         "swing_out")}``. When empty all coordinates of a model without constraints have one.
-    start : mapping of str to float
-        Start values of parameters in place of defaults, by the names of FMI 2.
+    start : mapping of str to float or str
+        Start values of parameters in place of defaults, by the names of FMI 2, and items of choices.
     identifier : str
         What libraries and functions are called; made of the scene's name when empty.
     ranges : mapping of str to (float, float)
@@ -66,7 +66,7 @@ class PlantWishes:
 
     errors: Mapping[str, str] = field(default_factory=dict)
     offsets: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    start: Mapping[str, float] = field(default_factory=dict)
+    start: Mapping[str, float | str] = field(default_factory=dict)
     identifier: str = ""
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     reasons: Mapping[str, str] = field(default_factory=dict)
@@ -125,7 +125,7 @@ def plant_model(scene: Scene, model: str | None = None, wishes: PlantWishes | No
         },
         functions=functions,
         variables=variables,
-        choices=CHOICES,
+        choices=tuple(rows.with_item(each, wishes.start) for each in CHOICES),
         outputs=tuple(used),
         limits=limits,
         depends=np.ones((len(used), m), dtype=bool),

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from servocore.errors import InvalidSetting
 from servocore.export.units import per_time
 from servocore.model.quantity import Quantity
 from servocore.model.symbols import Parameter
@@ -287,7 +288,17 @@ def offset(name: str, units: Sequence[str]) -> Variable:
     return replace(_setting(name, units[0], text, (0.0,) * len(units)), size=size, fixed=True)
 
 
-def with_starts(variable: Variable, start_values: Mapping[str, float]) -> Variable:
+def with_item(choice: Choice, start_values: Mapping[str, float | str]) -> Choice:
+    """Return a choice that begins with the item that is given by its name; raises `InvalidSetting` if there is none."""
+    names, wanted = [name for name, _ in choice.items], start_values.get(choice.name)
+    if wanted is None:
+        return choice
+    if wanted not in names:
+        raise InvalidSetting(f"{choice.name} = {wanted!r} is unknown; it may be {', '.join(names)}")
+    return replace(choice, start=names.index(str(wanted)) + 1)
+
+
+def with_starts(variable: Variable, start_values: Mapping[str, float | str]) -> Variable:
     """Return a variable with those start values that are given by the names of its numbers."""
     if not variable.starts:
         return variable
