@@ -10,7 +10,6 @@ import ast
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -231,7 +230,8 @@ for _room in ("effects", "view"):
 @cache  # at the first use of a name: programs need some of them, and a command line heeds Ctrl-C before it imports any
 def _homes() -> dict[str, str]:
     """Return the modules of the public names: those that type checkers import them from, above."""
-    source = Path(__file__).read_text(encoding="utf-8")
+    with open(__file__, encoding="utf-8") as file:
+        source = file.read()
     imports = [each for each in ast.walk(ast.parse(source)) if isinstance(each, ast.ImportFrom)]
     return {alias.name: str(each.module) for each in imports for alias in each.names}
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import casadi as ca
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from servocore.numerics.machine_code import Build
 
 # Compilers are imported where one is needed: a program that solves once needs none.

@@ -6,7 +6,6 @@ import ctypes
 import os
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import casadi as ca
@@ -16,6 +15,8 @@ from servocore.numerics.compiled_calls import Array, mapped
 from servocore.numerics.just_in_time import LANES, NAME, JustInTime
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from servocore.numerics.machine_code import Build
 
 _BYTES = 8
