@@ -7,7 +7,8 @@ TEST_PROCESSES ?= 2
 BIN := .venv/bin
 RUN := $(BIN)/python -m
 # A file of tests runs in one process: what its tests compile is compiled once. (With pytest 9.2 xdist 3.8 heeds no groups.)
-PYTEST := pytest -n $(TEST_PROCESSES) --dist loadfile
+# The longest files begin (tests/conftest.py).
+PYTEST := pytest -n $(TEST_PROCESSES) --dist loadfile --no-loadscope-reorder
 INSTALLED := .venv/.installed
 PEERS := .venv/peers
 NEWEST := .venv/newest

@@ -2,7 +2,7 @@
 
 A run ends with the files that are over theirs; ``--most-of-budget 2`` makes it fail where one takes more than twice.
 FMUs that many files run are built by the first that needs them and counted apart. ``--write-slow`` writes the list of
-cases that ``--quick`` leaves out, from what they have just taken.
+cases that ``--quick`` leaves out, from what they have just taken; with ``--quick`` it adds those that took long there.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,10 @@ TABLE = Path(__file__).with_name("budgets.toml")
 SLOW = Path(__file__).with_name("slow_cases.txt")
 UNLISTED = 2.0
 """Processor seconds of a file that the table does not list."""
-A_MOMENT = 0.15
+A_MOMENT = 0.3
 """Processor seconds of a case that `--quick` may take."""
+A_SECOND = 1.0
+"""Processor seconds that such a case may take where it is the first to prepare what others of its file prepared."""
 LONG_FIXTURES = {"client", "done", "drawings", "smoke"}
 """Of a module each, and seconds long: `--quick` leaves out what uses them."""
 BUILT = "FMUs for all files"
@@ -36,6 +39,7 @@ def processor_seconds() -> float:
     return sum(usage.ru_utime + usage.ru_stime for usage in of)
 
 
+@cache
 def budgets(table: Path = TABLE) -> dict[str, float]:
     """Return the processor seconds that each listed file may take, by its path below the folder of the tests."""
     return {name: float(seconds) for name, seconds in tomllib.loads(table.read_text())["seconds"].items()}
@@ -64,6 +68,11 @@ def function_of(case: str) -> str:
     return case.partition("[")[0]
 
 
+def budget_of(item: pytest.Item) -> float:
+    """Return the budget of a test's file: the longest are begun first, so that no process waits for another at the end."""
+    return budgets().get(item.nodeid.partition("::")[0].removeprefix("tests/"), UNLISTED)
+
+
 def representatives(items: Sequence[pytest.Item]) -> list[pytest.Item]:
     """Return of every test function the first case that is not listed as slow and prepares nothing for seconds."""
     slow = set(SLOW.read_text(encoding="utf-8").splitlines())
@@ -88,6 +97,12 @@ def slow_cases(taken: Mapping[str, float]) -> list[str]:
     return sorted(found - shortest)
 
 
+def slow_alone(taken: Mapping[str, float]) -> list[str]:
+    """Return the cases of a quick run that took more than a second, but for the only ones of their files."""
+    files = grouped(taken, lambda case: case.partition("::")[0])
+    return [case for cases in files.values() for case in cases if taken[case] > A_SECOND and len(cases) > 1]
+
+
 def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[str]]:
     """Return cases in their order, by a part of their names."""
     found: defaultdict[str, list[str]] = defaultdict(list)
@@ -99,10 +114,14 @@ def grouped(cases: Iterable[str], key: Callable[[str], str]) -> dict[str, list[s
 class Meter:
     """Adds up what the phases of every test take: in the process that runs them, or in the one that hears of them."""
 
-    def __init__(self, times: float | None, writes: bool) -> None:
-        self.times, self.writes = times, writes
+    def __init__(self, times: float | None, writes: bool, quick: bool) -> None:
+        self.times, self.writes, self.quick = times, writes, quick
         self.files: defaultdict[str, float] = defaultdict(float)
         self.cases: defaultdict[str, float] = defaultdict(float)
+        self._before = processor_seconds()
+
+    def pytest_collection_finish(self) -> None:
+        """Count from here: no test is to blame for what finding all of them took."""
         self._before = processor_seconds()
 
     @pytest.hookimpl(wrapper=True)
@@ -134,7 +153,9 @@ class Meter:
         if hasattr(session.config, "workerinput"):
             return
         if self.writes:
-            SLOW.write_text("".join(f"{case}\n" for case in slow_cases(self.cases)), encoding="utf-8")
+            listed = SLOW.read_text(encoding="utf-8").splitlines() if self.quick else []
+            slow = slow_alone(self.cases) if self.quick else slow_cases(self.cases)
+            SLOW.write_text("".join(f"{case}\n" for case in sorted({*listed, *slow})), encoding="utf-8")
         beyond = self.times is not None and over_budget(self.files, budgets(), self.times)
         if beyond and session.exitstatus == pytest.ExitCode.OK:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED

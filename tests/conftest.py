@@ -41,9 +41,8 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # hundreds of processes import the same modules
         os.environ.setdefault("CFLAGS", "-O0")  # of exported FMUs: a third of the time, and no digit depends on it
         keep_libraries(config)
-    config.pluginmanager.register(
-        budgets.Meter(config.getoption("--most-of-budget"), bool(config.getoption("--write-slow")))
-    )
+    options = (config.getoption(name) for name in ("--most-of-budget", "--write-slow", "--quick"))
+    config.pluginmanager.register(budgets.Meter(*options))
 
 
 def keep_libraries(config: pytest.Config) -> None:
@@ -99,6 +98,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         select(config, items, [item for item in items if not item.get_closest_marker("nightly")])
     if config.getoption("--quick"):
         select(config, items, budgets.representatives(items))
+    items.sort(key=budgets.budget_of, reverse=True)
     if config.getoption("--hypothesis-profile", None) == FRESH:
         ask_more_examples(items)
 

@@ -35,6 +35,11 @@ def test_of_every_function_the_slow_cases_before_the_first_quick_one_are_left_ou
     ]  # fmt: skip
 
 
+def test_a_quick_run_lists_what_took_long_but_leaves_every_file_a_case() -> None:
+    long, short = 2 * budgets.A_SECOND, budgets.A_SECOND / 2
+    assert budgets.slow_alone({"f::a": long, "f::b": short, "g::a": long}) == ["f::a"]
+
+
 def test_quick_asks_something_of_every_file_and_a_case_of_most_functions(request: pytest.FixtureRequest) -> None:
     """Most: some claims cannot be asked in a moment."""
     items = request.session.items
