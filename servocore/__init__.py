@@ -94,8 +94,7 @@ if TYPE_CHECKING:
     from servocore.solvers.simulate import simulate
     from servocore.solvers.solve import solve
     from servocore.solvers.sundials import Sundials
-    from servocore.stepping.forward_dynamics import compile_plant
-    from servocore.stepping.plant import Plant
+    from servocore.stepping.forward_dynamics import Plant, compile_plant
     from servocore.stepping.program import Program, StepReport
     from servocore.stepping.rotation_update import RotationUpdate
     from servocore.stepping.stepper import Stepper
