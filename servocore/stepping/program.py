@@ -95,7 +95,7 @@ class Program:
         """Differentiation index of the form."""
         return self.dae.index
 
-    @property
+    @cached_property  # every step asks
     def order(self) -> int:
         """Highest derivative of the reference that a step takes."""
         return self.dae.reference_order if self.dae.x.numel() else self.start_order
@@ -163,7 +163,7 @@ class Program:
         """(state, fraction, h) -> the state with its own instant moved to a fraction of the last step."""
         return compile_between(self.discretization)
 
-    @property
+    @cached_property
     def state_size(self) -> int:
         """Length of the state vector."""
         return int(self.step.size1_in(0))
