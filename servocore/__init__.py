@@ -12,214 +12,116 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
+# ruff: noqa: I001 - a line is a module with all its names
+# The public names, each with the module that it is imported from at its first use.
 if TYPE_CHECKING:
-    from servocore import scenes
-    from servocore.analysis import StructureReport, analyse
-    from servocore.dae import Dae, Equation, Unknown
-    from servocore.effects.drives import Drives
-    from servocore.effects.report import EffectRow, EffectsReport
-    from servocore.effects.study import effects
+    from servocore import scenes as scenes
+    from servocore.analysis import StructureReport as StructureReport, analyse as analyse
+    from servocore.dae import Dae as Dae, Equation as Equation, Unknown as Unknown
+    from servocore.effects.drives import Drives as Drives
+    from servocore.effects.report import EffectRow as EffectRow, EffectsReport as EffectsReport
+    from servocore.effects.study import effects as effects
     from servocore.errors import (
-        InconsistentStart,
-        IntegrationFailed,
-        InvalidModel,
-        InvalidReference,
-        InvalidSetting,
-        LimitBroken,
-        PlanningFailed,
-        ServocoreError,
-        ServocoreWarning,
+        InconsistentStart as InconsistentStart,
+        IntegrationFailed as IntegrationFailed,
+        InvalidModel as InvalidModel,
+        InvalidReference as InvalidReference,
+        InvalidSetting as InvalidSetting,
+        LimitBroken as LimitBroken,
+        PlanningFailed as PlanningFailed,
+        ServocoreError as ServocoreError,
+        ServocoreWarning as ServocoreWarning,
     )
-    from servocore.export.estimates import SampledEstimates
-    from servocore.export.feedback import SampledFeedback
-    from servocore.export.fmu import export_fmu, export_plant, export_trajectory
-    from servocore.export.plant_model import PlantWishes
-    from servocore.export.routes import SteppedRoutes
-    from servocore.export.trajectory_model import TrajectoryWishes
-    from servocore.export.wasm import export_wasm
-    from servocore.formulations.base import Formulation
-    from servocore.formulations.original import Original
-    from servocore.formulations.projected import Projected
-    from servocore.formulations.reduced import Reduced
-    from servocore.methods.backward_euler import BackwardEuler
-    from servocore.methods.base import Discretisation, Method, Orders, Start
-    from servocore.methods.bdf import BDF
-    from servocore.methods.collocation import Gauss, RadauIIA
-    from servocore.methods.generalized_alpha import GeneralizedAlpha
-    from servocore.methods.trapezoidal import Trapezoidal
-    from servocore.model.drawing import Part
-    from servocore.model.effects import Effect, Effects
-    from servocore.model.generalize import generalise
-    from servocore.model.limit_files import factors_of_texts, limits_given, read_limits
-    from servocore.model.limits import Limit
-    from servocore.model.parameter_files import read_parameters
-    from servocore.model.potentials import Potential
-    from servocore.model.quantity import Quantity
-    from servocore.model.scene import Scene
-    from servocore.model.symbols import Coordinates, Parameter, Parameters
-    from servocore.model.system import MAX_REFERENCE_ORDER, MechanicalSystem
-    from servocore.numerics.machine_code import c_compiler
-    from servocore.numerics.square_systems import SquareSystem
-    from servocore.planning.durations import shortest_duration
-    from servocore.planning.fastest import fastest
-    from servocore.planning.flat_system import to_control
-    from servocore.planning.obstacles import Box, Sphere
-    from servocore.planning.report import PlanReport
-    from servocore.planning.sensitivities import Sensitivities, sensitivities
-    from servocore.planning.space import Space
-    from servocore.planning.sweep import sweep
-    from servocore.problem import Problem
-    from servocore.references.base import Reference
-    from servocore.references.csv_file import csv_of, from_csv, waypoints_from_csv
-    from servocore.references.periodic import figure_of_eight, periodic
+    from servocore.export.estimates import SampledEstimates as SampledEstimates
+    from servocore.export.feedback import SampledFeedback as SampledFeedback
+    from servocore.export.fmu import (
+        export_fmu as export_fmu,
+        export_plant as export_plant,
+        export_trajectory as export_trajectory,
+    )
+    from servocore.export.plant_model import PlantWishes as PlantWishes
+    from servocore.export.routes import SteppedRoutes as SteppedRoutes
+    from servocore.export.trajectory_model import TrajectoryWishes as TrajectoryWishes
+    from servocore.export.wasm import export_wasm as export_wasm
+    from servocore.formulations.base import Formulation as Formulation
+    from servocore.formulations.original import Original as Original
+    from servocore.formulations.projected import Projected as Projected
+    from servocore.formulations.reduced import Reduced as Reduced
+    from servocore.methods.backward_euler import BackwardEuler as BackwardEuler
+    from servocore.methods.base import (
+        Discretisation as Discretisation,
+        Method as Method,
+        Orders as Orders,
+        Start as Start,
+    )
+    from servocore.methods.bdf import BDF as BDF
+    from servocore.methods.collocation import Gauss as Gauss, RadauIIA as RadauIIA
+    from servocore.methods.generalized_alpha import GeneralizedAlpha as GeneralizedAlpha
+    from servocore.methods.trapezoidal import Trapezoidal as Trapezoidal
+    from servocore.model.drawing import Part as Part
+    from servocore.model.effects import Effect as Effect, Effects as Effects
+    from servocore.model.generalize import generalise as generalise
+    from servocore.model.limit_files import (
+        factors_of_texts as factors_of_texts,
+        limits_given as limits_given,
+        read_limits as read_limits,
+    )
+    from servocore.model.limits import Limit as Limit
+    from servocore.model.parameter_files import read_parameters as read_parameters
+    from servocore.model.potentials import Potential as Potential
+    from servocore.model.quantity import Quantity as Quantity
+    from servocore.model.scene import Scene as Scene
+    from servocore.model.symbols import Coordinates as Coordinates, Parameter as Parameter, Parameters as Parameters
+    from servocore.model.system import MAX_REFERENCE_ORDER as MAX_REFERENCE_ORDER, MechanicalSystem as MechanicalSystem
+    from servocore.numerics.machine_code import c_compiler as c_compiler
+    from servocore.numerics.square_systems import SquareSystem as SquareSystem
+    from servocore.planning.durations import shortest_duration as shortest_duration
+    from servocore.planning.fastest import fastest as fastest
+    from servocore.planning.flat_system import to_control as to_control
+    from servocore.planning.obstacles import Box as Box, Sphere as Sphere
+    from servocore.planning.report import PlanReport as PlanReport
+    from servocore.planning.sensitivities import Sensitivities as Sensitivities, sensitivities as sensitivities
+    from servocore.planning.space import Space as Space
+    from servocore.planning.sweep import sweep as sweep
+    from servocore.problem import Problem as Problem
+    from servocore.references.base import Reference as Reference
+    from servocore.references.csv_file import (
+        csv_of as csv_of,
+        from_csv as from_csv,
+        waypoints_from_csv as waypoints_from_csv,
+    )
+    from servocore.references.periodic import figure_of_eight as figure_of_eight, periodic as periodic
     from servocore.references.profiles import (
-        DEGREE3,
-        DEGREE5,
-        DEGREE7,
-        DEGREE9,
-        DEGREE13,
-        TIME_LAWS,
-        Profile,
-        three_phase,
+        DEGREE3 as DEGREE3,
+        DEGREE5 as DEGREE5,
+        DEGREE7 as DEGREE7,
+        DEGREE9 as DEGREE9,
+        DEGREE13 as DEGREE13,
+        TIME_LAWS as TIME_LAWS,
+        Profile as Profile,
+        three_phase as three_phase,
     )
-    from servocore.references.rest_to_rest import rest_to_rest
-    from servocore.references.splines import sampled, through
-    from servocore.solution import Margin, Solution, Statistics
-    from servocore.solvers.batch import Batch
-    from servocore.solvers.boundary_value import BoundaryValue
-    from servocore.solvers.dynamic_inversion import DynamicInversion
-    from servocore.solvers.energy_momentum import EnergyMomentum
-    from servocore.solvers.exact_inversion import ExactInversion
-    from servocore.solvers.route import Adaptive, Route
-    from servocore.solvers.simulate import simulate
-    from servocore.solvers.solve import solve
-    from servocore.solvers.sundials import Sundials
-    from servocore.stepping.forward_dynamics import compile_plant
-    from servocore.stepping.plant import Plant
-    from servocore.stepping.program import Program, StepReport
-    from servocore.stepping.rotation_update import RotationUpdate
-    from servocore.stepping.stepper import Stepper
-    from servocore.view.page import LivePart, live_part, view
+    from servocore.references.rest_to_rest import rest_to_rest as rest_to_rest
+    from servocore.references.splines import sampled as sampled, through as through
+    from servocore.solution import Margin as Margin, Solution as Solution, Statistics as Statistics
+    from servocore.solvers.batch import Batch as Batch
+    from servocore.solvers.boundary_value import BoundaryValue as BoundaryValue
+    from servocore.solvers.dynamic_inversion import DynamicInversion as DynamicInversion
+    from servocore.solvers.energy_momentum import EnergyMomentum as EnergyMomentum
+    from servocore.solvers.exact_inversion import ExactInversion as ExactInversion
+    from servocore.solvers.route import Adaptive as Adaptive, Route as Route
+    from servocore.solvers.simulate import simulate as simulate
+    from servocore.solvers.solve import solve as solve
+    from servocore.solvers.sundials import Sundials as Sundials
+    from servocore.stepping.forward_dynamics import Plant as Plant, compile_plant as compile_plant
+    from servocore.stepping.program import Program as Program, StepReport as StepReport
+    from servocore.stepping.rotation_update import RotationUpdate as RotationUpdate
+    from servocore.stepping.stepper import Stepper as Stepper
+    from servocore.view.page import LivePart as LivePart, live_part as live_part, view as view
+
+    __all__: list[str]
 
 __version__ = "0.2.0"
-
-# Use: to look at a problem, solve it, try the answer.
-__all__ = [
-    "BDF",
-    "DEGREE3",
-    "DEGREE5",
-    "DEGREE7",
-    "DEGREE9",
-    "DEGREE13",
-    "TIME_LAWS",
-    "Adaptive",
-    "BackwardEuler",
-    "Batch",
-    "BoundaryValue",
-    "Box",
-    "Drives",
-    "DynamicInversion",
-    "EffectRow",
-    "EffectsReport",
-    "EnergyMomentum",
-    "ExactInversion",
-    "Gauss",
-    "GeneralizedAlpha",
-    "InconsistentStart",
-    "IntegrationFailed",
-    "InvalidModel",
-    "InvalidReference",
-    "InvalidSetting",
-    "Limit",
-    "LimitBroken",
-    "LivePart",
-    "Margin",
-    "Original",
-    "PlanReport",
-    "PlanningFailed",
-    "Plant",
-    "PlantWishes",
-    "Potential",
-    "Profile",
-    "Program",
-    "Projected",
-    "RadauIIA",
-    "Reduced",
-    "Reference",
-    "RotationUpdate",
-    "SampledEstimates",
-    "SampledFeedback",
-    "Scene",
-    "Sensitivities",
-    "ServocoreError",
-    "ServocoreWarning",
-    "Solution",
-    "Space",
-    "Sphere",
-    "Statistics",
-    "StepReport",
-    "SteppedRoutes",
-    "Stepper",
-    "StructureReport",
-    "Sundials",
-    "TrajectoryWishes",
-    "Trapezoidal",
-    "analyse",
-    "compile_plant",
-    "csv_of",
-    "effects",
-    "export_fmu",
-    "export_plant",
-    "export_trajectory",
-    "export_wasm",
-    "factors_of_texts",
-    "fastest",
-    "figure_of_eight",
-    "from_csv",
-    "limits_given",
-    "live_part",
-    "periodic",
-    "read_limits",
-    "read_parameters",
-    "rest_to_rest",
-    "sampled",
-    "scenes",
-    "sensitivities",
-    "shortest_duration",
-    "simulate",
-    "solve",
-    "sweep",
-    "three_phase",
-    "through",
-    "to_control",
-    "view",
-    "waypoints_from_csv",
-]
-# Extend: for systems, formulations, methods and routes of one's own.
-__all__ += [
-    "MAX_REFERENCE_ORDER",
-    "Coordinates",
-    "Dae",
-    "Discretisation",
-    "Effect",
-    "Effects",
-    "Equation",
-    "Formulation",
-    "MechanicalSystem",
-    "Method",
-    "Orders",
-    "Parameter",
-    "Parameters",
-    "Part",
-    "Problem",
-    "Quantity",
-    "Route",
-    "SquareSystem",
-    "Start",
-    "Unknown",
-    "c_compiler",
-    "generalise",
-]
 
 # A room that is imported for the first time takes the place of the function of its name: so that comes first.
 for _room in ("effects", "view"):
@@ -233,14 +135,17 @@ def _homes() -> dict[str, str]:
     with open(__file__, encoding="utf-8") as file:
         source = file.read()
     imports = [each for each in ast.walk(ast.parse(source)) if isinstance(each, ast.ImportFrom)]
-    return {alias.name: str(each.module) for each in imports for alias in each.names}
+    return {alias.asname: str(each.module) for each in imports for alias in each.names if alias.asname}
 
 
 def __getattr__(name: str) -> object:
     """Import a public name, or a room, at its first use."""
-    home = _homes()[name] if name in __all__ else __name__
-    if home != __name__:
-        value: object = getattr(import_module(home), name)
+    value: object
+    home = __name__ if name.startswith("_") else _homes().get(name, __name__)
+    if name == "__all__":
+        value = sorted(_homes())
+    elif home != __name__:
+        value = getattr(import_module(home), name)
     elif name.startswith("_") or find_spec(f"{__name__}.{name}") is None:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     else:
@@ -251,4 +156,4 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """List the public names, those that are still to be imported too."""
-    return sorted({*globals(), *__all__})
+    return sorted({*globals(), *_homes()})

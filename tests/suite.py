@@ -40,8 +40,7 @@ from servocore.dae import Dae, Equation, Unknown
 from servocore.errors import InvalidModel, InvalidReference
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.square_systems import compile_solver
-from servocore.stepping.compilation import program_of
-from servocore.stepping.program import Program
+from servocore.stepping.program import program_of
 from servocore.stepping.stepper import Stepper
 from servocore.structure.derivative_array import DerivativeArray, derivative_array
 from servocore.structure.inversion import inversion
@@ -366,28 +365,6 @@ class ProblemSuite:
         stepper.advance(saved * 1.01, jets[3])  # an excursion that must leave no trace
         restored = np.array([float(repr(float(each))) for each in saved])  # as a list of numbers in a file
         np.testing.assert_array_equal(self._future(stepper, restored, jets[1:]), first)
-
-    def test_program_read_back_from_json_gives_identical_results(self, problem: Problem) -> None:
-        stepper, state, jets = self._started(problem)
-        copy = Program.from_json(stepper.program.to_json())
-        h, p = stepper.step, stepper.parameters
-        np.testing.assert_array_equal(copy.advance(state, jets[0], h, p)[0], stepper.advance(state, jets[0])[0])
-        past = self._start_jets(stepper, problem, 0.3 * problem.scene.reference.duration)
-        np.testing.assert_array_equal(copy.begin(past, p, h)[0], stepper.start(past)[0])
-        now = past[0]
-        np.testing.assert_array_equal(copy.values(state, now, p), stepper.program.values(state, now, p))
-        for attribute in (
-            "name",
-            "order",
-            "start_order",
-            "nodes",
-            "start_instants",
-            "channels",
-            "parameters",
-            "equations",
-            "limits",
-        ):
-            assert getattr(copy, attribute) == getattr(stepper.program, attribute)
 
     def _started(self, problem: Problem) -> tuple[Stepper, Array, list[Array]]:
         """Return a stepper, its state in the middle of the path and reference jets of the next four steps."""

@@ -29,7 +29,7 @@ from servocore.problem import Problem
 from servocore.solvers import taylor as taylor_module
 from servocore.solvers.exact_inversion import input_evaluation
 from servocore.solvers.taylor import Taylor
-from servocore.stepping.compilation import program_of
+from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 
 SOURCE = "int servocore_answer(void) { return 42; }\n"

@@ -40,12 +40,6 @@ def test_a_program_is_compiled_once() -> None:
     assert sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.2, native=True).program is stepper.program
 
 
-def test_machine_code_is_not_saved() -> None:
-    stepper = sc.Stepper(CRANE, sc.Reduced(), sc.BackwardEuler(), 0.1, native=True)
-    with pytest.raises(sc.ServocoreError, match="machine code cannot be saved"):
-        stepper.program.to_json()
-
-
 def test_without_a_compiler_machine_code_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "")
     monkeypatch.setattr(machine_code, "COMPILERS", ("no-such-compiler",))

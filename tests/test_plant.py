@@ -1,4 +1,4 @@
-"""The compiled plant moves as `simulate` says, holds with its brakes on, and is saved and linearized faithfully."""
+"""The compiled plant moves as `simulate` says and holds with its brakes on."""
 
 from __future__ import annotations
 
@@ -128,20 +128,6 @@ def test_energy_is_kept_without_inputs_that_work() -> None:
     for _ in range(2000):
         state = plant.advance_held(state, STILL, p, 0.005)
     assert plant.values(state, None, STILL, p)["energy"] == pytest.approx(before, abs=1e-6)
-
-
-def test_a_saved_plant_is_the_same_plant() -> None:
-    plant, state, p = at_rest("generalized")
-    again = sc.Plant.from_json(plant.to_json())
-    assert again.parameters == plant.parameters
-    assert again.channels == plant.channels
-    np.testing.assert_array_equal(run(again, state, p, 0.1), run(plant, state, p, 0.1))
-
-
-@pytest.mark.parametrize("text", ["", "{}", "[]", '{"format": "another"}', '{"format": "servocore plant 1"}'])
-def test_another_text_is_no_plant(text: str) -> None:
-    with pytest.raises(sc.ServocoreError, match="saved plant"):
-        sc.Plant.from_json(text)
 
 
 def test_a_plant_whose_constraint_forces_are_not_determined_is_refused() -> None:

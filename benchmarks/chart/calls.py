@@ -23,6 +23,7 @@ from benchmarks.chart.own import PREPARED, PREPARED_TOLERANCES
 from benchmarks.chart.timing import processor_time
 from servocore.errors import InvalidSetting
 from servocore.numerics.machine_code import Build, built
+from servocore.numerics.stepped_runs import hermite_weights, map_of, row_of
 
 SCENES: dict[str, Callable[[], sc.Scene]] = {
     "mass on car": sc.scenes.mass_on_car,
@@ -117,7 +118,8 @@ def _in_c(inputs: sc.DynamicInversion, t: Array) -> dict[str, Run]:
 def _interpreted(inputs: sc.DynamicInversion) -> dict[str, Run]:
     """Return the interpreter's loops, on the arguments of the last call."""
     runs = inputs._steps.runs
-    loops = [runs._loop("step", inputs.steps + 1), runs._loop("read", INSTANTS), runs._loop("weigh", INSTANTS)]
+    steps = row_of(runs.step, inputs.steps + 1)
+    loops = [steps, map_of(runs.read, 2, INSTANTS), map_of(hermite_weights(), 1, INSTANTS)]
 
     def again(of: Sequence[Run]) -> None:
         for _ in range(CALLS):

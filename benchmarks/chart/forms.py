@@ -27,7 +27,7 @@ from servocore.formulations.projected import Projected
 from servocore.formulations.reduced import Reduced
 from servocore.model.system import MechanicalSystem
 from servocore.solvers.fixed_step_loop import run_steps
-from servocore.stepping.compilation import prescribed_start_of, program_of
+from servocore.stepping.program import program_of
 from servocore.structure.derivative_array import derivative_array
 from servocore.structure.inversion import inversion
 
@@ -321,8 +321,7 @@ def exact_unknowns(problem: Problem, model: str) -> dict[Key, Array]:
     scene, system, method = problem.scene, _system(problem, model), RadauIIA(5)
     t = problem.grid()
     resolved = sc.Problem.of(scene, model)
-    first = prescribed_start_of(Reduced(), method)
-    states = run_steps(resolved, program_of(resolved, Reduced(), method), t, first).states
+    states = run_steps(resolved, program_of(resolved, Reduced(), method), t).states
     dae = Reduced().dae(system)
     found = {(each.variable, each.order): states[k] for k, each in enumerate(dae.unknowns)}
     return {**found, ("time", 0): t}

@@ -29,7 +29,7 @@ from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.solve import solve
-from servocore.stepping.compilation import program_of
+from servocore.stepping.program import program_of
 
 ROUTES: dict[str, tuple[Formulation, Method]] = {
     "exact": (Reduced(), RadauIIA(3)),

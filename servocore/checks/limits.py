@@ -8,15 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from servocore.errors import LimitBroken
+from servocore.errors import InvalidReference, LimitBroken
 from servocore.model.limits import Limit
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.references.base import survey
-from servocore.stepping.observation import compile_margins, limit_texts, limits_order
+from servocore.stepping.observation import compile_margins, limits_order
 from servocore.stepping.path_function import PathFunction
-from servocore.stepping.program import LimitText, require_margins
 
 _VALLEYS = 4  # lowest local minima of a limit that are looked at more closely
 _CAUTION = 4.0  # between instants a smooth margin falls by an eighth of its second difference
@@ -37,10 +36,9 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
     limits = tuple(each for each in of_path if not each.at_instants_only)
     if not limits:
         return
-    texts = limit_texts(limits)
     t = survey(problem.reference)
     margins = _margins(problem, limits, t, native)
-    _require_kept(texts, margins, t)
+    _require_kept(limits, margins, t)
     if not _may_fall_to_zero(margins):
         return
     rows, places = _valleys(margins)
@@ -52,17 +50,27 @@ def require_feasible(problem: Problem, t: Array | None = None, native: bool | No
         lows = margins[rows, :, lanes]
         deepest = np.nan_to_num(lows, nan=-np.inf).argmin(axis=1)
         for lane in lanes[~(lows[lanes, deepest] > 0.0)]:
-            require_margins((texts[rows[lane]],), lows[lane, deepest[[lane]]], float(grid[deepest[lane], lane]))
+            _require_margin(limits[rows[lane]], lows[lane, deepest[lane]], float(grid[deepest[lane], lane]))
         below = grid[np.maximum(deepest - 1, 0), lanes]
         above = grid[np.minimum(deepest + 1, _REFINED_POINTS - 1), lanes]
 
 
-def _require_kept(texts: tuple[LimitText, ...], margins: Array, t: Array) -> None:
-    for text, margin in zip(texts, margins, strict=True):
+def _require_kept(limits: tuple[Limit, ...], margins: Array, t: Array) -> None:
+    for limit, margin in zip(limits, margins, strict=True):
         broken = ~(margin > 0.0)
         if broken.any():
             first = int(broken.argmax())
-            require_margins((text,), margin[[first]], float(t[first]))
+            _require_margin(limit, margin[first], float(t[first]))
+
+
+def _require_margin(limit: Limit, margin: float, time: float) -> None:
+    """Raise `InvalidReference` for a margin that is not positive."""
+    # Written so that NaN is refused: it is neither above nor below.
+    if not margin > 0.0:
+        raise InvalidReference(
+            f"at t = {time:.6g} s {limit.reason}: {limit.quantity} is {margin + limit.bound:.4g} {limit.unit},"
+            f" it must stay above {limit.bound:g} {limit.unit}"
+        )
 
 
 def _may_fall_to_zero(margins: Array) -> bool:
@@ -84,9 +92,9 @@ def _valleys(margins: Array) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]
 def _require_at(problem: Problem, limits: tuple[Limit, ...], t: Array | None, native: bool | None) -> None:
     if not limits or t is None:
         return
-    for text, margin in zip(limit_texts(limits), _margins(problem, limits, t, native), strict=True):
+    for limit, margin in zip(limits, _margins(problem, limits, t, native), strict=True):
         lowest = int(np.nan_to_num(margin, nan=-np.inf).argmin())
-        require_margins((text,), margin[[lowest]], float(t[lowest]))
+        _require_margin(limit, margin[lowest], float(t[lowest]))
 
 
 def _margins(problem: Problem, limits: tuple[Limit, ...], t: Array, native: bool | None) -> Array:

@@ -40,9 +40,8 @@ from servocore.numerics.compiled_calls import Array
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
 from servocore.solvers.branch_continuation import BranchTable, exact_states, prepared_table
-from servocore.stepping.compilation import discretized, program_of
-from servocore.stepping.initial_values import compile_restart
 from servocore.stepping.observation import compile_margins, limits_order
+from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import inversion
 
 METHOD = RadauIIA(3)
@@ -331,13 +330,13 @@ def _stepped(known: _Known, identifier: str) -> Mathematics:
     system, dae = problem.system, problem.dae(Reduced())
     program = program_of(problem, Reduced(), METHOD)
     orders = max(program.start_order + 1, known.orders)
-    method_step = discretized(dae, METHOD)
+    method_step = program.discretization
     read = observation(system, dae, method_step, known.wanted, orders - 1)
     margins, nodes = compile_margins(system, known.of_path, orders - 1), program.nodes
     G, P, T = _symbols(system, orders)
     D, h = ca.MX.sym("start", len(problem.array.states)), ca.MX.sym("h")
     path = timed_path(system, G, T)
-    first, residual = _first(problem, program.start_order, path, P, D)
+    first, residual = _first(problem, program, path, P, D)
     outputs, kept = known.split(read(first, path, P), margins(path, P))
     S, N = ca.MX.sym("state", program.state_size), ca.MX.sym("nodes", G.shape[0], orders * len(nodes))
     at_nodes = [
@@ -372,10 +371,10 @@ def _symbols(system: MechanicalSystem, orders: int) -> tuple[ca.MX, ca.MX, ca.MX
     return ca.MX.sym("path", len(system.outputs), orders), ca.MX.sym("p", system.p.numel()), ca.MX.sym("time")
 
 
-def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, offset: ca.MX) -> tuple[ca.MX, ca.MX]:
+def _first(problem: Problem, program: Program, path: ca.MX, p: ca.MX, offset: ca.MX) -> tuple[ca.MX, ca.MX]:
     """Return the first state, its internal states moved from where they rest, and the residual of the equations."""
-    array, inverse, dae = problem.array, inversion(problem.array), problem.dae(Reduced())
-    path = path[:, : order + 1]
+    array, inverse = problem.array, inversion(problem.array)
+    path = path[:, : program.start_order + 1]
     used = path[:, : array.reference_order + 1]
     if array.states:
         guess = inverse.guess(used, p)
@@ -383,8 +382,7 @@ def _first(problem: Problem, order: int, path: ca.MX, p: ca.MX, offset: ca.MX) -
         unknowns, _, residual = inverse.search(used, p, guess)
     else:
         unknowns, _, residual = inverse.function(used, p)
-    restart = compile_restart(array, inverse, dae, dae, discretized(dae, METHOD), order)
-    return restart(unknowns, path, 0, p), residual
+    return program.restart(unknowns, path, 0, p), residual
 
 
 def _dependence(function: ca.Function, result: int) -> npt.NDArray[np.bool_]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import tempfile
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from servocore.export.sources import SHARED, rendered, tables
 from servocore.export.variables import INTERNAL_STEP
 from servocore.files import made_folder, require_writable, write_together
 from servocore.model.scene import Scene
-from servocore.numerics.machine_code import c_compiler
+from servocore.numerics.machine_code import c_compiler, compile_in
 from servocore.numerics.square_systems import MAX_ITERATIONS
 
 _NAMES = ("main.c", "CMakeLists.txt", "README.md")  # beside those that the scene's name gives
@@ -128,9 +127,9 @@ def _stack(files: dict[str, str], file: str) -> str:
             for name, text in files.items():
                 Path(folder, name).write_text(text, encoding="utf-8")
             options = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fstack-usage", "-c", file, "-o", "object.o"]
-            subprocess.run([*command, *options], cwd=folder, capture_output=True, timeout=600, check=True)
+            compile_in(Path(folder), [*command, *options], file)
             (usage,) = Path(folder).glob("*.su")
             sizes = [int(line.split("\t")[1]) for line in usage.read_text(encoding="utf-8").splitlines()]
-    except (InvalidSetting, OSError, subprocess.SubprocessError, ValueError, IndexError):
+    except (InvalidSetting, OSError, ValueError, IndexError):
         return "not measured: there was no compiler that tells"
     return f"at most {sum(sizes)} bytes, measured with `{' '.join(command)} -O2`"

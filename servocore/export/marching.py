@@ -9,11 +9,10 @@ import casadi as ca
 
 from servocore.export.exported_quantities import observation, timed_path, wanted
 from servocore.formulations.projected import Projected
-from servocore.formulations.reduced import Reduced
 from servocore.methods.backward_euler import BackwardEuler
 from servocore.problem import Problem
-from servocore.stepping.compilation import discretized, program_of
 from servocore.stepping.initial_values import compile_start
+from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 
 METHOD = BackwardEuler()
@@ -61,15 +60,14 @@ def marching(problem: Problem, identifier: str) -> Marching:
     system, array, form = problem.system, problem.array, Projected()
     program, inverse = program_of(problem, form, METHOD), inversion(problem.array)
     dae, orders, instants = problem.dae(form), program.start_order + 1, program.start_instants
-    reduced, discretization = problem.dae(Reduced(states=array.named_states)), discretized(dae, METHOD)
-    read = observation(system, dae, discretization, wanted(problem), program.start_order)
+    read = observation(system, dae, program.discretization, wanted(problem), program.start_order)
     m = len(system.outputs)
     past, path = ca.MX.sym("past", m, orders * len(instants)), ca.MX.sym("path", m, orders)
     p, h, time = ca.MX.sym("p", system.p.numel()), ca.MX.sym("h"), ca.MX.sym("time")
     known = [
         timed_path(system, column, time + k * h) for column, k in zip(ca.horzsplit(past, orders), instants, strict=True)
     ]
-    start = compile_start(array, inverse.by_search(), dae, reduced, discretization, program.start_order)
+    start = compile_start(array, inverse.by_search(), dae, program.reduced, program.discretization, program.start_order)
     first, _, residual = start(ca.horzcat(*known), h, p)
     begin = [first, read(first, known[0], p), residual]
     state, then = ca.MX.sym("state", program.state_size), timed_path(system, path, time + h)

@@ -18,8 +18,7 @@ from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.numerics.expressions import highest_derivative
 from servocore.problem import Problem
-from servocore.stepping.forward_dynamics import compile_plant
-from servocore.stepping.plant import Plant
+from servocore.stepping.forward_dynamics import Plant, compile_plant
 from servocore.structure.inversion import inversion
 
 CHOICES = (

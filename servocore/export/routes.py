@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from servocore.errors import InvalidModel
-from servocore.export.c_functions import c_source
+from servocore.export.c_functions import c_source, renamed
 from servocore.export.inverse_model import InverseModel
 from servocore.export.variables import Choice, internal_step
 from servocore.formulations.base import Formulation
@@ -18,8 +18,8 @@ from servocore.methods.base import Method
 from servocore.model.quantity import Quantity
 from servocore.model.scene import Scene
 from servocore.problem import Problem
-from servocore.stepping.compilation import program_of
-from servocore.stepping.program import Program
+from servocore.stepping.observation import compile_margins
+from servocore.stepping.program import Program, program_of
 
 _FULL_DERIVATIVES = 3  # of the path: a step that reads so many needs no history of it
 
@@ -166,15 +166,14 @@ def _compiled(scene: Scene, wishes: SteppedRoutes, made: InverseModel) -> Routes
             raise InvalidModel(f"{program.name} cannot be exported: its steps have other nodes than their end")
         programs.append(program)
         functions.append({} if k == 0 else _functions(program, f"{identifier}_route_{k}", outputs, orders))
-    path, p = _path(programs[0], orders), ca.MX.sym("p", len(programs[0].parameters))
-    margins = ca.Function(
-        f"{identifier}_margins", [path, p], [ca.densify(programs[0].margins(_padded(programs[0], path), p))]
-    )
+    problem = Problem.of(scene, wishes.models[0])
+    of_path = tuple(limit for limit in problem.limits if limit.of_path)
+    margins = renamed(compile_margins(problem.system, of_path, orders - 1), f"{identifier}_margins")
     return Routes(programs, functions, margins, wishes, outputs)
 
 
 def _path(program: Program, columns: int) -> ca.MX:
-    return ca.MX.sym("path", program.margins.size1_in(0), columns)
+    return ca.MX.sym("path", program.start.size1_in(0), columns)
 
 
 def _padded(program: Program, path: ca.MX) -> ca.MX:
@@ -187,7 +186,9 @@ def _functions(program: Program, name: str, outputs: Sequence[Quantity], orders:
     names, count = [channel.name for channel in program.channels], len(program.start_instants)
     places = [names.index(each.name) for each in outputs]
     path, past = _path(program, orders), _path(program, orders * count)
-    p, h, state = (ca.MX.sym(*each) for each in (("p", len(program.parameters)), ("h",), ("state", program.state_size)))
+    p, h, state = (
+        ca.MX.sym(*each) for each in (("p", program.start.numel_in(2)), ("h",), ("state", program.state_size))
+    )
     used = _padded(program, path)
 
     def seen(of: ca.MX) -> ca.MX:

@@ -10,7 +10,6 @@ import re
 import shlex
 import shutil
 import struct
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -22,7 +21,7 @@ from pathlib import Path
 
 from servocore.errors import InvalidSetting
 from servocore.numerics.code_cache import CodeCache
-from servocore.numerics.machine_code import c_compiler
+from servocore.numerics.machine_code import c_compiler, compile_in
 
 Progress = Callable[[str], None]
 
@@ -30,7 +29,6 @@ Progress = Callable[[str], None]
 _OPTIONS = ("-std=c99", "-fPIC", "-fvisibility=hidden", "-ffp-contract=off", "-DCASADI_SYMBOL_EXPORT=", "-w")
 _FULL, _LIGHT = "-O3", "-O1"
 _INCLUDED = re.compile(r'^#include "(.+)"', re.MULTILINE)
-_SECONDS = 900.0
 _SLICE_ALIGNMENT = 14  # 2^14, the pages of arm64 macOS
 
 
@@ -217,14 +215,7 @@ class _Compiler:
         return (self.folder / result).read_bytes()
 
     def _run(self, options: Sequence[str]) -> None:
-        command, name = [*self.command, *options], self.target.name
-        try:
-            subprocess.run(command, cwd=self.folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
-        except subprocess.CalledProcessError as error:
-            reason = next((line for line in (error.stderr or "").splitlines() if "error" in line), "it gives no reason")
-            raise InvalidSetting(f"{command[0]} does not compile the FMU for {name}: {reason}") from error
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise InvalidSetting(f"{command[0]} does not compile the FMU for {name}: {error}") from error
+        compile_in(self.folder, [*self.command, *options], f"the FMU for {self.target.name}")
 
 
 def _texts(file: str, sources: Mapping[str, str]) -> list[str]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from servocore.export.targets import zig
 from servocore.export.variables import Variable, path_variables
 from servocore.files import require_places, write_together
 from servocore.model.scene import Scene
+from servocore.numerics.machine_code import compile_in
 from servocore.problem import Problem
 
 LOADER = "loader.mjs"
@@ -35,7 +35,6 @@ _INVERTING = ("quick", "begin")
 # step of marching takes up to a third longer.
 _OPTIONS = ("-target", "wasm32-wasi", "-mcpu=mvp+bulk_memory+nontrapping_fptoint", "-mexec-model=reactor", "-Os",
             "-ffp-contract=off", "-w", "-Wl,--strip-all", "-Wl,--export=__heap_base")  # fmt: skip
-_SECONDS = 600.0
 _VERDICTS = (
     "fine",
     "the path is not finite",
@@ -189,9 +188,5 @@ def _compiled(source: str, title: str) -> bytes:
     with tempfile.TemporaryDirectory(prefix="servocore_") as folder:
         Path(folder, "module.c").write_text(source, encoding="utf-8")
         call = [*command, "cc", *_OPTIONS, "module.c", "-o", "module.wasm"]
-        try:
-            subprocess.run(call, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=True)
-        except (OSError, subprocess.SubprocessError) as error:
-            said = (getattr(error, "stderr", None) or str(error)).strip().splitlines()
-            raise InvalidSetting(f"ziglang does not compile {title} to WebAssembly: {said[0]}") from error
+        compile_in(Path(folder), call, f"{title} to WebAssembly")
         return Path(folder, "module.wasm").read_bytes()

@@ -1,4 +1,4 @@
-"""`Quantity`: name and unit of a scalar. This module travels with `servocore.stepping.program`."""
+"""`Quantity`: name and unit of a scalar."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Compiled functions called on NumPy arrays in place, without CasADi's matrix conversions.
 
-The conversions cost ten times what a small function itself takes. This module travels with
-`servocore.stepping.program`.
+The conversions cost ten times what a small function itself takes.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from copy import copy
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import casadi as ca
 
@@ -98,11 +98,11 @@ class JustInTime(Generic[Loaded]):
             BACKGROUND.ask(self._build)
 
 
-Holder = TypeVar("Holder", bound=Any)
+Holder = TypeVar("Holder")
 
 
 def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native: bool | None) -> JustInTime[Holder]:
-    """Return a dataclass with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
+    """Return a value with some of its functions as machine code; `of_what` is for messages, see `JustInTime`."""
 
     def functions() -> dict[str, ca.Function]:
         return {name: getattr(holder, name) for name in names}
@@ -115,7 +115,8 @@ def in_machine_code(holder: Holder, names: tuple[str, ...], of_what: str, native
     def load(library: Path) -> Holder:
         from servocore.numerics.machine_code import loaded  # noqa: PLC0415
 
-        made: Holder = replace(holder, **loaded(library, functions()))
+        made = copy(holder)
+        vars(made).update(loaded(library, functions()))
         return made
 
     return JustInTime(make, load, native)

@@ -11,7 +11,7 @@ import atexit
 import os
 import shlex
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -36,7 +36,7 @@ AUTOMATIC = "SERVOCORE_MACHINE_CODE"
 # library need not report errors in a variable changes no number, and lets the compiler take square roots side by side.
 _OPTIONS = ("-O2", "-fPIC", "-shared", "-ffp-contract=off", "-fno-math-errno")
 _OF_THIS_PROCESSOR = "-march=native"
-_SECONDS = 600.0
+_SECONDS = 900.0
 
 
 def c_compiler() -> list[str]:
@@ -203,14 +203,26 @@ def _compiled_contents(build: Build, command: list[str]) -> bytes:
     with tempfile.TemporaryDirectory(prefix="servocore_") as name:
         folder = Path(name)
         (folder / "program.c").write_text(build.source, encoding="utf-8")
-        try:
-            code, message = _PROCESSES.run([*command, *build.options(), "program.c", "-o", "program.so", "-lm"], folder)
-            reason = "" if code == 0 else "".join((message or "").strip().splitlines()[:1])
-            if code == 0:
-                return (folder / "program.so").read_bytes()
-        except OSError as error:
-            reason = str(error)
-    raise InvalidSetting(f"{command[0]} does not compile {build.of_what}: {reason}")
+        compile_in(folder, [*command, *build.options(), "program.c", "-o", "program.so", "-lm"], build.of_what)
+        return (folder / "program.so").read_bytes()
+
+
+def compile_in(folder: Path, command: Sequence[str], of_what: str) -> None:
+    """Run a compiler in a folder; nothing else in the library starts one.
+
+    Raises
+    ------
+    InvalidSetting
+        If it cannot be run, does not compile or does not end, with the first error that it tells.
+    """
+    try:
+        code, message = _PROCESSES.run(list(command), folder)
+    except OSError as error:
+        code, message = -1, str(error)
+    if code:
+        told = message.strip().splitlines() or ["it gives no reason"]
+        reason = next((line for line in told if "error" in line), told[0])
+        raise InvalidSetting(f"{command[0]} does not compile {of_what}: {reason}")
 
 
 class _Background:

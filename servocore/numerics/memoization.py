@@ -12,10 +12,10 @@ Made = TypeVar("Made")
 _MOST = 256  # of one kind: the ones that were not used for longest go
 
 
-def made_once(make: Callable[Settings, Made]) -> Callable[Settings, Made]:
+def made_once(make: Callable[Settings, Made], most: int = _MOST) -> Callable[Settings, Made]:
     """Keep what a function makes: asked again with the same arguments, it returns the same object.
 
     Compiling takes longer than solving, and many solves share a system. Arguments are hashable; systems and compiled
-    functions are the same if they are identical.
+    functions are the same if they are identical. Of what one function makes, the `most` that were used last are kept.
     """
-    return cast("Callable[Settings, Made]", lru_cache(maxsize=_MOST)(make))
+    return cast("Callable[Settings, Made]", lru_cache(maxsize=most)(make))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from math import prod
 from pathlib import Path
@@ -22,6 +22,7 @@ import numpy.typing as npt
 from servocore.numerics.compiled_calls import Array
 from servocore.numerics.just_in_time import LANES, NAME, JustInTime
 from servocore.numerics.machine_code import Build
+from servocore.numerics.memoization import made_once
 from servocore.numerics.stepped_run_code import NO_MEMORY, NODES, SOUND, run_source
 from servocore.numerics.vector_code import build_of_source
 from servocore.numerics.vectorized import addresses, threads_for
@@ -178,6 +179,7 @@ class Instants:
         return _InstantsAsC(times, places, len(t), lane, len(t), [t, path])
 
 
+@made_once
 def hermite_weights() -> ca.Function:
     """Return (time, [begin; h; last]) -> the first of four steps beside it, and weights of their values and rates.
 
@@ -222,6 +224,22 @@ class _InPlace:
             return [result.copy(order="K") for result in self._results]
 
 
+# To build these costs more than to evaluate them; they hold memory for as many arguments as they take.
+
+
+@partial(made_once, most=_MOST_LOOPS)
+def row_of(step: ca.Function, count: int) -> _InPlace:
+    """Return so many steps in a row, from the first argument."""
+    return _InPlace(step.mapaccum("sc_steps", count))
+
+
+@partial(made_once, most=_MOST_LOOPS)
+def map_of(function: ca.Function, along: int, count: int) -> _InPlace:
+    """Return a function at so many instants, along which its first arguments vary."""
+    same = [*range(along, function.n_in())]
+    return _InPlace(function.map(f"{function.name()}_map", "serial", count, same, []))
+
+
 class SteppedRuns:
     """Runs of one step function, read by another.
 
@@ -240,15 +258,14 @@ class SteppedRuns:
     def __init__(
         self, step: ca.Function, read: ca.Function, positive: range, native: bool | None, of_what: str
     ) -> None:
-        self._step, self._read, self._positive = step, read, positive
+        self.step, self.read, self._positive = step, read, positive
         self._columns = int(read.numel_out(0))
         self._weights = hermite_weights()
-        self._loops: dict[tuple[str, int], _InPlace] = {}
         self._of_what = of_what
         self._code = JustInTime(self._build, _loaded, native)
 
     def _build(self) -> Build | None:
-        step, read = self._step, self._read
+        step, read = self.step, self.read
         return build_of_source(lambda: run_source(step, self._weights, read, self._positive), self._of_what, step, read)
 
     def __call__(self, run: Run, instants: Instants) -> tuple[Array, bool]:
@@ -275,7 +292,7 @@ class SteppedRuns:
 
     def states(self, run: Run) -> Array:
         """Return the states at the steps of a single case and their rates times h, (2, states, count + 1)."""
-        step = self._loop("step", run.count + 1)
+        step = row_of(self.step, run.count + 1)
         ends, rates = step(run.start[:, None], run.path, run.numbers[:, None], run.settings[:, None])
         table = np.empty((2, *rates.shape))
         table[0, :, 0], table[0, :, 1:] = run.start, ends[:, :-1]
@@ -287,27 +304,13 @@ class SteppedRuns:
         if between is None:
             return np.full((self._columns, count), np.nan), False
         states = between.states(self.states(run))
-        (values,) = self._loop("read", count)(states, instants.path, run.numbers[:, None], run.settings[1:, None])
+        (values,) = map_of(self.read, 2, count)(states, instants.path, run.numbers[:, None], run.settings[1:, None])
         signs = values[self._positive.start : self._positive.stop]
         return values, bool(np.isfinite(values).all() and (not len(signs) or (signs > 0.0).all()))
 
     def weigh(self, count: int) -> Weigh:
         """Return the weights of four steps at so many instants."""
-        return self._loop("weigh", count)
-
-    def _loop(self, name: str, count: int) -> _InPlace:
-        """Return a function at so many instants; to build one costs more than to evaluate it, so some are kept."""
-        known = self._loops.get((name, count))
-        if known is None:
-            if name == "step":
-                loop = self._step.mapaccum("sc_steps", count)
-            else:
-                function, along = (self._read, 2) if name == "read" else (self._weights, 1)
-                loop = function.map(f"sc_{name}", "serial", count, [*range(along, function.n_in())], [])
-            if len(self._loops) >= _MOST_LOOPS:
-                self._loops.clear()
-            self._loops[name, count] = known = _InPlace(loop)
-        return known
+        return map_of(self._weights, 1, count)
 
 
 def _loaded(library: Path) -> Any:

@@ -18,11 +18,10 @@ from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.fixed_step import Stepped
-from servocore.solvers.fixed_step_loop import First, Progress, first_state, run_steps, step_of
+from servocore.solvers.fixed_step_loop import Progress, first_state, run_steps, step_of
 from servocore.solvers.results import Run, Segment, joined_runs, solution_of
 from servocore.solvers.route import Adaptive
-from servocore.stepping.compilation import prescribed_start_of, program_of
-from servocore.stepping.program import Program
+from servocore.stepping.program import Program, program_of
 
 _SAFETY, _LEAST, _MOST = 0.9, 0.2, 5.0
 _STAGNATION = 1.3  # a halved step that improves the inputs by less has met a floor
@@ -53,16 +52,15 @@ class ToTolerance(Stepped):
         IntegrationFailed
             If the tolerance cannot be met, with what was reached and why.
         """
-        first = prescribed_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
         order = self.method.orders(program.index).forces
         if program.index <= 1:
-            return _by_steps(problem, StepControl(self.control, program, problem, order), times, first, progress)
-        return _by_runs(problem, program, self.control, order, times, first, progress)
+            return _by_steps(problem, StepControl(self.control, program, problem, order), times, progress)
+        return _by_runs(problem, program, self.control, order, times, progress)
 
 
 def _by_runs(
-    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, first: First, progress: Progress | None
+    problem: Problem, program: Program, control: Adaptive, order: int, t: Array, progress: Progress | None
 ) -> Solution:
     """Halve the step of whole runs until the inputs at the instants `t` agree to the tolerance."""
     inputs = len(problem.system.inputs)
@@ -73,9 +71,7 @@ def _by_runs(
         if total + count > control.most_steps:
             raise IntegrationFailed(f"{program.name}: {control.most_steps} steps are not enough")
         total += count
-        done = run_steps(
-            problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), first, progress
-        )
+        done = run_steps(problem, program, np.interp(np.arange(count + 1) / division, np.arange(len(t)), t), progress)
         segment = Segment(program, t, replace(done, states=done.states[:, ::division]))
         fine = solution_of(problem, [segment], refuse_turns=False, steps=total)
         if coarse is not None:
@@ -193,10 +189,10 @@ class StepControl:
             )
 
 
-def _by_steps(problem: Problem, control: StepControl, t: Array, first: First, progress: Progress | None) -> Solution:
+def _by_steps(problem: Problem, control: StepControl, t: Array, progress: Progress | None) -> Solution:
     """Control the local error by comparing each step with two halves; steps end on the instants `t`."""
     program, step = control.program, step_of(t)
-    state, residual = first_state(problem, program, step, first)
+    state, residual = first_state(problem, program, step)
     first_values = program.values(state, problem.reference.jet(float(t[0]), program.start_order), problem.p)
     peaks = np.abs(first_values[: len(problem.system.inputs)])
     now = Reached(Run(state[:, None], 0, 0, residual), float(t[0]), step, peaks, step)

@@ -29,7 +29,7 @@ from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, step_of
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.stepping.compilation import program_of
+from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 from servocore.structure.zero_dynamics import Equilibrium, internal_equilibrium, linearization
 

@@ -32,8 +32,8 @@ from servocore.references.base import Reference, numbers_of
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import first_state
 from servocore.solvers.solve import solve
-from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.explicit_steps import ExplicitSteps, compile_explicit_steps
+from servocore.stepping.program import program_of
 
 _FEWEST, _GROWTH, _MOST = 6, 1.25, 20_000  # steps that are tried
 _INSTANTS = 201  # at which they are compared
@@ -112,7 +112,7 @@ class DynamicInversion:
         self.inputs = tuple(quantity.name for quantity in problem.system.inputs)
         self._steps: ExplicitSteps = compile_explicit_steps(problem.resolved, problem.reference.formula, native)
         checked = solve(scene, Reduced(), RadauIIA(3), model=model, start=start)
-        first, _ = first_state(problem, program_of(problem, *_FORM), 0.0, prescribed_start_of(*_FORM))
+        first, _ = first_state(problem, program_of(problem, *_FORM), 0.0)
         self._start = first[: len(problem.array.states)]
         self._known: dict[bytes, Instants] = {}
         self.steps = self._enough(checked, tolerance)
@@ -298,7 +298,7 @@ class DynamicCases:
             for case, values in enumerate(p):
                 case_problem = replace(problem, p=values, reference=paths[min(case, len(paths) - 1)])
                 with suppress(InconsistentStart):
-                    starts[case] = first_state(case_problem, program, 0.0, prescribed_start_of(*_FORM))[0][:size]
+                    starts[case] = first_state(case_problem, program, 0.0)[0][:size]
             return starts
         instants = len(program.start_instants)
         jets = np.concatenate([path.jet(np.full(instants, path.start_time), program.start_order) for path in paths])

@@ -33,9 +33,8 @@ from servocore.solvers.fixed_step_loop import Progress, run_steps, step_failure,
 from servocore.solvers.results import Run, Segment, solution_of
 from servocore.solvers.route import JudgedRoute
 from servocore.solvers.within_limits import require_exact_within_limits
-from servocore.stepping.compilation import prescribed_start_of, program_of
 from servocore.stepping.exact_evaluation import ExactEvaluation, exact_evaluation, exact_quantities
-from servocore.stepping.program import Program
+from servocore.stepping.program import Program, program_of
 from servocore.structure.inversion import inversion
 
 if TYPE_CHECKING:
@@ -72,7 +71,7 @@ class Pointwise(JudgedRoute):
         evaluation = self._evaluation(problem)
         program = program_of(problem, self.formulation, self.method, bool(self.native) and evaluation is None)
         if problem.follow_branch:
-            done = run_steps(problem, program, times, prescribed_start_of(self.formulation, self.method), progress)
+            done = run_steps(problem, program, times, progress)
             require_followed(problem, times, done.states)
             return solution_of(problem, [Segment(program, times, done)], branch=FOLLOWED)
         done, observed = _at_every_instant(problem, program, times, evaluation, progress)

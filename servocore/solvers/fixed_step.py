@@ -22,7 +22,7 @@ from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
 from servocore.methods.base import Method
 from servocore.methods.collocation import RadauIIA
-from servocore.numerics.compiled_calls import Array, at_instants, side_by_side
+from servocore.numerics.compiled_calls import Array, at_instants, call_of, side_by_side
 from servocore.problem import Problem
 from servocore.solution import Solution
 from servocore.solvers.boundary_value import BoundaryValue
@@ -38,8 +38,7 @@ from servocore.solvers.fixed_step_loop import (
 )
 from servocore.solvers.results import Segment, solution_of
 from servocore.solvers.route import JudgedRoute
-from servocore.stepping.compilation import compile_restart_of, prescribed_start_of, program_of
-from servocore.stepping.program import Program
+from servocore.stepping.program import Program, program_of
 from servocore.structure.derivative_array import DerivativeArray, choose_states
 from servocore.structure.inversion import system_jacobian
 
@@ -95,9 +94,8 @@ class FixedStep(Stepped):
 
     def run(self, problem: Problem, times: Array, progress: Progress | None = None) -> Solution:
         """Step through the instants and report every one; see `Route`."""
-        first = prescribed_start_of(self.formulation, self.method)
         program = program_of(problem, self.formulation, self.method, self.native, len(times))
-        return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, first, progress))])
+        return solution_of(problem, [Segment(program, times, run_steps(problem, program, times, progress))])
 
 
 class StateSelection(Stepped):
@@ -118,7 +116,7 @@ class StateSelection(Stepped):
         """
         formulation, step, count = self.formulation, step_of(times), len(times) - 1
         program = program_of(problem, formulation, self.method, self.native, len(times))
-        state, _ = first_state(problem, program, step, prescribed_start_of(formulation, self.method))
+        state, _ = first_state(problem, program, step)
         length, segments = chunk_length(count), list[Segment]()
         at, restarted_at = 0, -1
         while at < count:
@@ -138,19 +136,17 @@ class StateSelection(Stepped):
                 restarted_at = at
                 formulation = replace(formulation, states=tuple((array.names[j], order) for j, order in better))
                 program = program_of(problem, formulation, self.method, self.native, len(times))
-                state = self._restarted(problem, program, formulation, float(times[at]), step, values[:, good])
+                state = _restarted(problem, program, float(times[at]), step, values[:, good])
             if progress is not None:
                 progress(at, count)
         return solution_of(problem, segments)
 
-    def _restarted(
-        self, problem: Problem, program: Program, formulation: Reduced, time: float, step: float, values: Array
-    ) -> Array:
-        """Return the state of a program at a time where all unknowns of the derivative array are known."""
-        instants = time + step * np.array(program.start_instants)
-        gamma = problem.reference.jet(instants, program.start_order)
-        restart = compile_restart_of(problem.resolved, formulation, self.method, program.start_order)
-        return restart(values, side_by_side(gamma), step, problem.p)[0]
+
+def _restarted(problem: Problem, program: Program, time: float, step: float, values: Array) -> Array:
+    """Return the state of a program at a time where all unknowns of the derivative array are known."""
+    instants = time + step * np.array(program.start_instants)
+    gamma = problem.reference.jet(instants, program.start_order)
+    return call_of(program.restart)(values, side_by_side(gamma), step, problem.p)[0]
 
 
 def _array_values(array: DerivativeArray, states: Array) -> Array:

@@ -12,19 +12,17 @@ from servocore.errors import InconsistentStart, IntegrationFailed, InvalidRefere
 from servocore.numerics.compiled_calls import Array, chained, side_by_side
 from servocore.problem import Problem
 from servocore.solvers.results import Run, joined_runs
+from servocore.stepping.prescribed_initial_values import prescribed_start
 from servocore.stepping.program import Program
 
 Progress = Callable[[int, int], None]
 """Called with (steps done, steps in all)."""
 
-First = Callable[[Problem, Array, float, int], tuple[Array, float]]
-"""(problem, reference jets, step, order) -> first state with the start of the problem, and its residual."""
-
 CHUNK = 512
 """Most steps in one compiled loop: cheap to build, and progress can be shown in between."""
 
 
-def first_state(problem: Problem, program: Program, step: float, first: First) -> tuple[Array, float]:
+def first_state(problem: Problem, program: Program, step: float) -> tuple[Array, float]:
     """Return the consistent first state of a form and method, and its residual.
 
     Raises
@@ -45,7 +43,7 @@ def first_state(problem: Problem, program: Program, step: float, first: First) -
     time = reference.start_time
     past = reference.jet(time + step * np.array(program.start_instants), program.start_order)
     if problem.start:
-        return first(problem, past, step, program.start_order)
+        return prescribed_start(problem, program.restart, past, step)
     state, report = program.begin(past, problem.p, step)
     if not report.converged:
         raise InconsistentStart(
@@ -54,7 +52,7 @@ def first_state(problem: Problem, program: Program, step: float, first: First) -
     return state, report.residual
 
 
-def run_steps(problem: Problem, program: Program, t: Array, first: First, progress: Progress | None = None) -> Run:
+def run_steps(problem: Problem, program: Program, t: Array, progress: Progress | None = None) -> Run:
     """Step a form by a method from the start through the instants `t`, evenly apart.
 
     Raises
@@ -66,7 +64,7 @@ def run_steps(problem: Problem, program: Program, t: Array, first: First, progre
     """
     count = len(t) - 1
     step, length = step_of(t), chunk_length(count)
-    state, first_residual = first_state(problem, program, step, first)
+    state, first_residual = first_state(problem, program, step)
     parts = [Run(state[:, None], 0, 0, first_residual)]
     for done in range(0, count, length):
         part, complete = advance_chunk(

@@ -17,7 +17,7 @@ from servocore.references.base import Formula
 from servocore.solution import Solution
 from servocore.solvers.fixed_step_loop import Progress, first_state, step_of
 from servocore.solvers.results import Run, Segment, solution_of
-from servocore.stepping.compilation import prescribed_start_of, program_of
+from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 
 _MOST_STEPS = 100_000
@@ -74,7 +74,7 @@ class Sundials:
         if formula is None:
             raise InvalidReference("SUNDIALS needs a path that is a formula, such as rest_to_rest; RadauIIA takes any")
         program, count = program_of(problem, *how), len(times) - 1
-        first, _ = first_state(problem, program, step_of(times), prescribed_start_of(*how))
+        first, _ = first_state(problem, program, step_of(times))
         size = len(array.states)
         x0, z0 = first[:size], first[size : len(array.unknowns)]
         numbers = np.concatenate([formula.numbers(array.reference_order), problem.p])

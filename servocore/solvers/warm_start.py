@@ -16,7 +16,7 @@ from servocore.solution import Solution
 from servocore.solvers.branch_continuation import CONTINUOUS, Branch, on_one_branch
 from servocore.solvers.fixed_step_loop import run_steps
 from servocore.solvers.results import Run, Segment, solution_of
-from servocore.stepping.compilation import prescribed_start_of, program_of
+from servocore.stepping.program import program_of
 from servocore.structure.inversion import inversion
 
 _ASIDE = 1e-7  # relative
@@ -36,8 +36,7 @@ def perturbed_inversion(problem: Problem, times: Array) -> Solution:
 def _exact_states(problem: Problem, t: Array) -> Array:
     """Return all unknowns of the derivative array (size, N) at instants, on one branch."""
     if problem.follow_branch:
-        first = prescribed_start_of(Reduced(), BackwardEuler())
-        return run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t, first).states
+        return run_steps(problem, program_of(problem, Reduced(), BackwardEuler()), t).states
     jets = problem.reference.jet(t, problem.array.reference_order)
     states, _, residual = at_instants(inversion(problem.array).function, jets=jets, p=problem.p)
     return on_one_branch(problem, t, np.where(np.isfinite(residual), states, np.nan))[0]

@@ -10,7 +10,6 @@ from servocore.model.limits import Limit
 from servocore.model.quantity import Quantity
 from servocore.model.system import MechanicalSystem
 from servocore.numerics.expressions import highest_derivative, largest
-from servocore.stepping.program import LimitText
 
 
 def observed(system: MechanicalSystem) -> list[tuple[Quantity, ca.SX]]:
@@ -59,11 +58,6 @@ def violations_of(system: MechanicalSystem) -> ca.SX:
         system.constraint_rate,
     )
     return ca.vertcat(*[largest(group) for group in groups])
-
-
-def limit_texts(limits: tuple[Limit, ...]) -> tuple[LimitText, ...]:
-    """Return what to say of each limit, without its expression."""
-    return tuple(LimitText(limit.quantity, limit.unit, limit.reason, limit.bound) for limit in limits)
 
 
 def limits_order(system: MechanicalSystem, limits: tuple[Limit, ...]) -> int:

@@ -5,44 +5,39 @@ A start is a mapping from names to numbers: ``theta`` a coordinate in its unit, 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import casadi as ca
 import numpy as np
 
 from servocore.errors import InconsistentStart, InvalidModel, InvalidSetting, require_kind, require_real
-from servocore.formulations.base import Formulation
 from servocore.formulations.reduced import Reduced
-from servocore.methods.base import Method
-from servocore.numerics.compiled_calls import Array, Call, side_by_side
+from servocore.numerics.compiled_calls import Array, Call, call_of, side_by_side
 from servocore.numerics.memoization import made_once
 from servocore.problem import Problem, ResolvedSystem
 from servocore.structure.derivative_array import DerivativeArray
 from servocore.structure.inversion import inversion
 
 Start = Mapping[str, float]
-How = tuple[Callable[..., Call], Formulation, Method]
 
 _RATE = "_dot"
 _CLOSED = 1e-9  # residual of constraints, of the size of the coordinates, with which a start is accepted
 _ITERATIONS = 50
 
 
-def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, order: int) -> tuple[Array, float]:
+def prescribed_start(problem: Problem, restart: ca.Function, gamma: Array, step: float) -> tuple[Array, float]:
     """Return the first state of a run with the problem's start, and the residual of its equations.
 
     Parameters
     ----------
     problem : Problem
         With a start of its internal states.
-    how : (callable, Formulation, Method)
-        What is stepped, and `compile_restart_of`.
-    gamma : ndarray, shape (instants, order + 1, m)
-        Reference jets at the instants that the method needs.
+    restart : casadi.Function
+        Of the `Program` that is stepped.
+    gamma : ndarray, shape (instants, start_order + 1, m)
+        Reference jets at the instants that its start needs.
     step : float
         In s.
-    order : int
-        Of the jets.
 
     Raises
     ------
@@ -64,9 +59,7 @@ def prescribed_start(how: How, problem: Problem, gamma: Array, step: float, orde
         raise InconsistentStart(
             f"{problem.system.name}: no consistent initial values at t = {time:.6g} s with {_listed(problem.start)}"
         )
-    make, formulation, method = how
-    restart = make(problem.resolved, formulation, method, order)
-    return restart(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
+    return call_of(restart)(unknowns, side_by_side(gamma), step, problem.p)[0], float(residual.ravel()[0])
 
 
 def require_start(problem: Problem) -> None:

@@ -1,56 +1,39 @@
-"""`Program`: a servo constraint problem compiled to a few functions of plain vectors, ready to run anywhere.
+"""`Program`: a model, a formulation and a method together, as a few compiled functions of plain vectors.
 
-This module and what it imports need NumPy and CasADi only: an FMU carries them with the saved functions and nothing of
-the modelling side. The state is one flat float64 vector, history included: copy it to roll back, list it to serialize.
+Compiled once for a system, whatever its path. The state is one flat float64 vector, history included: copy it to roll
+back, list it to serialize.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from servocore.errors import IntegrationFailed, InvalidReference, ServocoreError
+from servocore.dae import Dae
+from servocore.errors import IntegrationFailed
+from servocore.formulations.base import Formulation
+from servocore.formulations.reduced import Reduced
+from servocore.methods.base import Discretisation, Method, errs_less_with_smaller_steps, instantaneous
 from servocore.model.quantity import Quantity
-from servocore.numerics.compiled_calls import Array, Call
-from servocore.numerics.serialization import from_json, to_json
-
-_FORMAT = "servocore program 3"
-
-
-class CompiledWhenUsed:
-    """Descriptor of a dataclass field that holds a CasADi function, or a callable that compiles it at the first access.
-
-    Newton's method for a system takes longer to compile than anything else, and an exact inversion seldom needs it.
-    """
-
-    def __set_name__(self, _: type, name: str) -> None:
-        self._name = name
-
-    def __set__(self, holder: object, function: ca.Function | Callable[[], ca.Function]) -> None:
-        holder.__dict__[self._name] = function
-
-    def __get__(self, holder: object, _: type | None = None) -> ca.Function:
-        if holder is None:
-            raise AttributeError(self._name)  # to a dataclass: a field without a default
-        held: ca.Function | Callable[[], ca.Function] = holder.__dict__[self._name]
-        if isinstance(held, ca.Function):
-            return held
-        compiled: ca.Function = held()
-        holder.__dict__[self._name] = compiled
-        return compiled
-
-
-@dataclass(frozen=True)
-class LimitText:
-    """What to say when a margin is not positive: the quantity, its unit and the reason."""
-
-    quantity: str
-    unit: str
-    reason: str
-    bound: float
+from servocore.numerics.compiled_calls import Array, call_of
+from servocore.numerics.just_in_time import JustInTime, in_machine_code
+from servocore.numerics.memoization import made_once
+from servocore.problem import Problem, ResolvedSystem
+from servocore.stepping.initial_values import compile_restart, compile_start, start_instants
+from servocore.stepping.observation import compile_observation, observed
+from servocore.stepping.step_functions import (
+    compile_between,
+    compile_following_step,
+    compile_guess_residual,
+    compile_pointwise_step,
+    compile_rescale,
+    compile_step,
+)
+from servocore.structure.derivative_array import DerivativeArray
+from servocore.structure.inversion import inversion
 
 
 @dataclass(frozen=True)
@@ -77,70 +60,110 @@ class StepReport:
 class Program:
     """Compiled functions of one problem: model, formulation and method together.
 
-    Each function may also be given as what compiles it: a callable without arguments.
+    Each is compiled when it is used first: Newton's method for a system takes longer than anything else, and an exact
+    inversion seldom needs it.
 
     Attributes
     ----------
     name : str
         Model, formulation and method, for messages.
-    start : casadi.Function
-        (gamma (m, (`start_order` + 1) * instants), h, p) -> (state, counts (2,), residual).
-    step : casadi.Function
-        (state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual).
-    observe : casadi.Function
-        (state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): the latter ``|c|, |c'|, |g|, |g'|``.
-    margins : casadi.Function
-        (gamma (m, `start_order` + 1), p) -> how far each limit of the scene is, positive where it is kept.
-    guess_residual : casadi.Function
-        Like `step`, to the residual of every equation at the first guess, for messages.
-    rescale : casadi.Function
-        (state, ratio) -> the state made ready for steps of another size, `ratio` times the old.
-    between : casadi.Function
-        (state, fraction, h) -> the state with its own instant moved to a fraction of the last step.
-    index : int
-        Differentiation index of the form.
+    array : DerivativeArray
+        Of the system, with the states that the formulation names.
+    dae, reduced : Dae
+        What is stepped, and the reduced form of the same array.
+    discretization : Discretisation
+        The equations of a step.
+    start_order : int
+        Highest derivative of the reference that start and observation take.
     smaller_steps_help : bool
         False for forms without a step, and where errors grow from step to step, more so the smaller the step.
-    order, start_order : int
-        Highest derivative of the reference that a step takes, and that start and observation take.
-    nodes : tuple of float
-        Where a step takes the reference, in steps from its beginning.
-    start_instants : tuple of float
-        Where the start takes the reference, in steps from the initial time.
-    channels : tuple of Quantity
-        What is observed.
-    parameters, equations : tuple of str
-        Names of the entries of p, and of the equations of a step.
-    limits : tuple of LimitText
-        What messages say of each limit of the scene.
+    follow_branch : bool
+        Whether an exact inversion starts from where the instant before was heading, and not from the model's guess.
     """
 
     name: str
-    start: CompiledWhenUsed = CompiledWhenUsed()
-    step: CompiledWhenUsed = CompiledWhenUsed()
-    observe: CompiledWhenUsed = CompiledWhenUsed()
-    margins: CompiledWhenUsed = CompiledWhenUsed()
-    guess_residual: CompiledWhenUsed = CompiledWhenUsed()
-    rescale: CompiledWhenUsed = CompiledWhenUsed()
-    between: CompiledWhenUsed = CompiledWhenUsed()
-    index: int
-    smaller_steps_help: bool
-    order: int
+    array: DerivativeArray
+    dae: Dae
+    reduced: Dae
+    discretization: Discretisation
     start_order: int
-    nodes: tuple[float, ...]
-    start_instants: tuple[float, ...]
-    channels: tuple[Quantity, ...]
-    parameters: tuple[str, ...]
-    equations: tuple[str, ...]
-    limits: tuple[LimitText, ...]
-    _calls: dict[str, Call] = field(init=False, repr=False, default_factory=dict)
-
-    def _call(self, name: str) -> Call:
-        if name not in self._calls:
-            self._calls[name] = Call(getattr(self, name))
-        return self._calls[name]
+    smaller_steps_help: bool
+    follow_branch: bool
 
     @property
+    def index(self) -> int:
+        """Differentiation index of the form."""
+        return self.dae.index
+
+    @cached_property  # every step asks
+    def order(self) -> int:
+        """Highest derivative of the reference that a step takes."""
+        return self.dae.reference_order if self.dae.x.numel() else self.start_order
+
+    @property
+    def nodes(self) -> tuple[float, ...]:
+        """Where a step takes the reference, in steps from its beginning."""
+        return self.discretization.nodes
+
+    @property
+    def equations(self) -> tuple[str, ...]:
+        """Names of the equations of a step."""
+        return self.discretization.labels
+
+    @cached_property  # every step asks
+    def start_instants(self) -> tuple[float, ...]:
+        """Where the start takes the reference, in steps from the initial time."""
+        return start_instants(self.array, self.discretization)
+
+    @cached_property
+    def channels(self) -> tuple[Quantity, ...]:
+        """What is observed."""
+        return tuple(quantity for quantity, _ in observed(self.array.system))
+
+    @cached_property
+    def start(self) -> ca.Function:
+        """(gamma (m, (`start_order` + 1) * instants), h, p) -> (state, counts (2,), residual)."""
+        inverse = inversion(self.array)
+        return compile_start(self.array, inverse, self.dae, self.reduced, self.discretization, self.start_order)
+
+    @cached_property
+    def restart(self) -> ca.Function:
+        """(unknowns of the array, gamma as for `start`, h, p) -> state."""
+        inverse = inversion(self.array)
+        return compile_restart(self.array, inverse, self.dae, self.reduced, self.discretization, self.start_order)
+
+    @cached_property
+    def step(self) -> ca.Function:
+        """(state, gamma (m, (`order` + 1) * nodes), h, p) -> (state, counts, residual)."""
+        if self.dae.x.numel():
+            return compile_step(self.discretization)
+        # Without differential states every instant stands alone: a step is a start.
+        if self.follow_branch:
+            return compile_following_step(self.array, self.start_order)
+        return compile_pointwise_step(self.start)
+
+    @cached_property
+    def observe(self) -> ca.Function:
+        """(state, gamma (m, `start_order` + 1), p) -> (values, violations (4,)): |c|, |c'|, |g|, |g'|."""
+        system = self.array.system
+        return compile_observation(system, self.dae, self.discretization, observed(system), self.start_order)
+
+    @cached_property
+    def guess_residual(self) -> ca.Function:
+        """Like `step`, to the residual of every equation at the first guess, for messages."""
+        return compile_guess_residual(self.discretization)
+
+    @cached_property
+    def rescale(self) -> ca.Function:
+        """(state, ratio) -> the state made ready for steps of another size, `ratio` times the old."""
+        return compile_rescale(self.discretization)
+
+    @cached_property
+    def between(self) -> ca.Function:
+        """(state, fraction, h) -> the state with its own instant moved to a fraction of the last step."""
+        return compile_between(self.discretization)
+
+    @cached_property
     def state_size(self) -> int:
         """Length of the state vector."""
         return int(self.step.size1_in(0))
@@ -165,7 +188,7 @@ class Program:
         jets = np.repeat(gamma[None], len(self.start_instants), axis=0) if gamma.ndim == 2 else gamma
         # CasADi maps column by column: (instants, orders, m) becomes (m, orders * instants).
         used = jets[:, : self.start_order + 1]
-        return _outcome(*self._call("start")(used.reshape(-1, used.shape[2]).T, h, p))
+        return _outcome(*call_of(self.start)(used.reshape(-1, used.shape[2]).T, h, p))
 
     def advance(self, state: Array, gamma: Array, h: float, p: Array) -> tuple[Array, StepReport]:
         """Take one step; gamma holds the reference jets at the nodes, shape (nodes, orders, m).
@@ -186,7 +209,7 @@ class Program:
         tuple of (ndarray, StepReport)
             The state after the step, and how it went.
         """
-        return _outcome(*self._call("step")(state, self._at_nodes(gamma), h, p))
+        return _outcome(*call_of(self.step)(state, self._at_nodes(gamma), h, p))
 
     def rescaled(self, state: Array, ratio: float) -> Array:
         """Make a state ready for steps of another size; for forms of index one and less.
@@ -204,7 +227,7 @@ class Program:
             The state from which to go on.
         """
         # Interpolating a history at its own instants would cost round-off for nothing.
-        return state if ratio == 1.0 else self._call("rescale")(state, ratio)[0]
+        return state if ratio == 1.0 else call_of(self.rescale)(state, ratio)[0]
 
     def moved(self, state: Array, fraction: float, h: float) -> Array:
         """Move a state's own instant to a fraction of its last step, for `values` there: dense output.
@@ -223,7 +246,7 @@ class Program:
         ndarray, shape (state_size,)
             A state for `values` alone.
         """
-        return self._call("between")(state, fraction, h)[0]
+        return call_of(self.between)(state, fraction, h)[0]
 
     def values(self, state: Array, gamma: Array, p: Array) -> Array:
         """Observed values in the order of `channels`, for a reference jet of shape (orders, m).
@@ -242,23 +265,7 @@ class Program:
         ndarray, shape (channels,)
             In the units of `channels`.
         """
-        return self._call("observe")(state, gamma[: self.start_order + 1].T, p)[0]
-
-    def require_within_limits(self, gamma: Array, p: Array, time: float) -> None:
-        """Raise `InvalidReference` with the time if a reference jet breaks a limit of the scene.
-
-        Parameters
-        ----------
-        gamma : ndarray, shape (orders, m)
-            Reference jet.
-        p : ndarray
-            Parameters.
-        time : float
-            Of the jet, in s, for the message.
-        """
-        if self.limits:
-            (margins,) = self._call("margins")(gamma[: self.start_order + 1].T, p)
-            require_margins(self.limits, margins, time)
+        return call_of(self.observe)(state, gamma[: self.start_order + 1].T, p)[0]
 
     def require_branch(self, values: Array, time: float) -> None:
         """Raise `IntegrationFailed` if observed values belong to another branch of the equations.
@@ -301,7 +308,7 @@ class Program:
         """
         # A form without a step is given more derivatives of the path than its equations hold.
         orders = self.guess_residual.size2_in(1) // len(self.nodes)
-        (residual,) = self._call("guess_residual")(state, self._at_nodes(gamma[:, :orders]), h, p)
+        (residual,) = call_of(self.guess_residual)(state, self._at_nodes(gamma[:, :orders]), h, p)
         return self.equations[int(np.nan_to_num(np.abs(residual), nan=np.inf).argmax())]
 
     def _at_nodes(self, gamma: Array) -> Array:
@@ -309,48 +316,57 @@ class Program:
         used = gamma[:, : self.order + 1]
         return used.reshape(-1, used.shape[2]).T
 
-    def to_json(self) -> str:
-        """Serialize, with the functions in CasADi's own format; raises `ServocoreError` if they are machine code.
-
-        Returns
-        -------
-        str
-            What `from_json` reads.
-        """
-        if self.step.class_name() == "External":
-            raise ServocoreError(f"{self.name}: machine code cannot be saved; save the program without native")
-        return to_json(self, _FORMAT)
-
-    @classmethod
-    def from_json(cls, text: str) -> Program:
-        """Undo `to_json`; raises `ServocoreError` if the text is not a program.
-
-        Parameters
-        ----------
-        text : str
-            From `to_json`.
-
-        Returns
-        -------
-        Program
-            The same program.
-        """
-        return from_json(cls, text, _FORMAT, {"channels": Quantity, "limits": LimitText})
-
-
-def require_margins(limits: Sequence[LimitText], margins: Array, time: float) -> None:
-    """Raise `InvalidReference` for the first margin that is not positive (NaN included)."""
-    for limit, margin in zip(limits, margins, strict=True):
-        # Written so that NaN is refused: it is neither above nor below.
-        if not margin > 0.0:
-            raise InvalidReference(
-                f"at t = {time:.6g} s {limit.reason}: {limit.quantity} is {margin + limit.bound:.4g} {limit.unit},"
-                f" it must stay above {limit.bound:g} {limit.unit}"
-            )
-
 
 def _outcome(state: Array, counts: Array, residual: Array) -> tuple[Array, StepReport]:
     # CasADi's fast_newton takes NaN for convergence, and failed blocks answer NaN: look at the numbers.
     converged = bool(np.isfinite(state).all() and np.isfinite(residual[0]))
     most, total = (round(count) if np.isfinite(count) else 0 for count in counts)
     return state, StepReport(converged, most, total, float(residual[0]))
+
+
+def program_of(
+    problem: Problem, formulation: Formulation, method: Method, native: bool | None = False, steps: int = 0
+) -> Program:
+    """Return the program of a problem; asked again for the same system and settings, the same program.
+
+    Parameters
+    ----------
+    problem : Problem
+        What is to be stepped.
+    formulation, method : Formulation, Method
+        How.
+    native : bool or None
+        Whether a C compiler shall turn it into machine code; with None it does so in the background, for a
+        program that is used again or for many steps.
+    steps : int
+        How many are to be taken.
+    """
+    program = _program(problem.resolved, formulation, method, problem.follow_branch)
+    code = None if native is False else _in_machine_code(program, native)
+    return program if code is None else code.best(steps) or program
+
+
+@made_once
+def _in_machine_code(program: Program, native: bool | None) -> JustInTime[Program]:
+    """Return a program with start, step and observation as machine code."""
+    return in_machine_code(program, ("start", "step", "observe"), program.name, native)
+
+
+@made_once
+def _program(resolved: ResolvedSystem, formulation: Formulation, method: Method, follow_branch: bool) -> Program:
+    array, dae = resolved.array, resolved.dae(formulation)
+    if isinstance(formulation, Reduced):
+        array = formulation.array(resolved.system)
+    if array.states == resolved.array.states:
+        array = resolved.array  # the usual states share one inversion with everything else that asks for it
+    stepped = bool(dae.x.numel())
+    return Program(
+        name=f"{dae.name}, {method.name}" if stepped else dae.name,
+        array=array,
+        dae=dae,
+        reduced=resolved.dae(Reduced(states=array.named_states)),
+        discretization=method.discretise(dae) if stepped else instantaneous(dae),
+        start_order=max(array.reference_order, dae.reference_order, 2),
+        smaller_steps_help=stepped and errs_less_with_smaller_steps(method, dae.index),
+        follow_branch=follow_branch,
+    )

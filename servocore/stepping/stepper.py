@@ -14,8 +14,7 @@ from servocore.model.system import MechanicalSystem
 from servocore.numerics.compiled_calls import Array
 from servocore.problem import Problem
 from servocore.references.base import numbers_of
-from servocore.stepping.compilation import program_of
-from servocore.stepping.program import Program, StepReport
+from servocore.stepping.program import Program, StepReport, program_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +33,7 @@ class Stepper:
         Model of the scene; the default one when not given.
     native : bool
         Whether a C compiler shall turn the program into machine code: the same numbers to the last bit, some five
-        times faster, after seconds of compiling, once a process. Such a program cannot be saved.
+        times faster, after seconds of compiling, once a process.
 
     Examples
     --------
