@@ -95,10 +95,10 @@ def simulated(
             )  # fmt: skip
     except Exception as error:  # a user's FMU may fail in any way
         raise sc.IntegrationFailed(f"{fmu.name} stopped: {messages[-1] if messages else error}") from error
-    last = float(found["time"][-1]) if len(found) else begin
+    last, wanted = float(found["time"][-1]) if len(found) else begin, round((end - begin) / step) + 1
     if last < end - 0.5 * step:  # FMPy ends silently at a discarded step
         raise sc.IntegrationFailed(
-            f"{fmu.name} stopped at t = {last:.6g} s of {end:.6g} s:"
+            f"{fmu.name} stopped at t = {last:.6g} s of {end:.6g} s after {len(found)} of {wanted} rows:"
             f" {messages[-1] if messages else 'it did not say why'}"
         )
     return {name: found[name] for name in found.dtype.names}
